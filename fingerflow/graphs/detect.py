@@ -88,7 +88,9 @@ class DetectGraph(nn.Module):
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
-    """Return how many pixels of [first, last) lie within `edge` px of the start and of the end of an axis."""
+    """Return how many pixels of the range [first, last) on an axis of `length` pixels lie within `edge` px of the start
+    of the axis, and how many within `edge` px of its end.
+    """
     start = min(max(edge - first, 0), last - first)
     return start, min(max(last - (length - edge), 0), last - first - start)
 

@@ -21,7 +21,8 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Points that moved into the contact (advected), with displacement gradients since each point's entry.
+    """Points that moved into the contact after its onset (advected), with displacement gradients since each point's own
+    entry.
 
     A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
@@ -32,7 +33,9 @@ class Entered(NamedTuple):
     covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
-        """Return divergence, curl and strain of the entered points, computed from their displacement gradients."""
+        """Return the entered points with their divergence, curl and strain (of the given `measure`), computed from
+        displacement gradients, for medians that do not fit these points again.
+        """
         first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
         fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
         std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)

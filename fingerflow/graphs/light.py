@@ -9,7 +9,8 @@ from fingerflow.ops.filters.illumination import glass_light
 
 
 class Light(NamedTuple):
-    """Reference light per pixel, black level and contact limit of B views.
+    """Light of the lamp per pixel and black level of B views, in camera counts, and the share of the light below which
+    a pixel is in contact.
 
     Attributes:
         light: (B, 1, H, W) counts due to the lamp; 0 where the glass is not lit, and no contact is detected there.
@@ -23,7 +24,8 @@ class Light(NamedTuple):
 
 
 class LightGraph(nn.Module):
-    """Module that computes the reference light from the empty glass, a dark frame and the contact threshold.
+    """Module that computes the reference for contact detection: the light of the empty glass and the black level per
+    pixel, and the limit, as a share of that light, below which a pixel is in contact.
 
     A pixel is in contact where its count is less than black + limit light.
 

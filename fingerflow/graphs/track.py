@@ -41,7 +41,8 @@ class DeformationGraph(nn.Module):
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, supports: Supports | None = None
     ) -> Deformed:
-        """Correct the positions of points found in K frames for the measured deformation of the skin.
+        """Correct the positions of points found in K frames for the deformation of the skin in the templates' windows,
+        which is estimated from the displacements of the points since the key frame.
 
         `start` (1, N, 2) px are the positions of the points in the key frame. `numbers` (1, N, 32) are the template
         statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1 with which the templates were prepared.
@@ -59,7 +60,8 @@ class AgreementGraph(nn.Module):
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """Return the outliers among points (K, N, 2) tracked in K frames.
+        """Return flags of the outliers among points (K, N, 2) px tracked in K frames: points whose displacement or
+        uncertainty differs greatly from that of their neighbours.
 
         `position_std` (K, N) is the standard deviation of a component. `neighbours` is
         `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.

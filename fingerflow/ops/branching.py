@@ -7,7 +7,8 @@ from fingerflow.kernels.tensors.serving import is_recorded
 
 
 def may_branch(*tensors: Tensor | None) -> bool:
-    """Return whether Python code may read the values of `tensors`, to choose a branch or a shape.
+    """Return whether Python code may read the values of `tensors` to choose a branch or a shape: only while torch
+    neither traces, compiles nor exports, and if all tensors lie on the CPU.
 
     It must not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """

@@ -14,7 +14,9 @@ _WINDOWS = 1 << 12  # about 1 GB of intermediate results, for windows of 25 px
 
 
 def points_at_once(like: Tensor, in_cache: int) -> int:
-    """Return how many windows to compute in one call: `in_cache` on a CPU, elsewhere a number that limits memory."""
+    """Return how many windows to compute in one call: where the tensor `like` lies on a CPU, the number `in_cache` that
+    fits into the cache, elsewhere a number that limits memory.
+    """
     return in_cache if like.is_cpu else _WINDOWS
 
 
@@ -24,7 +26,8 @@ def frames_at_once(frames: Tensor) -> int:
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
-    """Evaluate `compute(*given)` for a few frames of the batch at a time, and concatenate the results.
+    """Evaluate `compute(*given)` for at most `at_once` frames of the batch at a time, and return the concatenated
+    results.
 
     It returns a tensor, or a named tuple of tensors, with one row per frame. While a graph is traced and on devices
     other than the CPU the whole batch is computed in one call.

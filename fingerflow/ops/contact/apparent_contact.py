@@ -45,7 +45,8 @@ class ApparentRegion(NamedTuple):
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
 ) -> ApparentRegion:
-    """Segment the apparent (gross) contact, whose border is where ridges are half as dense as near the rim.
+    """Segment the apparent (gross) contact, ridges and the gaps between them, from a mask of the pixels in contact: the
+    border is where the locally averaged mask falls to about half of its mean just inside the border.
 
     Holes of the region are filled. The density is the mean of the mask over about two periods (three box means). At a
     straight border it falls to one half of the density inside, whatever the direction of the pattern. At a convex
@@ -91,18 +92,24 @@ def apparent_contact(
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
-    """Segment the apparent contact, given the fraction of each cell (B, 1, h, w) that the real contact mask covers."""
+    """Segment the apparent contact from the fraction of each cell (B, 1, h, w), `side` px wide, that the real contact
+    mask covers, smoothed over boxes of 2 `radius` + 1 px.
+    """
     width = (2 * radius + 1) / side
     boxes, *bands = _all_boxes(cells, width)
     density = _smooth(cells, boxes)
     flat = 1 / _slope(density)
 
     def inside(limit: Tensor | float) -> Tensor:
-        """Return the area fraction of each cell where the density, linear within a cell, exceeds `limit`."""
+        """Return the fraction, 0 to 1, of each cell's area in which the smoothed contact density, taken as linear
+        within the cell, exceeds `limit`.
+        """
         return ((density - limit) * flat + 0.5).clamp(0.0, 1.0)
 
     def shares(limit: Tensor | float, weights: Tensor) -> Tensor:
-        """Return the shares (B, 1, 1, n) that the pattern covers inside, for n weights of the cells (B, h w, n)."""
+        """Return the shares (B, 1, 1, n) of the region above the density `limit` that ridges (the real contact mask)
+        cover, one for each of n sets of cell weights (B, h w, n).
+        """
         part = inside(limit)
         # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
         sums = torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2) @ weights  # one product for all of them
@@ -141,7 +148,9 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
 
 
 class _Boxes(NamedTuple):
-    """Smoothing matrices of the lines along y and along x, and the number of cells that they reach."""
+    """Matrices that smooth the columns (`down`) and the rows (`along`) of an image on cells by three successive box
+    means, and the distance in cells (`reach`) over which they spread a value.
+    """
 
     down: Tensor
     along: Tensor
@@ -149,7 +158,9 @@ class _Boxes(NamedTuple):
 
 
 def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
-    """Return the matrices of boxes `width` cells wide, and of those of both bands, on blocks of 2 x 2 cells."""
+    """Return the smoothing matrices for images on cells (B, 1, h, w): that of boxes `width` cells wide, for the contact
+    density, and those of a narrow and a wide band along the border, for blocks of 2 x 2 cells.
+    """
     # Cache the matrices only outside tracing and on the CPU; elsewhere they are built in every call.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
     matrix = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
@@ -162,7 +173,9 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
 
 
 def _band(border: Tensor, boxes: _Boxes) -> Tensor:
-    """Return weights on cells that fall off from a border, smoothed by box means on blocks of 2 x 2 cells."""
+    """Smooth an image (B, 1, h, w) of the border, on blocks of 2 x 2 cells, and return it on cells as weights that fall
+    off with the distance from the border.
+    """
     height, wide = border.shape[-2:]
     return enlarge(_smooth(cell_means(border, 2, border.dtype), boxes), 2)[..., :height, :wide]
 
@@ -209,7 +222,8 @@ def _slope(density: Tensor) -> Tensor:
 
 
 def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """Return the connected component of a region that contains the densest cell, resolved to blocks of 8 x 8 cells.
+    """Return the connected component of a region (1 inside, else 0) that contains the region's cell of highest
+    `density`; components are separated on blocks of 8 x 8 cells.
 
     The component grows by one block per step, for as many steps as the longer side has blocks. A component whose path
     is longer is cut off there.
@@ -240,7 +254,8 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return area, centre, semi-axes and angle of a region, the latter three of the ellipse with the same moments.
+    """Return area, centre, semi-axes and angle of a region, given the fraction of each cell (B, 1, h, w) that it
+    covers; the latter three are those of the ellipse with the same first and second moments.
 
     Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
     """

@@ -69,7 +69,8 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Return a mask (B, N) bool of the positions x, y (B, N) px that lie in the apparent contact.
+    """Return a mask (B, N) bool of the positions x, y (B, N) px that lie in the apparent contact: where
+    `density_margin`, interpolated between cells, is positive.
 
     Interpolation between cells locates the border to a fraction of a pixel.
 
@@ -90,7 +91,8 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """Return the mask (B, 1, height, width) bool of the pixels in the apparent contact, interpolated as in `covered`.
+    """Return the mask (B, 1, height, width) bool of the pixels in the apparent contact: where `density_margin`,
+    interpolated between cells of `cell` px as in `covered`, is positive.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -104,10 +106,11 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return, for each pixel along one axis, the two cells to interpolate between and the weight of the second cell.
+    """Return, for each of `pixels` pixels along an axis of `count` cells of `cell` px, the indices of the two cells to
+    interpolate between, and the weight of the second cell.
 
-    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`.
-    Each result is (pixels,).
+    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`, in the dtype of
+    `cells`. Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

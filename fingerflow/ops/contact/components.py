@@ -110,7 +110,8 @@ def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _join(node: Tensor, upper: Tensor, lower: Tensor) -> Tensor:
-    """Return, for each node of a graph, the smallest node of the same connected component.
+    """Return, for each node of a graph whose edges join the nodes `upper` and `lower`, the smallest node of the same
+    connected component.
 
     Edge k joins nodes `upper[k]` and `lower[k]`.
     """

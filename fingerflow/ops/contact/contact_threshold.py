@@ -34,9 +34,9 @@ def contact_threshold(
     radius: int = 8,
     stride_px: int = 1,
 ) -> Tensor:
-    """Compute the contact threshold: the intensity loss half-way between the medians of ridges and valleys.
+    """Compute the contact threshold of each frame: the intensity loss, relative to the light of the empty glass,
+    half-way between the median losses of ridges and of valleys in the apparent contact.
 
-    The loss is relative to the light of the empty glass; ridges and valleys are the pixels of the apparent contact.
     Otsu's threshold of the median-filtered intensity loss, in 256 levels, first segments the apparent contact
     (`apparent_contact`). Most pixels outside are empty glass, which is brighter than the skin between ridges; it lowers
     Otsu's threshold and enlarges the area by 2 %. The value half-way between the medians of the two classes inside the
@@ -121,7 +121,8 @@ def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
 
 
 def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
-    """Return the level (B,) half-way between two medians of a histogram: of levels above `level`, and of the others.
+    """Return the level (B,) half-way between two medians of a histogram (B, 256): that of the counts above `level`
+    (ridges), and that of the other counts (valleys).
 
     The histograms are (B, 256). `level` is (B,). The result is NaN where no count lies above. Without counts up to the
     level, the lower class replaces their median.
@@ -135,7 +136,9 @@ def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
 
 
 def _at_pixels(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
-    """Sample values on cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of a frame."""
+    """Return the values, at every `step`-th pixel of every `step`-th line of a frame of `shape` (height, width), of the
+    cells (B, 1, h, w) of `cell` px in which the pixels lie.
+    """
     for axis, side in ((3, shape[1]), (2, shape[0])):  # columns while there are few lines, then whole lines
         cells = cells.index_select(axis, torch.arange(0, side, step, device=cells.device) // cell)
     return cells

@@ -18,12 +18,13 @@ _NARROW, _BESIDE = 0.02, 0.06
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
-    """Return the ratio of a frame's light to the light of the empty glass, measured where no skin touches the glass.
+    """Return the illumination gain (B,) of each frame: the ratio of its light to the light of the empty glass, measured
+    on blocks of pixels where no skin touches the glass.
 
-    It is NaN if no glass is visible. A block is wide enough to hold a ridge and the skin beside it. In every block skin
-    is therefore darker than glass and has a larger variance. A mean shift that starts from the brightest of the smooth
-    blocks finds the uppermost mode of their quotients. That mode is glass if it is narrow. One gain per frame describes
-    a change of the lamp, the exposure or the camera gain, but not a shadow.
+    The gain is NaN if no glass is visible. A block is wide enough to hold a ridge and the skin beside it. In every
+    block skin is therefore darker than glass and has a larger variance. A mean shift that starts from the brightest of
+    the smooth blocks finds the uppermost mode of their quotients. That mode is glass if it is narrow. One gain per
+    frame describes a change of the lamp, the exposure or the camera gain, but not a shadow.
 
     Every fourth line is read. With 1 % of noise per pixel a block of 16 px has 0.13 %, and a frame has hundreds of
     blocks.
@@ -57,7 +58,8 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """Return, for each of N blocks of a frame, the sum of the pixel values and the sum of their squares, (B, 2, N).
+    """Return, for each of N square blocks of a frame, `block` px wide, the sum of the pixel values and the sum of their
+    squares, (B, 2, N).
 
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """

@@ -10,7 +10,8 @@ _LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the
 
 
 def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale: float) -> Tensor:
-    """Return the relative brightness change (B, 1, h, w) per grid cell from an image of the surface at rest (unloaded).
+    """Return the relative brightness change (B, 1, h, w), in cells of `cell` px, of images of a surface since rest
+    (unloaded): the logarithm of their quotient, averaged over the pixels that no marker hides.
 
     The change is the logarithm of the quotient of both images. The logarithm is averaged with Gaussian weights over the
     pixels that show the surface in both images (normalised convolution, Knutsson & Westin 1993). The median over the

@@ -8,10 +8,11 @@ Range = tuple[int, int]
 
 
 def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
-    """Return the ranges [first, last) of rows and columns that hold the True pixels of all masks plus a margin in px.
+    """Return the smallest ranges [first, last) of rows and of columns that hold the True pixels of all masks (B, 1, H,
+    W), widened by `margin` px at both ends.
 
-    Return the ranges of the whole image if the masks are empty, or if the rectangle has fewer than `least` pixels or a
-    side of at most two margins. So too where shapes must not depend on data: while torch compiles, traces or exports,
+    The ranges are those of the whole image if the masks are empty, or if the rectangle has fewer than `least` pixels or
+    a side of at most two margins. So too where shapes must not depend on data: while torch compiles, traces or exports,
     and on a device that the host would have to wait for.
     """
     height, width = mask.shape[-2:]

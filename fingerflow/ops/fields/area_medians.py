@@ -35,7 +35,9 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """Points whose divergence, curl and strain are given, and which are therefore excluded from the local fits."""
+    """Tracked points (`among`) whose divergence, curl and strain are given, not fitted, and which the local fits to the
+    other points therefore leave out.
+    """
 
     among: Tensor  # (B, N) bool
     fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
@@ -54,7 +56,8 @@ def area_medians(
     covariance: Tensor | None = None,
     apart: Apart | None = None,
 ) -> AreaMedians:
-    """Compute the medians of divergence, curl and strain over an ellipse in each current (deformed) frame.
+    """Compute the medians of divergence, curl and strain over the ellipse of each current (deformed) frame, from local
+    plane fits to the displacements of scattered points.
 
     The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
     fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
@@ -125,7 +128,8 @@ def _medians_of_known(
     displacement: Tensor,
     *others: Tensor | None,
 ) -> AreaMedians:
-    """Exclude points that are unknown in every frame, then compute the medians over the ellipses as `_medians`.
+    """Leave out points that are unknown in every frame, then compute the medians of divergence, curl and strain over
+    the ellipses by `_medians`, from local fits of the given `radius`.
 
     All points are used while torch traces a graph.
 
@@ -154,7 +158,8 @@ def _medians(
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Compute the medians of divergence, curl and strain by matrix products, in the form that is exported to ONNX.
+    """Compute the medians of divergence, curl and strain over the ellipse of each frame, from plane fits within
+    `radius` to point displacements, by matrix products that can be exported to ONNX.
 
     The cost is fixed. `entered` are the three attributes of `Apart`, or None.
     """
@@ -225,7 +230,7 @@ def _medians(
 
 
 def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """Return the medians (B, 5) of five fields over the positions where the fields are known.
+    """Return the medians (B, 5) of five fields (B, 5, Q) over those of the Q positions where the fields are `known`.
 
     `count` (B, 1, 1) is the number of known values. The median is arbitrary where they are fewer than half.
     """
@@ -240,7 +245,9 @@ def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
 
 
 class _NearestFields(NamedTuple):
-    """Fields at Q positions, copied from the nearest point where that point is excluded from the fits (`Apart`)."""
+    """Divergence, curl and strain at Q positions, copied from the nearest tracked point if that point's fields are
+    given, not fitted (`Apart`).
+    """
 
     apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
     within: Tensor  # (B, 1, Q) bool, whether it is near enough
@@ -249,7 +256,8 @@ class _NearestFields(NamedTuple):
 
 
 def _nearest_fields(apart: Apart, theirs: Tensor, weights: Tensor) -> _NearestFields:
-    """Return, for each position whose nearest point is excluded from the fits (`Apart`), the fields of that point.
+    """Return the divergence, curl and strain at each of Q positions whose nearest point is one of `apart` (its fields
+    are given, not fitted), copied from that point.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -285,7 +293,8 @@ def _closeness_weights(
     radius: float,
     measure: str,
 ) -> Tensor:
-    """Return the weight (B, 5, Q) that each position has in the error of a median: large for values near the median.
+    """Return the weights (B, 5, Q) with which the errors of five fields at Q positions enter the errors of the fields'
+    medians: 1 at a value equal to the median, 0 from two standard deviations of a fit on.
 
     The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
     median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
@@ -303,7 +312,8 @@ def _closeness_weights(
 
 
 def _mean_derivatives(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
-    """Return the derivatives (B, 5, 2, N) of weighted means of five fields with respect to point displacements.
+    """Return the derivatives (B, 5, 2, N) of the means of five fields (divergence, curl and strain), weighted by
+    `share` over Q positions, with respect to the displacement components of N points.
 
     The mean is over positions with weights `share` (B, 5, Q). If a point is displaced by d, the gradient H at a
     position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w. The point moves together with its displacement, so
@@ -360,7 +370,9 @@ def _check(
 
 
 def _check_apart(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Check an `Apart`, and return it in the dtype of `displacement`, with standard deviations only if `with_std`."""
+    """Check the points whose divergence, curl and strain are given (`Apart`), and return them in the dtype of
+    `displacement`, with standard deviations only if `with_std`.
+    """
     batch, points = displacement.shape[:2]
     for name, values, shape in (
         ("among", apart.among, (batch, points)),

@@ -169,7 +169,8 @@ def _check(
 
 
 def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
-    """Return the covariance (B, Q, C, 2, C, 2) of gradients fitted by weighted least squares.
+    """Return the covariance (B, Q, C, 2, C, 2) of the gradients of C components that weighted least squares fits around
+    Q positions, from weighted sums of the noise variances of the points (`noise_sums`).
 
     It is A^-1 (sum w^2 s d d') A^-1, with d the distance from the centroid and s the variance of a value.
     """

@@ -17,7 +17,8 @@ _ONE = 2.0**-60  # stands for 1 in counts: less than any positive value here, so
 
 
 class Support(NamedTuple):
-    """Weights of N points in local fits around Q query positions, independent of the fitted values.
+    """Weights of N points in the local fits around Q query positions, which depend on the distances between points and
+    positions, not on the fitted values.
 
     Attributes:
         weights: (1 or B, Q, N), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
@@ -45,9 +46,10 @@ class PlaneFit(NamedTuple):
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Return point positions relative to their mean, in units of the radius, and a mask of the known points.
+    """Return point positions (B, 2, N) relative to their mean, in units of `radius`, and a mask (B, 1, N) bool of the
+    points whose positions are known (finite).
 
-    Points are (B, N, 2), the results (B, 2, N) and (B, 1, N) bool. Unknown positions are 0.
+    Points are (B, N, 2). Unknown positions are 0.
     """
     moved = points.mT
     given = finite(sum_rows(moved))
@@ -58,7 +60,8 @@ def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Te
 
 
 def support_of(places: Tensor, queries: Tensor) -> Support:
-    """Compute the weights (`Support`) of points at `places` in local fits around `queries`.
+    """Compute the weights (`Support`) that points at `places` have in local fits around positions `queries`: (1 -
+    r^2)^2 at a distance r; all coordinates are in units of the fits' radius.
 
     Places (1 or B, 2, N) and queries (1 or B, 2, Q) are in radii of the support from one origin. 1 - |x_i - x_q|^2 is
     the product of (2x, |x|^2, 1) with its counterpart: one matrix product serves all pairs.
@@ -79,7 +82,8 @@ def fit_planes(
     radius: float | Tensor,
     support: Support | None = None,
 ) -> PlaneFit:
-    """Fit planes to values around query positions by weighted least squares, as `local_gradients`, by matrix products.
+    """Fit planes to point values around each query position by weighted least squares, with weights that fall to 0 at
+    `radius`: the fits of `local_gradients`, by a few matrix products.
 
     The weights are (1 - (r/R)^2)^2 at a distance r within the radius R. The moments of all fits are the product of the
     weights with the monomials of x and u.
@@ -131,7 +135,8 @@ def fit_planes(
 
 
 def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
-    """Return the covariance (B, Q, 2, 2, 2, 2) of the gradients of fitted planes, in the layout of `LocalFit`.
+    """Return the covariance (B, Q, 2, 2, 2, 2) of the displacement gradients of fitted planes, given the covariance (B,
+    3, N) of point displacements; the axes are as in `LocalFit`.
 
     `covariance` (B, 3, N) is that of the points: uu, uv, vv, 0 where not usable. The sandwich A^-1 (sum w^2 s d d')
     A^-1 is exact for this linear estimator and independent errors.
@@ -163,7 +168,8 @@ def _mixed(components: Tensor, pair: Tensor) -> Tensor:
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Return the matrix product (B, K, Q) of rows (B, K, N) and weights (1 or B, Q, N), a sum over N points.
+    """Sum the data of N points with weights: return the product (B, K, Q) of rows of data (B, K, N) and a matrix of
+    weights (1 or B, Q, N).
 
     One matrix for all frames is not copied for each of them. In an exported graph the matrix is the first factor: this
     takes ONNX runtimes half the time for few rows, but torch twice the time.

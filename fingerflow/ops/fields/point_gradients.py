@@ -13,7 +13,8 @@ from fingerflow.ops.tensors import finite, sum_rows
 def point_gradients(
     reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
 ) -> tuple[Tensor, Tensor | None]:
-    """Return displacement gradients (B, N, 2, 2), fitted locally around each point, and their covariance.
+    """Return displacement gradients (B, N, 2, 2) at N points, each from a weighted least-squares plane through the
+    displacements within half a gauge length of the point, and the gradients' covariance.
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
@@ -63,7 +64,8 @@ def _gradients(
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
-    """Return the weights (`Support`) of the points in the fits of `neighbour_planes`; they depend only on positions.
+    """Return the weights (`Support`) of points in the plane fits around each of them (`neighbour_planes`), for reuse in
+    several fits: they depend on positions and gauge length only.
 
     `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """
@@ -76,7 +78,8 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
 def neighbour_planes(
     reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Fit planes to values around each point: return the fitted values (B, N, C) and gradients (B, N, C, 2).
+    """Fit a plane by weighted least squares to the values (B, N, C) within half a gauge length of each point; return
+    the planes' values (B, N, C) at the points, and gradients (B, N, C, 2).
 
     The fits are those of `local_gradients` at `reference` (1 or B, N, 2). A point without a value of its own gets the
     fit of its neighbours. A point with one unknown component counts as unknown. Compiled and portable forms are as for

@@ -154,7 +154,9 @@ def stress_parts(
 def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
-    """Return the strain energy density, mJ/mm^3, from exx^2, eyy^2, exy^2 and exx eyy (`between`), or their means."""
+    """Return the strain energy density, mJ/mm^3, of an isotropic linear solid in plane strain, from the products exx^2,
+    eyy^2, exy^2 and exx eyy (`xx`, `yy`, `xy`, `between`) of strain components, or their means.
+    """
     direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 

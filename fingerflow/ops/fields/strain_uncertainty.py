@@ -22,9 +22,10 @@ def curl_std(covariance: Tensor) -> Tensor:
 
 
 def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
-    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the displacement gradient.
+    """Return the derivatives of divergence, curl, exx, eyy and exy with respect to the elements du/dx, du/dy, dv/dx and
+    dv/dy of a displacement gradient: 20 separate tensors, four of each field in turn.
 
-    They are 20 separate tensors, four of each field, as are the elements du/dx, du/dy, dv/dx and dv/dy of the gradient.
+    The elements of the gradient are separate tensors, too.
     """
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
@@ -49,11 +50,11 @@ def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagran
 def strain_covariance_parts(
     xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the variances and the covariance of a triangle's strain that the displacement error at one corner causes.
+    """Return the variances of exx, eyy and exy, and the covariance of exx and eyy, that the displacement error at one
+    corner of a triangle causes in the triangle's strain.
 
-    These are the variances of exx, eyy and exy, and the covariance of exx and eyy. The displacement (u, v) of a corner
-    of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin that is already stretched by some
-    per cent makes this wrong by about as much, for all measures.
+    The displacement (u, v) of a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin
+    that is already stretched by some per cent makes this wrong by about as much, for all measures.
 
     Args:
         xx, xy, yy: products of the components of the corner's slope (`triangle_slopes`).

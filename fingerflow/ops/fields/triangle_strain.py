@@ -41,7 +41,8 @@ def triangle_strain(
     young_modulus_mpa: float = 1.0,
     poisson_ratio: float = 0.4,
 ) -> TriangleStrain:
-    """Compute the strain of triangles, and the strain energy density integrated over the triangles in contact.
+    """Compute the strain of triangles between tracked points from the displacements of the points, and the strain
+    energy: the energy density integrated over the triangles in contact.
 
     The gradients are those of `triangle_gradients`. Frames share triangles and slopes. In the portable form they are
     the last axis and each quantity of a point or triangle is a row, so that a corner is fetched for all frames at once.
@@ -90,7 +91,9 @@ def triangle_strain(
         return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
 
     def at_points(corner_values: Tensor) -> Tensor:
-        """Return, for each point, the sum (N, B) of contributions (3, M, B) of the triangle corners at the point."""
+        """Return, for each of N points, the sum (N, B) of the contributions (3, M, B) of all triangle corners that lie
+        at the point.
+        """
         sums = corner_values.new_zeros(displacement.shape[1], len(displacement))
         return sums.index_add_(0, corners, corner_values.flatten(0, 1))
 
@@ -118,7 +121,8 @@ def triangle_strain(
 
 
 def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
-    """Return the standard deviation (B,) of the strain energy due to the displacement errors of the points.
+    """Return the standard deviation (B,) of the strain energy due to displacement errors of the points, from their
+    `covariance` and the elastic forces x, y (N, B) at the points (derivatives of the energy).
 
     The variance is the sum of two parts:
     - To first order: that of the errors times the forces x, y (N, B) at the points.
@@ -144,7 +148,8 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
 
 
 def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Return the area (B, M) that each triangle contributes to an integral over the triangles in contact.
+    """Return the area (B, M) with which each triangle enters an integral over the triangles in contact: triangles of
+    `known` strain get a larger area, to stand also for unknown ones.
 
     Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
     half of the area, or where no triangle is in contact.
@@ -156,6 +161,8 @@ def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
 
 
 def _correlated_slopes(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return, for each triangle corner, the sum (M, 3, 2) of the other corners' slopes times error correlations."""
+    """Return, for each triangle corner, the sum (M, 3, 2) of the slopes (shape-function gradients) of the other two
+    corners, each times the correlation `shared` (M, 3) of the two corners' position errors.
+    """
     after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
     return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

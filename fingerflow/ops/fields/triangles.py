@@ -11,7 +11,8 @@ MINIMUM_QUALITY = 0.1
 def triangle_gradients(
     points: Tensor, triangles: Tensor, values: Tensor, *, minimum_quality: float = MINIMUM_QUALITY
 ) -> Tensor:
-    """Return the gradient of point values interpolated linearly on each triangle (the constant-strain triangle).
+    """Return the gradient (B, M, C, 2), on each of M triangles, of values (B, N, C) at points, interpolated linearly
+    between the triangle's corners (the constant-strain triangle).
 
     Computed in float32 or wider, from edge vectors only, so that only the rounding of the positions depends on the
     distance from the origin.

@@ -10,7 +10,8 @@ _CHUNK_ELEMENTS = 2**18
 
 
 class WeightedMoments(NamedTuple):
-    """Weighted sums (moments) over the usable points around each query position.
+    """Weighted sums (moments) over the usable points around each of Q query positions, of offsets, values and noise
+    variances of the points, from which a plane fit follows.
 
     Here d = point - query, and the weight is w = (1 - (|d| / R)^2)^2 within the radius R, 0 beyond; v and s are the
     values and the noise of the points.
@@ -78,7 +79,8 @@ def weighted_moments(
 
 
 class _Columns:
-    """Point data arranged as matrix columns, so that one matrix product with weights sums the data over N points.
+    """Data of N points arranged as a matrix, whose product with weights (G, Q, N) gives the weighted sums of the data
+    around Q query positions.
 
     Data are (B, N, F), weights (G, Q, N). If one geometry serves all frames (G = 1), the frames are concatenated as
     columns of one matrix product.

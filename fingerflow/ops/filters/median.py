@@ -84,7 +84,8 @@ def _planned(size: int) -> Any:
 
 
 def plain(program: Any) -> Any:
-    """Convert a median program to plain tuples, which the torch compiler accepts as a constant.
+    """Convert the program of a median network, a nested named tuple, to plain nested tuples, which the torch compiler
+    accepts as a constant.
 
     The compiler must not trace the making of a program.
     """
@@ -134,7 +135,8 @@ def _rows_program(size: int) -> MedianProgram:
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:
-    """Run a median program (minima and maxima) on planes, each of which holds one pixel of every tile.
+    """Compute the median filter of frames (B, 1, H, W) by a program of pairwise minima and maxima on planes, each of
+    which holds the pixels at one position of all tiles of the frames.
 
     Each step is one pass over contiguous memory.
     """
@@ -164,7 +166,8 @@ def run_network(
     *,
     views: bool = True,
 ) -> list[Tensor]:
-    """Execute a program of minima and maxima on flat planes, and return the output planes.
+    """Execute the `steps` of a median network, pairwise minima and maxima, on flat planes of pixels (one for each
+    position within a tile), and return the planes that `outputs` names.
 
     Args:
         steps, outputs: of the program.

@@ -37,7 +37,8 @@ def spline_coefficients(images: Tensor) -> Tensor:
 
 
 def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Compute the B-spline weights of the coefficients around a position, for the value and for the derivative.
+    """Compute the weights of the `order` + 1 B-spline coefficients around a position on one axis: those that give the
+    value of the spline, and those that give its derivative.
 
     Args:
         fraction: position minus its floor, any shape, in [0, 1).

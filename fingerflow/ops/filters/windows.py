@@ -14,7 +14,8 @@ _POINTS_AT_A_TIME = 128
 
 
 def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
-    """Cut windows of ``size`` x ``size`` pixels from images.
+    """Cut one window of ``size`` x ``size`` pixels for each of P points from images (B, 1, H, W), given the first pixel
+    (`corner`) of each window.
 
     Args:
         images: (B, 1, H, W).
@@ -41,7 +42,8 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
 def sample_windows(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Evaluate the spline of an image, and the gradient of the spline, on a window around each point.
+    """Evaluate the spline of an image, and the gradient of the spline, at the `size` x `size` samples, 1 px apart, of a
+    window around each point; `warp` deforms the windows.
 
     Args:
         coefficients: (B, 1, H, W) from :func:`~fingerflow.ops.filters.spline.spline_coefficients`.
@@ -69,7 +71,9 @@ def sample_windows(
 
 
 def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
-    """Filter the patch of each point along `dim` with the weights (P, taps) of that point; return ``size`` samples."""
+    """Filter the patch of each of P points along the axis `dim` with that point's own weights (P, taps); return
+    ``size`` samples along the axis.
+    """
     taps = weights[:, :, None, None].unbind(1)
     total = taps[0] * patch.narrow(dim, 0, size)
     for k in range(1, len(taps)):

@@ -116,7 +116,8 @@ def dense_flow(
     noise: Tensor | None = None,
     model: FlowModel = "auto",
 ) -> Flow:
-    """Compute the displacement of every pixel from one image to another.
+    """Compute the displacement, px, of every pixel of the image `first` to the image `current`, with covariance and
+    residual.
 
     Args:
         first, current: (B, 1, H, W), 8 to 16 bit or floating.
@@ -173,7 +174,9 @@ def whole_flow(
     warps: int,
     model: str,
 ) -> Flow:
-    """Compute `dense_flow` as one op that torch does not trace, as halved images and the model depend on data."""
+    """Compute `dense_flow` as one op that torch does not trace, since the number of halved images and the choice of the
+    model depend on data.
+    """
     if model == "edges":
         return _flow_with_edges(first, current, initial, mask, noise)[0]
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise)
@@ -193,7 +196,9 @@ def whole_flow(
 def _flow_with_edges(
     first: Tensor, current: Tensor, initial: Tensor | None, mask: Tensor | None, noise: Tensor | None
 ) -> tuple[Flow, Tensor]:
-    """Return the flow for scenes with motion boundaries, and the share (B,) of its pixels unlike noise."""
+    """Return the flow by the model for scenes with motion boundaries (robust penalty), and the share (B,) of the flow's
+    pixels whose residual exceeds what image noise explains.
+    """
     settings: dict[str, Any] = {"box": _EDGE_BOX, "roughness": _EDGE_ROUGHNESS, "constancy": "both"}
     template = prepare_flow(first, mask, noise=noise, **settings)
     flow = find_flow(template, current, initial, _EDGE_WARPS, "charbonnier")
@@ -201,7 +206,9 @@ def _flow_with_edges(
 
 
 def _unlike_noise(flow: Flow, template: FlowTemplate) -> Tensor:
-    """Return the share (B,) of the pixels with a flow whose residual is unlike that of noise."""
+    """Return the share (B,), among the pixels with a known flow, of those whose residual exceeds what image noise
+    explains.
+    """
     limit = _UNLIKE_NOISE * LEFT_BY_NOISE[template.constancy] * template.variance.sqrt()[:, None, None, None]
     seen = finite(flow.residual).sum((1, 2, 3)).clamp_min(1)
     return (flow.residual > limit).sum((1, 2, 3)) / seen
@@ -238,7 +245,8 @@ def prepare_flow(
 def _template_of(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
-    """Return the flow template of an image; as long as texture exceeds the noise, it includes those of halved images.
+    """Return the flow template of an image, which includes the templates of successively halved images as long as
+    texture exceeds the noise.
 
     The image is floating point. The covariance is left None.
     """
@@ -268,7 +276,9 @@ def _template_of(
 
 
 def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
-    """Return the flow covariance xx, xy, yy (B, 3, h, w) on the finest cells, for an illumination gain of 1."""
+    """Return the covariance xx, xy, yy (B, 3, h, w), px^2, of the flow due to image noise, on the cells of the finest
+    multigrid level, for images of equal illumination (a gain of 1).
+    """
     alpha = _smoothing(template.variance, template.roughness)
     if finest is not template.levels[0]:
         alpha = alpha * mean_edge_weight(finest, template.levels[0])
@@ -277,7 +287,9 @@ def _covariance(template: FlowTemplate, finest: Level) -> Tensor:
 
 
 def _channel_minimum(fields: Tensor, count: int) -> Tensor:
-    """Return the minimum (B, ...) of fields (count B, ...) over their `count` channels."""
+    """Return the minimum (B, ...) over `count` channels of fields (count B, ...), whose batch axis holds all frames of
+    one channel after the other.
+    """
     return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
 
 
@@ -286,17 +298,22 @@ def _sum(fields: Tensor, count: int) -> Tensor:
 
 
 def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
-    """Return the eigenvalue (B,) that white image noise alone gives the structure tensor."""
+    """Return the eigenvalue (B,) that the structure tensor of an image without texture has from white noise of the
+    given pixel `variance` (B,) alone.
+    """
     return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
-    """Return the weight (B, 1, 1, 1) of the smoothness term in dense flow, alpha = 2 variance / roughness^2."""
+    """Return the weight alpha = 2 variance / roughness^2 (B, 1, 1, 1) of the smoothness term in dense flow, from the
+    noise `variance` (B,) of a pixel and the `roughness`, the expected size of the flow's gradient.
+    """
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
 def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
-    """Compute the fields of a first image that dense flow needs: spline values, slopes, and structure tensor per cell.
+    """Compute what dense flow needs of a first image: spline values and slopes at the pixels, and the structure tensor
+    (products of the slopes) in each cell of 2 x 2 px.
 
     The tensor is not yet integrated over windows. `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
     """
@@ -346,7 +363,8 @@ def find_flow(
 
 
 def _at_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor], covariance: Tensor) -> Flow:
-    """Interpolate the flow, the covariance and the residual from cells to the pixels of the first image.
+    """Interpolate the flow, its covariance and the image residual from cells of 2 x 2 px to the pixels of the first
+    image; return them as a `Flow`.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
@@ -382,7 +400,8 @@ def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
 ) -> tuple[Tensor, FlowResidual[Tensor], Level]:
-    """Refine a flow on cells by `warps` rounds of warping the current image and solving for the flow.
+    """Refine a flow on cells by `warps` rounds: each warps the current image by the flow, and solves a linear system
+    for the flow that reduces the remaining image difference.
 
     Also return the residual before the last warp, and the finest multigrid level that was solved.
     """
@@ -402,7 +421,8 @@ def _refined(
 
 
 def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual[Tensor]:
-    """Compute the residual of a flow on cells: the image difference that displacement and illumination do not explain.
+    """Compute the residual of a flow on cells of 2 x 2 px: what displacement and a change of illumination gain and
+    offset do not explain of the difference between the two images.
 
     All channels (C B, 1, H, W) are taken together. Means over cells: of its products with the slopes, divided by the
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
@@ -424,7 +444,8 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
 def _channel_residuals(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
 ) -> FlowResidual[Tensor]:
-    """Compute the residual of a flow (see `_residual`) for each channel separately.
+    """Compute the image difference that a flow leaves (see `_residual`) separately for each channel: the grey levels
+    and, if these are assumed constant too, the components of their gradient.
 
     As for `_residual`, but the products with the slopes are not divided by the gain.
     """
@@ -473,7 +494,9 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
 
 
 def _stays_inside(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
-    """Return 1 for pixels of a mask whose flow ends at least `margin` px inside the frame, else 0."""
+    """Return 1 for the pixels of a mask (`inside`, 1 or 0) that their displacement `flow`, px, leaves at least `margin`
+    px inside the frame, else 0.
+    """
     height, width = flow.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
     y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
@@ -482,7 +505,8 @@ def _stays_inside(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
 
 
 def _fit_gain_and_offset(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-    """Fit the illumination gain and offset (B, 1, 1, 1) of the warped image relative to the first, over visible pixels.
+    """Fit the illumination gain and offset (B, 1, 1, 1) with which the grey levels `value` of the first image best
+    reproduce those of the `warped` current image, over the pixels `seen` in both.
 
     The fit is by least squares.
     """

@@ -52,7 +52,8 @@ def magnified(fields: Tensor, times: int) -> Tensor:
 
 
 def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate values of known cells bilinearly to cells of half the size, or to pixels.
+    """Interpolate fields bilinearly from the cells where they are `known` to the `height` x `width` elements of a grid
+    of half the spacing: smaller cells, or pixels.
 
     Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16,
     3/16, 3/16 and 1/16. The result is 0 where none of them is known.
@@ -108,7 +109,9 @@ def places(cells: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Return the coordinates x (width) and y (height, 1) of the pixels of a field, in cells from the field's centre."""
+    """Return the coordinates x (width) and y (height, 1) of the pixels of a frame whose flow is given on `cells`, in
+    units of a cell from the centre of the field of cells.
+    """
     x, y = (
         (torch.arange(count, dtype=cells.dtype, device=cells.device) - 0.5) / CELL - (number - 1) / 2
         for count, number in ((width, cells.shape[-1]), (height, cells.shape[-2]))
@@ -117,16 +120,18 @@ def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor
 
 
 def moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return the moments (B, 12, h, w) to which `planes` fits planes: weights and values, times powers of x and y.
+    """Return the moments (B, 12, h, w) from which `planes` fits planes to a flow: at each cell the weight `share` times
+    1, x, y, x^2, x y and y^2, and the weighted flow `field` times 1, x and y.
 
-    Both the weights (B, 1, h, w) and the weighted field enter.
+    The weights are (B, 1, h, w).
     """
     along, down = share * x, share * y
     return torch.cat((share, along, down, along * x, along * y, down * y, field, field * x, field * y), dim=1)
 
 
 def planes(moments: Tensor) -> Planes:
-    """Fit planes to a field by least squares, given the `moments` of the field.
+    """Fit planes to the two components of a flow by weighted least squares, given the `moments` of the flow, summed or
+    averaged over the cells that each plane shall fit.
 
     A plane is the mean where cells do not span it, and 0 where there are no cells.
     """
@@ -180,7 +185,8 @@ COURSE_WINDOW = window(9)  # cells of 4 px
 
 
 def trend(flow: Tensor, known: Tensor) -> Tensor:
-    """Return the trend (B, 2, h, w) of a flow on cells: the smooth part that the smoothness term does not penalise.
+    """Return the trend (B, 2, h, w) of a flow on cells: a smooth part, locally a plane, which the smoothness term of
+    dense flow does not penalise.
 
     `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
     to the remainder around every position, in two successive boxes of 36 px.

@@ -13,7 +13,8 @@ _TINY = 1e-12
 
 
 def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float, of_noise: Tensor) -> Tensor:
-    """Return the covariance xx, xy, yy (B, 3, h, w) of the flow due to image noise, for an illumination gain of 1.
+    """Return the covariance xx, xy, yy (B, 3, h, w), px^2, of a dense flow due to image noise, from the structure
+    tensor J and the smoothness weight alpha, for images of equal illumination (a gain of 1).
 
     It assumes that J changes little over the smoothing length. A component along which J is l has the variance of noise
     of density s^2 filtered by l K(k) / (l + alpha k^2). With the two boxes approximated by a Gaussian of variance rho^2
@@ -53,7 +54,8 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
 
 def _passed(z: Tensor) -> Tensor:
-    """Return the relative noise variance that remains after smoothing: 1 - z e^z E1(z), with exponential integral E1.
+    """Return the share of the flow's noise variance that averaging over windows leaves, 1 - z e^z E1(z) with the
+    exponential integral E1; z is window variance times structure-tensor eigenvalue over smoothness weight.
 
     The argument z is positive. The value is accurate to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56).
     """

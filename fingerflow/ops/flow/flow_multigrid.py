@@ -44,7 +44,8 @@ class Level(NamedTuple):
 
 
 def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
-    """Build the pyramid of multigrid levels from the operator of the finest level, which comes first.
+    """Build the multigrid levels of the linear system of dense flow, J + alpha L with structure tensor J and graph
+    Laplacian L: the given finest level first, each further one on cells twice as large.
 
     Args:
         tensor: (B, 3, H, W) J, 0 outside the mask.
@@ -99,7 +100,8 @@ def degrees(right: Tensor, down: Tensor) -> Tensor:
 
 
 def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cycles: int) -> Tensor:
-    """Improve a flow (B, 2, h, w) by multigrid V-cycles.
+    """Improve a flow (B, 2, h, w) on cells by multigrid V-cycles on the linear system of dense flow, whose data term at
+    the given flow is `pull`.
 
     Args:
         levels: of the multigrid; the finest is that of the flow.
@@ -122,9 +124,10 @@ def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cy
 
 
 def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    """Return an approximate solution d (B, 2, H, W) of a level's linear system, from one V-cycle that starts at d = 0.
+    """Return an approximate solution d (B, 2, H, W) of the system (J + alpha L) d = `right_side` on the first of
+    `levels`, from one multigrid V-cycle that starts at d = 0.
 
-    The system is (J + alpha L) d = `right_side`.
+    J is the structure tensor and L the graph Laplacian of the smoothness term.
     """
     level, coarser = levels[0], levels[1:]
     solution = DAMPING * times(level.inverse, right_side)

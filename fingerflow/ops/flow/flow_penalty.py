@@ -37,7 +37,8 @@ _TINY = 1e-12
 
 
 def data_weights(left: FlowResidual[Tensor], by_noise: Tensor) -> Tensor:
-    """Return the weights (B, 1, h, w) of cells in the data term: low where the latest flow leaves a large residual.
+    """Return the weights (B, 1, h, w) of cells in the data term of dense flow: 1 where the residual of the latest flow
+    (`left`) has the mean square that noise causes, lower where it is larger.
 
     `by_noise` (B,) is the mean square that noise leaves.
     """
@@ -47,7 +48,8 @@ def data_weights(left: FlowResidual[Tensor], by_noise: Tensor) -> Tensor:
 
 
 def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, roughness: float) -> list[Level]:
-    """Build the multigrid levels of dense flow with smoothness weights from a given flow (B, 2, h, w) on cells.
+    """Build the multigrid levels of dense flow for the robust penalty: an edge between cells has a low smoothness
+    weight where the given flow (B, 2, h, w), minus its smooth trend, jumps.
 
     Args:
         finest: level of the quadratic system.
@@ -62,7 +64,8 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, 
 
 
 def edge_weights(departure: Tensor, roughness: float) -> tuple[Tensor, Tensor]:
-    """Return the smoothness weights of the edges along rows (B, 1, h, w - 1) and along columns (B, 1, h - 1, w).
+    """Return the smoothness weights, 0 to 1, of the edges between neighbouring cells along rows (B, 1, h, w - 1) and
+    along columns (B, 1, h - 1, w): low where the flow minus its smooth trend (`departure`) jumps.
 
     `departure` (B, 2, h, w) is the flow minus its trend.
     """
@@ -75,6 +78,8 @@ def edge_weights(departure: Tensor, roughness: float) -> tuple[Tensor, Tensor]:
 
 
 def mean_edge_weight(finest: Level, quadratic: Level) -> Tensor:
-    """Return the mean smoothness weight (B, 1, h, w) of the edges of each cell; 1 for a cell without edges."""
+    """Return, for each cell, the mean (B, 1, h, w) of the smoothness weights that the robust penalty gives its edges in
+    `finest`, relative to the level of the `quadratic` penalty; 1 for a cell without edges.
+    """
     whole = degrees(quadratic.right, quadratic.down)
     return torch.where(whole > 0, degrees(finest.right, finest.down) / torch.where(whole > 0, whole, 1.0), 1.0)

@@ -56,7 +56,8 @@ def tie_neighbours(reference: Tensor) -> Ties:
 
 
 def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor) -> Tensor:
-    """Match markers: return, for each marker at rest, the index (N,) of the detection in a frame; -1 if undetected.
+    """Match detected markers to markers at rest: return, for each marker at rest, the index (N,) of its detection among
+    those `found` in a frame, or -1 if it is not detected.
 
     No detection is assigned twice. The assignment minimises the cost of a Markov random field by min-sum belief
     propagation (Felzenszwalb & Huttenlocher 2006). A tie costs the squared difference of the neighbours' displacements

@@ -142,7 +142,8 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
 
 
 def _coarser(image: Tensor, look: MarkerLook, x: Tensor, y: Tensor) -> Tensor:
-    """Return the positions (B, N, 2) px of highest blob response at a coarser scale, near pixels x, y (B, N).
+    """Return the positions (B, N, 2) px of the highest response to a blob filter coarser than the markers, each near
+    one of the detected pixels x, y (B, N).
 
     Positions within one scale are considered.
     """

@@ -184,7 +184,8 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _above_noise(window: int) -> float:
-    """Return an upper limit of the corner response in images of white noise of variance 1 without any corners.
+    """Return an upper limit of the corner response (smaller eigenvalue of the structure tensor over `window` px) in
+    images that contain nothing but white noise of variance 1.
 
     In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
     maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
@@ -257,7 +258,8 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:
-    """Return a mask of the corner candidates to keep: those not too close to a stronger candidate that is kept.
+    """Return a mask of the corner candidates (`frame`, `y`, `x`) to keep: those at least `distance` px from every
+    stronger candidate of the frame that is kept.
 
     Candidates are sorted by strength. The selection runs in parallel, with the result of the sequential one. The frame
     is divided into cells so small that two candidates of one cell are always too near. A candidate that comes first

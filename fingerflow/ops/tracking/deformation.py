@@ -33,7 +33,8 @@ _BEYOND = limits.INNER_GAUGE**2 / (1 - limits.INNER_GAUGE**2)
 
 
 class Supports(NamedTuple):
-    """Weights of the points in local fits over the gauge length and over its inner part.
+    """Weights of tracked points in the local fits that measure skin deformation, over the whole gauge length (diameter
+    of the fit) and over its inner part.
 
     None where compiled kernels run, which do not need them.
     """
@@ -52,7 +53,8 @@ def correct_points(
     gauge_px: float,
     supports: Supports | None = None,
 ) -> CorrectedPoints[Tensor]:
-    """Correct the positions of tracked points in K frames for the deformation of the skin, estimated from the points.
+    """Correct the positions of points tracked in K frames, and their covariance, for the deformation of the skin in the
+    windows of the templates, which is estimated from the points themselves.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.
@@ -86,7 +88,9 @@ def correct_points(
         return sum_rows(lean * deformation[:, None]).squeeze(2).mT
 
     def warp_and_unknown(gradient: Tensor) -> tuple[Tensor, Tensor]:
-        """Return F and E (K, 4, N) for displacement gradients (K, N, 2, 2)."""
+        """Return the deformation gradient F since the key frame, and the deformation E = F F_0^-1 - I that the
+        templates do not yet contain, (K, 4, N) each, for displacement gradients (K, N, 2, 2).
+        """
         warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
         return warp, products(warp.unflatten(1, (2, 2)), inverse).flatten(1, 2) - identity
 
@@ -107,7 +111,8 @@ def correct_points(
 
 
 def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: float) -> Tensor:
-    """Return what `correct_points` subtracts from displacements for their variation within a window, px (K, N, 2).
+    """Return the difference, px (K, N, 2), between the mean displacement over the window of each point and the
+    displacement of its centre, which `correct_points` subtracts.
 
     Displacements are (K, N, 2) px, of points at (1 or K, N, 2) px. Their sum with the result is again what the windows
     show: the mean displacement over each of them. It is 0 where the neighbours do not determine it.
@@ -119,14 +124,17 @@ def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: flo
 
 
 def supports_of(start: Tensor, gauge_px: float) -> Supports:
-    """Return the weights of the local fits around points at positions (1 or B, N, 2) px, over both gauge lengths."""
+    """Return the weights of points at positions (1 or B, N, 2) px in the local fits around each of them, over the gauge
+    length `gauge_px` (diameter of the fit) and over its inner part.
+    """
     return Supports(neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px))
 
 
 def _extrapolated(
     start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, supports: Supports
 ) -> tuple[Tensor, Tensor]:
-    """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge of 0, and the step of the extrapolation.
+    """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge length of 0 from fits over the whole and the
+    inner gauge length, and what the extrapolation adds to the inner gradients.
 
     `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
     """
@@ -137,14 +145,17 @@ def _extrapolated(
 
 
 def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:
-    """Return the mean second-order displacement over windows, px (K, 2, N), from gradients (K, N, 2, 2)."""
+    """Return the mean, px (K, 2, N), over each point's window of the second-order part of the displacement, from the
+    displacement gradients (K, N, 2, 2) of neighbouring points.
+    """
     _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
     second = second.flatten(2).mT
     return _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)
 
 
 def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Reduce position covariances (K, N, 2, 2) by the share of the residual that skin deformation in the window causes.
+    """Reduce position covariances (K, N, 2, 2), which follow from the residuals of the windows, by the share of the
+    residual that skin deformation (`unknown`) causes instead of noise.
 
     The deformation E is (K, 4, N). `of` (K, 32, N) are the template statistics.
     """

@@ -13,7 +13,7 @@ _LEAST = 1e-30
 
 
 class Neighbours(NamedTuple):
-    """The k nearest neighbours of N points, nearest first.
+    """The k nearest neighbours of each of N points, nearest first, with which the outlier test compares the point.
 
     Attributes:
         number: (P, k, N) int64, indices of the neighbours.
@@ -41,7 +41,8 @@ class Outliers(NamedTuple):
 
 
 def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """Return the nearest neighbours of each point, with which the outlier test compares the point.
+    """Return the nearest neighbours of each point, among the points within half the gauge length, with which the
+    outlier test compares the point.
 
     Args:
         positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
@@ -154,7 +155,8 @@ def _sum_over_neighbours(values: Tensor) -> Tensor:
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """Return squared misfits z^2 (B, k, N) between each point and its neighbours, and the harmonic mean of 1 + z^2.
+    """Return the squared misfits z^2 (B, k, N) between each point and its k neighbours, which are displacement
+    differences u, v squared times `precision`, and the harmonic mean (B, 1, N) of 1 + z^2.
 
     The mean is over the neighbours, and 1 where there are none.
     """
@@ -164,7 +166,8 @@ def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: 
 
 
 def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
-    """Fit planes to displacement differences by weighted least squares; return the slopes du/dx, du/dy, dv/dx, dv/dy.
+    """Fit a plane to the displacement differences u, v between each point and its k neighbours at offsets x, y, by
+    weighted least squares; return the slopes du/dx, du/dy, dv/dx and dv/dy.
 
     Each slope is (B, 1, N). The data are differences u and v (B, k, N) at offsets x and y, with weights (B, k, N).
     """
@@ -188,6 +191,8 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
 
 
 def _plane_residuals(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the residuals of displacement differences u, v (B, k, N) from planes of given slopes (B, 1, N)."""
+    """Return what planes of given slopes (B, 1, N) leave of the displacement differences u, v (B, k, N) between each
+    point and its k neighbours at offsets x, y.
+    """
     ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

@@ -24,7 +24,8 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """Search for windows: return the position of highest normalised cross-correlation within `radius` px of `guess`.
+    """Search for the windows around `points` of the template images in other images: return the positions of highest
+    normalised cross-correlation within `radius` px of `guess`.
 
     The radius holds in x and in y. Of several positions within `SEARCH_TIE` of the highest, the one nearest to `guess`
     is returned.
@@ -73,11 +74,11 @@ def search_and_return(
     radius: int,
     forward_backward_limit: float,
 ) -> tuple[Tensor, Tensor]:
-    """Search for windows by `search_windows`, and check each match by a backward search.
+    """Search for windows within `radius` px of `guess` by `search_windows`; return the positions (P, 2) found, and
+    whether (P,) a search back from each of them returns to the start.
 
-    Return the positions (P, 2), and whether (P,) the backward search returns to the start. The search back is
-    independent of the displacement found. It must end within `forward_backward_limit`, plus the pixel to which a search
-    is accurate.
+    The search back is independent of the displacement found. It must end within `forward_backward_limit`, plus the
+    pixel to which a search is accurate.
 
     Args:
         key, current: (B, 1, H, W).

@@ -18,7 +18,8 @@ TAPS = 5
 
 
 def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> Tensor:
-    """Cut square patches (P, side, side) from images (B, 1, H, W), centred on whole pixels (B, 2, N).
+    """Cut square patches (P, side, side) from images (B, 1, H, W), centred on whole pixels (B, 2, N); they hold a
+    window of `size` px and 3 px more on every side.
 
     P = B N and side = size + 6; pixels are (x, y). The border is replicated; a window that would reach beyond the
     replicated border is moved inwards.
@@ -72,7 +73,8 @@ def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
 
 
 def along_y(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., size, side) that sample the spline along y: from a pixel column of a patch to a window.
+    """Return the matrices (..., size, side) that turn pixel columns of a patch into spline samples of a window along y,
+    given five B-spline `weights` (..., 5).
 
     `weights` (..., 5) are the taps of the y shift.
     """
@@ -85,7 +87,8 @@ def along_y(weights: Tensor, size: int) -> Tensor:
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
-    """Return matrices (..., side, size) that sample the spline along x: from a pixel row of a patch to a window.
+    """Return the matrices (..., side, size) that turn pixel rows of a patch into spline samples of a window along x,
+    given five B-spline `weights` (..., 5).
 
     `weights` (..., 5) are the taps of the x shift.
     """
@@ -93,13 +96,17 @@ def along_x(weights: Tensor, size: int) -> Tensor:
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
-    """Convert weights (..., size, size) of spline samples to the equivalent weights (..., side, side) of pixels."""
+    """Convert weights (..., size, size) of the spline samples of a window to weights (..., side, side) of the pixels of
+    its patch, which give the same weighted sum.
+    """
     middle = along_y(taps(weights.new_zeros(())), size)
     return middle.T @ weights @ middle
 
 
 def _smoothed(like: Tensor) -> Tensor:
-    """Return the smoothing matrix (5, 7) that converts weights of spline coefficients to weights of pixels."""
+    """Return the matrix (5, 7) that converts five weights of spline coefficients to seven weights of pixels, as
+    coefficients are pixels smoothed by (1, 2, 1) / 4.
+    """
     place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
     middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
     return middle / 2 + beside / 4

@@ -44,7 +44,8 @@ _TINY = 1e-20
 
 
 class Templates(NamedTuple):
-    """Templates of B x N points in windows of n x n px: the data of the key frame that tracking needs.
+    """Templates of B x N points: grey levels and slopes in a window of n x n px around each point of the key frame, and
+    statistics, which registration in later frames needs.
 
     Attributes:
         start: (B, N, 2) px in the key frame, NaN where there is no point.
@@ -100,7 +101,8 @@ def prepare_templates(
     gain_offset: bool = True,
     noise: Tensor | None = None,
 ) -> Templates:
-    """Prepare the templates of points in a key frame, for registration in later frames.
+    """Prepare the templates of points in a key frame, the grey levels and slopes in a window around each, for
+    registration in later frames.
 
     Args:
         image: (B, 1, H, W), 8 to 16 bit or floating.
@@ -136,7 +138,8 @@ def prepare_templates(
 def renew_templates(
     coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """Prepare templates again (template update), from the spline coefficients and the noise of a key frame.
+    """Prepare the templates of points in a key frame again, for a new deformation `warp` (template update), from the
+    spline coefficients and the noise of the key frame.
 
     This is the exported form of `prepare_templates`, for key frames with integer grey levels.
 
@@ -152,9 +155,10 @@ def renew_templates(
 
 
 def _sample_templates(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Compute templates of points (B, N, 2) by sampling the spline of the key frame on deformed windows.
+    """Compute the templates of points `given` (B, N, 2) by sampling the spline of the key frame on windows deformed by
+    the inverse deformation gradients `inverse` (B, N, 2, 2).
 
-    `given` are the points, and `inverse` (B, N, 2, 2) the inverse deformation gradients.
+    The template of a point or deformation that is not finite is a placeholder.
     """
     known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
     inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
@@ -175,7 +179,8 @@ def _from_samples(
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Compute templates of points (B, N, 2) from sampled windows: values (P, n, n) and slopes (P, 2, n, n).
+    """Compute the templates of points at `place` (B, N, 2) from the grey levels (P, n, n) and slopes (P, 2, n, n)
+    `sampled` in their windows, P = B N.
 
     `known` is False for positions that are placeholders.
     """
@@ -245,7 +250,8 @@ def find_templates(
 def in_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
 ) -> Found:
-    """Repeat a registration step until all points (B, N, 2) have converged, at most `rounds` times.
+    """Register templates by repetition of a registration step, from predicted positions (B, N, 2) px, until all points
+    have converged, at most `rounds` times.
 
     More than one step depends on data and cannot be exported.
     """
@@ -255,7 +261,9 @@ def in_rounds(
 def further_rounds(
     step: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, rounds: int
 ) -> Found:
-    """Repeat a registration step for points that have not converged, each from the end of the previous step."""
+    """Repeat a registration step for those points of `found` that have not converged, each from the position where the
+    previous step ended, at most `rounds` times.
+    """
     for _ in range(rounds):
         lost = found.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
@@ -329,7 +337,9 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
 
 
 def _sample_straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
-    """Sample the spline and the spline's slopes on straight (undeformed) windows around points (B, N, 2) px."""
+    """Sample the spline of an image, and the spline's slopes, on undeformed windows of `wide` x `wide` px around points
+    (B, N, 2) px.
+    """
     known = place.transpose(1, 2)
     center = known.round()
     patches = cut_patches(image, center, wide, place.dtype)
@@ -400,7 +410,8 @@ def _numbers(
 
 
 def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
-    """Return the position covariance xx, xy, yy (P, 3), px^2, that white noise of variance 1 in each pixel causes.
+    """Return the covariance xx, xy, yy (P, 3), px^2, of a registered position due to white noise of variance 1 in each
+    pixel, from the inverse normal matrix and the slopes `gradient` of the window.
 
     It is H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples):
     the Cramér-Rao bound H^-1 but for the smoothing by the spline.
@@ -491,7 +502,8 @@ def _step(
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """Return three sums of the squared residual of each window: of all pixels, and edge differences in x and in y.
+    """Return three sums (B, 3, N) of the squared difference between each matched window and its template with fitted
+    gain and offset: over all pixels, and half the differences of opposite edges in x and in y.
 
     The sums are (B, 3, N). The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D
     grad D in x and in y: half the differences of D^2 between opposite edges.
@@ -506,7 +518,8 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """Multiply three rows of samples of each template with a window of the frame: return scalar products (B, 3, N).
+    """Return the scalar products (B, 3, N) of a window of the frame with the three rows of samples of each template:
+    grey levels, and slopes in x and in y.
 
     Samples are (B, N, 3, m), windows (B N, ...) of m samples.
     """

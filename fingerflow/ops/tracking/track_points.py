@@ -34,7 +34,7 @@ _GAUGE = 5.0
 
 
 class Tracks(NamedTuple):
-    """Points tracked from one image to another.
+    """Points tracked from one image to another: positions in the second image, with error, covariance and status.
 
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
@@ -170,9 +170,11 @@ def in_passes(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> PassResult:
-    """Track points in one or two passes, without derivatives; the arguments are those of `track_points`.
+    """Track points from one image to another in one pass, or in two, of which the second corrects for the deformation
+    that the first measured; the arguments are those of `track_points`.
 
-    One operator for the compiler, since the number of passes and searches depends on data.
+    The result has no derivatives. This is one operator for the compiler, since the number of passes and searches
+    depends on data.
     """
     kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
     start, guess = points.to(kind), guess.to(kind)
@@ -221,7 +223,9 @@ def _find(
     warp: Tensor | None,
     near: Tensor,
 ) -> tuple[Found, Tensor]:
-    """Find points (B, N, 2) of `previous` in `current` near positions `near`; also return the template statistics."""
+    """Register the points (B, N, 2) of the image `previous` in the image `current`, near predicted positions `near`;
+    also return the statistics of the points' templates.
+    """
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
     if (
         kernels.serve(previous, current, points, inverse, variance, near)
@@ -253,7 +257,8 @@ def _search_lost(
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
-    """Search exhaustively for lost points within `radius` px of `guess` (B, N, 2), and insert the results into `found`.
+    """Search exhaustively for points that registration lost, within `radius` px of `guess` (B, N, 2), and return
+    `found` with the results of the search inserted.
 
     A search back from the match is independent of the displacement found. If it misses the start by more than the limit
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.

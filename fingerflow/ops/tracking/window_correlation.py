@@ -17,7 +17,8 @@ _SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation 
 
 
 def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
-    """Sample the grey levels in deformed windows by cubic convolution.
+    """Sample the grey levels of images by cubic convolution in deformed windows, on a grid of spacing `step` px around
+    each of the positions `places` (N, 2) px.
 
     Args:
         images: (n, 1, H, W).
@@ -67,7 +68,8 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
-    """Return the first of the four pixels (N, m) that interpolate each sample along one axis, and the four weights.
+    """Return the first of the four pixels (N, m) from which each sample is interpolated along one axis, and the four
+    weights of cubic convolution.
 
     `at` (N, m) are positions relative to `pixel` (N, 1). The result is arbitrary where a window is not `whole` (N, 1).
     """
