@@ -82,7 +82,7 @@ class KeyFrame(NamedTuple):
 
 
 class TemplateBuffers(Protocol):
-    """Templates of N points (image windows that tracking finds again in later frames), stored in buffers of the engine."""
+    """Templates of N points (image windows that tracking finds again in later frames), in buffers of the engine."""
 
     @property
     def numbers(self) -> Array:

@@ -41,7 +41,7 @@ class BatchingEngine(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch."""
+        """Return a value by which engines are grouped: calls of engines of equal value can be computed in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:

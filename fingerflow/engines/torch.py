@@ -193,7 +193,7 @@ class TorchEngine:
         return arrays.FrameFields(**known)
 
     def kind(self) -> object:
-        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
+        """Return a value by which engines are grouped: calls of engines of equal value can be computed in one batch.
 
         See `together.BatchingEngine`. With compiled kernels no calls are joined: it would not be faster, and results of
         a recording stay independent of the others.

@@ -194,7 +194,7 @@ class DisplacementStage(Stage):
             self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
 
     def _in_reference(self, name: str) -> NDArray[Any]:
-        """Return the values (N, ...) of a result variable in the reference frame."""
+        """Return the values (N, ...) of the result variable `name` for N points in the displacement reference frame."""
         assert self.since.frame is not None
         values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
         return values
@@ -210,7 +210,9 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement of each point since the point came into contact, in the n frames `indices`."""
+        """Return the displacement of each of N points since the point came into contact, in the n frames `indices`;
+        `touch` holds the onset of each point and is updated.
+        """
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch

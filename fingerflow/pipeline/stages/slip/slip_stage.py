@@ -278,8 +278,8 @@ class SlipStage(Stage):
         region: NDArray[np.bool_],
         grid: SlipGrid,
     ) -> None:
-        """Store the mean direction, rad, and the mean speed, mm/s, of slip in a frame, from the points in contact that
-        the mask `sticks` does not mark as sticking.
+        """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
+        from the points in contact that the mask `sticks` does not mark as sticking.
         """
         slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
