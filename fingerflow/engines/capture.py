@@ -23,7 +23,9 @@ log = logging.getLogger("fingerflow.engines")
 
 
 class RecordedCall(NamedTuple):
-    """Call that can be repeated: `replay` computes the tensors of `result` again from those that the call has read."""
+    """Recorded torch call: `replay()` computes the tensors in `result` again, from the current content of the tensors
+    that the call has read.
+    """
 
     replay: Callable[[], object]
     result: Any
@@ -55,7 +57,8 @@ def record_graph(call: Callable[[], Any]) -> RecordedCall:
 
 
 class Captured:
-    """Wrapper of a module that replays recorded calls; other attributes are those of the module.
+    """Wrapper of a torch module that records its calls as CUDA graphs and replays them; other attributes are those of
+    the module.
 
     A call whose signature is new, or cannot be recorded, is an ordinary call of the module. The wrapper may be called
     from several threads. Derivatives are not computed.
@@ -75,7 +78,7 @@ class Captured:
         return getattr(self._module, name)
 
     def __call__(self, *given: Any) -> Any:
-        """Return the result of the module, in new tensors."""
+        """Return the result of the module for the arguments `given`, in new tensors."""
         leaves, structure = tree_flatten(given)
         signature = str(structure), tuple((one.shape, one.dtype) if isinstance(one, Tensor) else one for one in leaves)
         with torch.inference_mode(), self._lock:
@@ -105,7 +108,9 @@ class Captured:
 
 
 class _Graph:
-    """Recorded call of a module, with buffers of its own for the inputs."""
+    """Recorded call of a module with its own input buffers: a call copies new inputs into these, replays the
+    computation, and returns copies of the results.
+    """
 
     def __init__(self, module: nn.Module, given: tuple[Any, ...], record: Record) -> None:
         own = tree_map(lambda one: one.clone() if isinstance(one, Tensor) else one, given)
@@ -122,7 +127,9 @@ class _Graph:
 
 
 def _copy(to: Sequence[Tensor], given: Sequence[Tensor]) -> None:
-    """Copy tensors, in one launch for those of a dtype."""
+    """Copy each tensor in `given` into the one at the same place in `to`, with one GPU launch for all tensors of a
+    dtype.
+    """
     for dtype in {one.dtype for one in given}:
         alike = [place for place, one in enumerate(given) if one.dtype == dtype]
         torch._foreach_copy_([to[place] for place in alike], [given[place] for place in alike])

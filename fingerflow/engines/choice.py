@@ -54,7 +54,9 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
 
 @cache
 def _captures(settings: EngineSettings, device: torch.device) -> bool:
-    """Return whether an engine of captured modules gives each of two built-in frames its own results; log if not."""
+    """Return whether replay of modules as CUDA graphs works with these settings: two different built-in frames must
+    each give their own results; log a warning if not.
+    """
     from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
 

@@ -82,7 +82,7 @@ class KeyFrame(NamedTuple):
 
 
 class TemplateBuffers(Protocol):
-    """Templates of N points, stored in buffers of the engine."""
+    """Templates of N points (image windows that tracking finds again in later frames), in buffers of the engine."""
 
     @property
     def numbers(self) -> Array:
@@ -167,7 +167,8 @@ class EnteredPoints(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) fitted at Q query points, and the covariance (K, Q, C, 2, C, 2) of the gradients.
+    """Gradients (K, Q, C, 2) of C quantities in x and y, fitted at Q query points in K frames, and the covariance (K,
+    Q, C, 2, C, 2) of the gradients.
 
     The covariance is None where no variances were given.
     """
@@ -251,7 +252,8 @@ class Engine(Protocol):
         ...
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
-        """Prepare the templates of points (N, 2) px in a key frame, deformed by `warp` (N, 2, 2).
+        """Prepare the templates (image windows to be tracked) of points (N, 2) px in a key frame, deformed by the
+        matrices `warp` (N, 2, 2) if given.
 
         Points that are NaN match nothing.
         """
@@ -271,7 +273,8 @@ class Engine(Protocol):
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Correct tracked points for the deformation of the skin since the preparation of the templates.
+        """Correct the tracking results `found` for the deformation of the skin since the templates were prepared, and
+        return them with that deformation.
 
         The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
         (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
@@ -290,16 +293,16 @@ class Engine(Protocol):
         ...
 
     def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search a frame for key-frame points around guessed positions; return positions (n, 2) px and a mask (n,).
+        """Search `image` for the image content around `points` (n, 2) px of a key frame, near `guess` (n, 2) px; return
+        the positions found (n, 2) px and a mask (n,) of those confirmed by a search back.
 
-        The mask is True where the backward search returns to the start.
+        A position is confirmed where the backward search returns to the start.
         """
         ...
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
-        """Sample the grey levels (N, m) of deformed windows around positions (N, 2) px, on a grid of `step` px.
-
-        `number` (N,) is the frame of each window.
+        """Sample the grey levels (N, m) in windows around positions `places` (N, 2) px, deformed by the matrices `warp`
+        (N, 2, 2), on a grid of `step` px; `number` (N,) is the frame of each window.
         """
         ...
 
@@ -308,9 +311,10 @@ class Engine(Protocol):
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """Fit gradients at query positions to values known at points, in float64, as `ops.local_gradients` does.
+        """Fit the gradients in x and y of values (K, N, C), known at points (N, 2), at query positions (Q, 2) within
+        the gauge length `gauge`, in float64, as `ops.local_gradients` does.
 
-        Queries are (Q, 2), values (K, N, C), points (N, 2). `variance` (K, N) is that of a component of a value.
+        `variance` (K, N) is that of a component of a value.
         """
         ...
 
@@ -322,7 +326,9 @@ class Engine(Protocol):
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        """Compute divergence, curl and strain, and medians, from displacements (K, N, 2) mm at points (N, 2) mm."""
+        """Compute divergence, curl and strain at N points in K frames, and their medians over the contact `ellipse`,
+        from displacements (K, N, 2) mm of points with reference positions (N, 2) mm.
+        """
         ...
 
 

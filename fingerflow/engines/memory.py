@@ -23,6 +23,8 @@ def recordings_that_fit(free: float, height: int, width: int, points: int, windo
 
 
 def bytes_of_recording(height: int, width: int, points: int, window_px: int) -> float:
-    """Return the bytes that one of several recordings needs."""
+    """Return the GPU memory, bytes, that one of several recordings computed together needs, from the image size, the
+    number of points and the side of the tracking window.
+    """
     of_frame = height * width * _PIXEL + points**2 * _PAIR
     return FRAMES * of_frame + points * window_px**2 * _SAMPLE

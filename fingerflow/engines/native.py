@@ -33,7 +33,8 @@ from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS,
 
 @dataclass
 class _NativeTemplates:
-    """Templates of N points: reference positions (1, N, 2), samples and statistics.
+    """Templates of N points: reference positions (1, N, 2), sampled grey levels of the windows around them, and
+    statistics of these samples.
 
     They are the results of `kernels.tracking.prepare_templates`.
     """

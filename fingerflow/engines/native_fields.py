@@ -67,7 +67,9 @@ def fields_of_frames(
 def _point_gradients(
     reference: Array, displacement: Array, gauge_length: float, covariance: Array | None
 ) -> tuple[Array, Array | None]:
-    """Fit displacement gradients (K, N, 2, 2) at the points, and their covariance, as `ops.fields.point_gradients`."""
+    """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, and their
+    covariance if that of the displacements is given, as `ops.fields.point_gradients`.
+    """
     radius, noise = gauge_length / 2, None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
     fit = local_gradients(
         *(reference, displacement, reference, noise),
@@ -92,7 +94,8 @@ def _area_medians(
     measure: str,
     entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute medians of divergence, curl and strain over an ellipse, standard deviations, and the known area share.
+    """Compute the medians of divergence, curl and strain over the contact ellipse of each of K frames, their standard
+    deviations, and the share of the ellipse in which the fields are known.
 
     The results are those of `ops.fields.area_medians`.
     """
@@ -119,7 +122,9 @@ def _area_medians(
 
 
 def _fields(parts: Array, measure: str) -> Array:
-    """Compute divergence, curl, exx, eyy and exy (5, P) from gradients (4, P), rows du/dx, du/dy, dv/dx, dv/dy."""
+    """Compute divergence, curl, exx, eyy and exy (5, P) at P points from gradients (4, P) with the rows du/dx, du/dy,
+    dv/dx, dv/dy; `measure` names the definition of strain.
+    """
     ux, uy, vx, vy = parts
     fields = np.empty((5, parts.shape[1]), np.float32)
     np.add(ux, vy, out=fields[0])
@@ -144,9 +149,10 @@ def _deviations(spread: Array) -> tuple[Array, Array]:
 
 
 def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
-    """Return the standard deviations (P, 5) of divergence, curl and strain, by first-order propagation of covariances.
+    """Return the standard deviations (P, 5) of divergence, curl and strain, by first-order propagation of the
+    covariances `spread` (P, 4, 4) of the gradients.
 
-    Gradients are (4, P); the results are those of `ops.field_std`.
+    Gradients `parts` are (4, P); the results are those of `ops.field_std`.
     """
     ux, uy, vx, vy = parts
     direct = 0 if measure == "infinitesimal" else 1

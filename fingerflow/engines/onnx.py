@@ -194,7 +194,9 @@ class OnnxEngine:
     def _track_frame(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
     ) -> FoundPoints:
-        """Track the templates with indices `rows` (L,) in a frame, starting from guessed positions (L, 2)."""
+        """Track the templates with indices `rows` (L,) in a frame from guessed positions (L, 2) px: all in one run of
+        the ONNX graph if they are many or `whole` is true, else a few at a time.
+        """
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
             near[0, rows] = guess

@@ -79,7 +79,9 @@ class GraphSession:
         return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
     def kept(self, name: str, array: Array) -> Any:
-        """Place an input in the memory of the execution provider, where it is kept for many calls."""
+        """Return an input of the graph as a value in the memory of the execution provider (CPU or GPU), which many
+        calls can use without another copy.
+        """
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
     def _array(self, name: str, array: Any) -> Any:
@@ -111,7 +113,9 @@ class _BoundSession:
         self._lock = threading.Lock()
 
     def __call__(self, feed: Mapping[str, Any]) -> list[Array]:
-        """Run the session and return copies of the outputs. A value that is kept is copied once, an array each time."""
+        """Run the session on inputs by name and return copies of the outputs; an input made by `GraphSession.kept` is
+        copied only if it is new, an array at each call.
+        """
         with self._lock:
             for name, value in feed.items():
                 if isinstance(value, np.ndarray) or self._latest.get(name) is not value:

@@ -41,11 +41,13 @@ class BatchingEngine(Protocol):
     """Interface of an engine that can compute one method for several recordings in a single call."""
 
     def kind(self) -> object:
-        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch."""
+        """Return a value by which engines are grouped: calls of engines of equal value can be computed in one batch."""
         ...
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Compute one method for several recordings in a single batch, given the arguments `many` of each recording."""
+        """Compute the engine method named `method` for several recordings in one batch; `many` holds the arguments of
+        each recording, and the list returned the result of each.
+        """
         ...
 
 
@@ -120,7 +122,9 @@ def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
 
 
 def _batch_key(call: Call) -> object:
-    """Return a key of the call: calls with equal keys are computed in one batch."""
+    """Return a key of an engine call, from the method's name and the kind of engine: calls with equal keys are computed
+    in one batch.
+    """
     engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 

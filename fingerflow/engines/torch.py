@@ -193,7 +193,7 @@ class TorchEngine:
         return arrays.FrameFields(**known)
 
     def kind(self) -> object:
-        """Return the kind of the engine: calls of engines of equal kind can be computed in one batch.
+        """Return a value by which engines are grouped: calls of engines of equal value can be computed in one batch.
 
         See `together.BatchingEngine`. With compiled kernels no calls are joined: it would not be faster, and results of
         a recording stay independent of the others.
@@ -202,7 +202,9 @@ class TorchEngine:
         return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
 
     def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Compute one method for several recordings, in one batch for each image size and dtype."""
+        """Compute the engine method named `method` for several recordings, given the arguments `many` of each, in one
+        batch for each image size and dtype; return the result of each.
+        """
         alike: dict[Any, list[int]] = {}
         for place, one in enumerate(many):
             alike.setdefault(tuple(map(_batch_key, one)), []).append(place)
@@ -280,7 +282,9 @@ class TorchEngine:
     def _follow_fused(
         self, templates: Templates, images: Sequence[Tensor], places: Sequence[Array], speeds: Sequence[Array]
     ) -> list[arrays.Followed]:
-        """Follow the templates of several recordings through all of their frames in one launch."""
+        """Track the templates of several recordings through all frames of each in one GPU kernel launch (Triton), from
+        the positions `places` and `speeds` of the points before the first frame.
+        """
         from fingerflow.kernels.tensors.fused_tracking import find_templates  # needs Triton
 
         views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b at k B + b
@@ -298,7 +302,9 @@ class TorchEngine:
         ]
 
     def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
-        """Return the templates of B recordings, all or those with indices `rows`, padded and stacked."""
+        """Return the templates of B recordings, of all points or of those with the indices `rows`, padded to equal
+        numbers of points and stacked along a first axis of length B.
+        """
         every = [
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
             for one, some in zip(held, rows, strict=True)
@@ -354,7 +360,8 @@ class TorchEngine:
         ]
 
     def _join_found(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
-        """Return the recording index of each frame, and the points found in the frames of all recordings, concatenated.
+        """Concatenate the tracking results of several recordings along the frames, padded to equal numbers of points;
+        return the recording index of each frame, and the joint results.
 
         The first result is None for a single recording.
         """
@@ -367,7 +374,8 @@ class TorchEngine:
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
     def _repeat_for_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
-        """Return the values (N, ...) of recordings once for each frame; `own` is the index of each frame's recording.
+        """Return one array `values` (N, ...) per recording as a tensor (frames, N, ...), each repeated for the frames
+        of its recording; `own` (frames,) is the index of the recording of each frame.
 
         The result is (1, N, ...) for a single recording.
         """
@@ -401,7 +409,7 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
 
 
 def _upload(images: Tensor, device: torch.device) -> Tensor:
-    """Copy images to a GPU while it computes: from pinned memory, on a stream of its own."""
+    """Copy images to a GPU while the GPU computes: from page-locked memory, on a CUDA stream of its own."""
     ahead, current = _upload_stream(device), torch.cuda.current_stream(device)
     with torch.cuda.stream(ahead):
         there = images.pin_memory().to(device, non_blocking=True)
@@ -450,7 +458,7 @@ def _array(tensor: Tensor) -> Array:
 
 
 def _arrays(tensors: Iterable[Tensor]) -> list[Array]:
-    """Copy tensors to the host, with one wait for all of them."""
+    """Copy tensors to the CPU and return them as NumPy arrays, waiting for the GPU once for all of them."""
     given = [tensor.detach() for tensor in tensors]
     copies = [one.to("cpu", non_blocking=one.is_cuda) for one in given]
     if any(one.is_cuda for one in given):

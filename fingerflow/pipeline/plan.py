@@ -103,7 +103,8 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mappin
 
 
 def _missing_keys(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
-    """Return the scene keys that are missing for a stage, or for one of the stages on which the stage depends.
+    """Return the dotted scene keys, such as "calibration.mm_per_px", that a stage or one of the stages on which it
+    depends needs, and that the scene lacks.
 
     `at` maps `Stage.place` to the implementation that is used.
     """

@@ -45,7 +45,8 @@ _SHOWN = 60  # characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
-    """Cache key of a stage: a digest of everything that determines the results, and the values of the settings used.
+    """Cache key of a stage: a digest of everything that determines its results (settings, inputs and code), and the
+    values of the settings used.
 
     Attributes:
         digest: of all of it.
@@ -184,7 +185,8 @@ def _reason_to_compute(
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
-    """Yield the dotted name and the value of a scene key, or of each key in a table.
+    """Yield the dotted name and the value of the scene setting `key`, or of each setting in it if it is a table;
+    `values` are all settings of the scene.
 
     For a key that names a file, the value is a digest of the file's content.
     """

@@ -159,7 +159,9 @@ def steps_to(
 
 @dataclass(frozen=True)
 class _RunOptions:
-    """Options of a run: show a progress bar, prepare the next batch in a second thread, reuse an earlier result."""
+    """Options of a run: whether to show a progress bar, whether to prepare the next batch of frames in a second thread,
+    and the path of an earlier result to reuse, if any.
+    """
 
     progress: bool = False
     ahead: bool = False
@@ -260,7 +262,9 @@ def _run(ready: _PreparedScene, store: Store, way: _RunOptions) -> Steps[None]:
 
 
 def _pass(stages: Sequence[Stage], trial: RunContext, seconds: dict[str, float], way: _RunOptions) -> Steps[None]:
-    """Run the stages of one pass: begin each stage, process all batches of frames, and finish each stage."""
+    """Run the stages of one pass over the frames: begin each stage, process all batches of frames, and finish each
+    stage; add the time that each stage takes to `seconds`.
+    """
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
@@ -292,7 +296,9 @@ def _go_over_frames(
         return batch
 
     def begin(batch: Batch) -> Steps[Batch]:
-        """Run all stages but the last one on a batch; the last one may still process the batch before."""
+        """Run all stages of the pass but the last one on a batch of frames, and return the batch; meanwhile the last
+        stage may still process the batch before.
+        """
         for stage in early:
             yield from _step(stage, batch, seconds)
         return batch
@@ -321,7 +327,9 @@ def _go_over_frames(
 
 
 def _decodes_ahead(inputs: Inputs) -> bool:
-    """Return whether a second thread decodes the next batch: beside a GPU the host is free to do so."""
+    """Return whether a second thread decodes the next batch of frames: True on a GPU, since the CPU is free while the
+    GPU computes.
+    """
     return inputs.device.type != "cpu"
 
 

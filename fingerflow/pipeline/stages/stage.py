@@ -108,7 +108,9 @@ class Stage:
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
-        """Return, as a JSON value, all parts of the plan besides settings that affect the results of the stage."""
+        """Return, as a JSON value for the cache key, what in the list `planned` of all planned stages affects the
+        results of this stage; None if nothing does.
+        """
         return None
 
     @property

@@ -149,22 +149,24 @@ class ContactStage(Stage):
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
 
     def cells(self) -> dict[str, float]:
-        """Return attributes of the grid of contact cells: cell size, and centre of the first cell, in mm."""
+        """Return the geometry of the grid of contact cells (square blocks of pixels) as attributes of result variables:
+        side of a cell, and x or y of the centre of the first cell, in mm.
+        """
         size = self.inputs.mm_per_px
         return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
 
     def largest_and_first(self, window_px: int) -> Tensor:
-        """Return the gross contact (1, 1, h, w) of the reference frame, united with that of the first frame if the
-        contact moved.
+        """Return the mask (1, 1, h, w) of the gross contact in the frame with most contact, united with that of the
+        first usable frame if the contact has moved away from it.
 
-        The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside. That
-        contact has left its first region since, and skin there has no onset to wait for.
+        The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
+        other. That contact has left its first region since, and skin there has no onset to wait for.
         """
         largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self) -> Tensor:
-        """Return the union (1, 1, h, w) of the gross contacts in frames sampled from the whole recording."""
+        """Return the union (1, 1, h, w) of the gross contact masks in frames sampled from the whole recording."""
         regions = [self._region_of(int(frame)) for frame in self._sampled_frames()]
         return torch.stack(regions).any(0)
 
@@ -175,16 +177,19 @@ class ContactStage(Stage):
         return result
 
     def first_and_largest(self, margin_px: int) -> Tensor:
-        """Return the union (1, 1, h, w) of the gross contacts in the first usable and in the reference frame, dilated.
+        """Return the union (1, 1, h, w) of the gross contact masks in the first usable frame and in the frame with most
+        contact, dilated by `margin_px`.
 
-        A contact that slides has left the first region by the reference frame. The margin, px, gives points on both
-        sides of the contact border.
+        A contact that slides has left the first region by then. The margin gives points on both sides of the contact
+        border.
         """
         first = int(np.argmax(self._usable))
         return dilate(self._region_of(first) | self._largest, margin_px)
 
     def _check_view(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> None:
-        """Warn of what lies in the view beside the finger, in the reference frame; of moved glass in others too."""
+        """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
+        sweat), and of glass that has moved in that, the first or the last usable frame.
+        """
         dark, region = np.float32(0) if black is None else black, self._largest[0, 0].numpy()
         light = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))[0][0, 0].cpu().numpy()
         self.warnings.extend(view_faults.of_background_lines(light))
@@ -216,14 +221,16 @@ class ContactStage(Stage):
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
     def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
-        """Return the patch of skin in contact in the reference frame, for the analysis of ridges."""
+        """Return the image of the skin in contact in the frame with most contact, for the analysis of ridges, given the
+        counts of the empty `glass` and the `black` level; None if too small.
+        """
         frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
         dark = np.float32(0) if black is None else black
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
 
     def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
-        """Return the share of lit pixels that are brighter in a frame than on the empty glass under the same
-        illumination.
+        """Return the share of the lit pixels that are clearly brighter in a frame than on the empty `glass`, both above
+        the `black` level and under the same illumination.
         """
         frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
         images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
@@ -258,7 +265,8 @@ class ContactStage(Stage):
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Return the mean ratio of a frame's intensity to that of the empty glass, corrected for illumination gain.
+        """Return the mean ratio of a frame's intensity to the `light` of the empty glass, both above the `black` level,
+        corrected for a change of the illumination.
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """

@@ -41,9 +41,11 @@ def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
 
 
 def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
-    """Return a warning if the dark region of a frame is far longer than wide, as a cable in the view.
+    """Return a warning if the region detected as contact is far longer than wide in some frame, as it is where a cable
+    lies in the view.
 
-    `semi_axes` (frames, 2) mm, major first, and `gross` (frames,) mm^2 are NaN in unusable frames.
+    `semi_axes` (frames, 2) mm of the fitted ellipse, major first, and gross area `gross` (frames,) mm^2 are NaN in
+    unusable frames.
     """
     major, minor = semi_axes.T
     with np.errstate(invalid="ignore"):
@@ -59,7 +61,8 @@ def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
 
 
 def of_sweat(touching: Mask, period_px: float) -> list[str]:
-    """Return a warning if much of the real contact lies in patches wider than a ridge, without a valley.
+    """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
+    between the ridges.
 
     `touching` is the real contact mask; `period_px` is the ridge period.
     """
@@ -74,15 +77,18 @@ def of_sweat(touching: Mask, period_px: float) -> list[str]:
 
 
 def solid_share(touching: Mask, period_px: float) -> float:
-    """Return the share of a real contact mask that discs of 0.9 ridge periods cover which lie within the mask."""
+    """Return the share of a real contact mask that is wider than a ridge: that covered by discs 0.9 ridge periods in
+    diameter which lie within the mask (a morphological opening).
+    """
     solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.45 * period_px)))
     return float(solid.sum() / touching.sum())
 
 
 def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
-    """Return a warning if the glass around the contact region is darker than elsewhere: the finger shades it.
+    """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
+    shadow of the finger.
 
-    `share` is corrected for the illumination gain.
+    `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain.
     """
     away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
@@ -96,7 +102,9 @@ def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
 
 
 def of_background_lines(light: Picture) -> list[str]:
-    """Return a warning if lines of the background differ in light from the lines beside them, as in a torn picture."""
+    """Return a warning if rows of the background image `light` differ in brightness from the rows beside them, as in a
+    torn picture.
+    """
     full = _full_light(light)
     if not full > 0:
         return []
@@ -116,7 +124,8 @@ def of_background_lines(light: Picture) -> list[str]:
 
 
 def of_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
-    """Return a warning if the edges of the light have moved between the background and a frame, as after a bump.
+    """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
+    bump that moved camera or glass.
 
     `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
     region do not count.
@@ -136,7 +145,9 @@ def of_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region
 
 
 def described(frame: Picture, light: Picture, number: int) -> str:
-    """Return what a frame without a detected finger shows in place of one, as a sentence; "" if nothing is found."""
+    """Return a sentence that says what a frame in which no finger was detected shows instead, such as a torn background
+    or moved glass; "" if nothing is found.
+    """
     for known_cause in (
         of_background_lines(light),
         of_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
@@ -174,7 +185,9 @@ def described(frame: Picture, light: Picture, number: int) -> str:
 
 
 def _edges_of_glass(light: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return y and x of up to 2000 pixels near edges of the light, outside the contact region."""
+    """Return the rows y and columns x of up to 2000 pixels near edges of brightness in the background `light`, outside
+    the contact region.
+    """
     smooth = _smooth(light)
     full = _full_light(smooth)
     slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
@@ -190,7 +203,8 @@ def _edges_of_glass(light: Picture, region: Mask) -> tuple[NDArray[np.intp], NDA
 def _shift_of_glass(
     seen: Picture, light: Picture, y: NDArray[np.intp], x: NDArray[np.intp]
 ) -> tuple[tuple[int, int], float]:
-    """Return the shift (x, y), px, of the light in a frame, and the residual with it relative to that without it.
+    """Return the shift (x, y), px, of brightness edges in a frame relative to the background `light`, and the residual
+    of the match with this shift divided by that without a shift.
 
     `seen` are the frame's pixels at y and x.
     """

@@ -31,7 +31,8 @@ class CommonFrame(NamedTuple):
 
 
 def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Compute the positions (N, 2) mm of all points in the frame of the first seeding, from tracks and track status.
+    """Compute the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
+    later, from `position` (F, N, 2) mm and track `status` (F, N).
 
     They were first seeded in frame `first` and tracked from there, forward or `backward`.
 
@@ -59,7 +60,8 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
 
 
 def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:
-    """Return the frame (L,) in which each of the L points with the indices `later` was seeded.
+    """Return the frame (L,) in which each of the L points with the indices `later` was seeded, from the track status
+    (F, N) of all points.
 
     That is the first frame in which they are tracked, or the last one for backward tracking.
     """

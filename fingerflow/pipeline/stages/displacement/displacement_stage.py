@@ -194,7 +194,7 @@ class DisplacementStage(Stage):
             self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
 
     def _in_reference(self, name: str) -> NDArray[Any]:
-        """Return the values (N, ...) of a result variable in the reference frame."""
+        """Return the values (N, ...) of the result variable `name` for N points in the displacement reference frame."""
         assert self.since.frame is not None
         values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
         return values
@@ -210,7 +210,9 @@ class DisplacementStage(Stage):
             )
 
     def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement of each point since the point came into contact, in the n frames `indices`."""
+        """Return the displacement of each of N points since the point came into contact, in the n frames `indices`;
+        `touch` holds the onset of each point and is updated.
+        """
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
@@ -238,8 +240,8 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of displacement components due to image noise, given the variance `now` of
-        positions.
+        """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance
+        `now` (n, N) in each frame and the one at contact onset, held by `touch`.
 
         With the previous frame as template, variances add up.
         """
@@ -250,8 +252,8 @@ class DisplacementStage(Stage):
         return touch.displacement_variance(now)
 
     def _find_errors_of_onset(self) -> None:
-        """Compute the covariance (N, 2, 2) mm^2 of onset positions, from timing errors and the speeds of points at
-        onset.
+        """Compute the covariance (N, 2, 2) mm^2 of the positions at which points came into contact, from the error of
+        the onset time and the speed of each point at that time.
 
         The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
         takes d frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is
@@ -292,12 +294,16 @@ class DisplacementStage(Stage):
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
     def _positions_in(self, frames: NDArray[np.integer]) -> Points:
-        """Return the positions (..., N, 2) mm of N points, each in its own frame of `frames`; -1 is the last frame."""
+        """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
+        it; -1 is the last frame.
+        """
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
 class _Fixed(NamedTuple):
-    """Positions of all points in the common reference frame of displacement; NaN for points not tracked in it."""
+    """Positions of all points, and their standard deviations, in the one frame from which displacement is counted for
+    all points; NaN for points not tracked in it.
+    """
 
     place: Points  # (N, 2) mm
     place_px: Points
@@ -310,7 +316,9 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """Return the `values` (..., P, ...) of points, each in its own frame of `frames` (..., P)."""
+    """Return the values (..., P, ...) of P points, each taken from `values` (F, N, ...) in the frame that `frames`
+    (..., P) gives for it; `points` are the indices of the points, by default all.
+    """
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
     found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):

@@ -88,8 +88,8 @@ class FieldsStage(Stage):
         )
 
     def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
-        """Return displacement gradients and covariances of points that were advected into the contact, since their
-        entry.
+        """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
+        to its position on entry, with covariances; NaN for all other points.
         """
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))

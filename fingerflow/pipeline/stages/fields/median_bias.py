@@ -50,8 +50,8 @@ class MedianBias:
     def add(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """Add the fields `found` of points in n frames to the estimate; the mask `entered` (n, N) marks advected
-        points.
+        """Add n frames to the estimate, given the fields `found` at N points, displacements (n, N, 2) mm and contact
+        ellipses; the mask `entered` (n, N) marks points advected into the contact.
         """
         assert found.median is not None
         assert found.median_std is not None
@@ -95,7 +95,8 @@ class MedianBias:
 
 
 def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
-    """Return the variance (n, 5) of medians in n frames that results from skin in contact whose values are unknown.
+    """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
+    from parts of the skin in contact whose values are unknown.
 
     Such skin makes the rank of the median uncertain.
 
@@ -119,7 +120,9 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
     def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the squared half difference of the values that lie `reach` (k, 1) ranks above and below the median."""
+        """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
+        for five deformation fields in k frames.
+        """
         low, high = (
             ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)

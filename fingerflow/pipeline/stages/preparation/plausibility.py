@@ -51,7 +51,9 @@ def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
 
 
 def of_views(offset_px: float, mm_per_px: float) -> list[str]:
-    """Return a warning if the calibration places the same ridges `offset_px` px apart in both views; none for 0."""
+    """Return a warning if the calibration maps the ridges of the topography view `offset_px` px beside the same ridges
+    in the contact view; none for 0.
+    """
     if not offset_px:
         return []
     return [
@@ -272,7 +274,8 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
 
 
 def of_windows(share: Series, first_frame: int) -> list[str]:
-    """Return a warning if image windows around many points no longer resemble the windows in the seeding frame.
+    """Return a warning if the image windows around some points no longer resemble the windows in the frame in which
+    these points were seeded.
 
     `share` (frames,) is their share of the points, NaN without points.
     """
@@ -287,7 +290,9 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
 
 
 def of_impulses(share: float) -> list[str]:
-    """Return a warning if a `share` of the pixels of the topography view is far from all pixels around."""
+    """Return a warning if a large fraction `share` of the pixels of the topography view differs from all pixels around
+    (salt-and-pepper noise).
+    """
     if share <= _IMPULSES:
         return []
     return [
@@ -297,7 +302,9 @@ def of_impulses(share: float) -> list[str]:
 
 
 def of_dust(share: Series, first_frame: int) -> list[str]:
-    """Return a warning if something that rests on the glass holds points back; `share` (frames,) is that of them."""
+    """Return a warning if tracked points are held back by something that rests on the glass, such as dust; `share`
+    (frames,) is the fraction of points held back in each frame.
+    """
     some = np.flatnonzero(share > 0)
     if not len(some):
         return []
@@ -309,7 +316,8 @@ def of_dust(share: Series, first_frame: int) -> list[str]:
 
 
 def of_unknown_fields(median: Series, known: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
-    """Return a warning if medians are NaN in frames whose contact is more than two gauge lengths wide.
+    """Return a warning if the median of a deformation field over the contact is NaN in frames whose contact is more
+    than two gauge lengths wide.
 
     `median` and `known` (frames,) are a median over the contact, and the share of the contact where fields are known;
     `gross` is the gross area, mm^2.

@@ -18,7 +18,8 @@ Picture = NDArray[np.float32]
 
 
 class SkinPatch(NamedTuple):
-    """Image `ridges` (h, w) of a patch of skin in contact, corrected for uneven light and resampled by `scale`.
+    """Image `ridges` (h, w) of the skin in contact, corrected for uneven light and resampled to `scale` times the
+    resolution of the contact view.
 
     `inside` (h, w) bool is the contact, `box` its rows and columns in the view.
     """
@@ -65,7 +66,8 @@ def period_px(skin: SkinPatch) -> float:
 
 
 def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
-    """Return the offset of the skin ridges between the two views, px of the contact view; 0 if small or unknown.
+    """Return the distance, px of the contact view, between the skin ridges in the topography view, mapped by the
+    calibration, and the same ridges in the contact view; 0 if small or unknown.
 
     A ridge is dark in the contact view and bright in the topography view, or dark in both: only the size of the
     correlation counts.
@@ -93,7 +95,9 @@ def _reduced(picture: Picture, scale: float) -> Picture:
 
 
 def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
-    """Return an image minus the local mean, so that no waves longer than ridges remain; 0 outside the mask."""
+    """Return an image minus its local mean within the mask `inside`, so that nothing coarser than skin ridges remains;
+    0 outside the mask.
+    """
     weight = inside.astype(np.float32)
     mean = _mean(picture * weight)
     mean /= np.maximum(_mean(weight), np.float32(1e-3))
@@ -101,5 +105,5 @@ def _flat(picture: Picture, inside: NDArray[np.bool_]) -> Picture:
 
 
 def _mean(picture: Picture) -> Picture:
-    """Return the local mean of an image around every pixel."""
+    """Return the mean of an image over a square of side `_MEAN_PX` around every pixel."""
     return np.asarray(cv2.blur(picture, (_MEAN_PX, _MEAN_PX)), np.float32)

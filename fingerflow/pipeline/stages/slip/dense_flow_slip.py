@@ -113,7 +113,9 @@ class DenseFlowSlipStage(SlipStage):
         return self.inputs.view(frames, view)
 
     def _follow(self, frame: int, image: Tensor, grid: SlipGrid, flow: SkinFlow) -> None:
-        """Compute the dense flow of one frame, store it, and compare it with the displacement of the tracked points."""
+        """Compute the dense optical flow from the first frame to frame `frame`, store it at the contact cells, and
+        compare it with the displacement of the tracked points.
+        """
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
@@ -136,9 +138,10 @@ class DenseFlowSlipStage(SlipStage):
         self._compare(frame, moved, _sampled(both, places))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
-        """Store the differences between points (N, 2) mm and dense flow (N, 3) px, in mm and in standard deviations.
+        """Store by how much the dense flow differs from the displacements `moved` (N, 2) mm of points in a frame:
+        median and 95 % quantile in mm, and median in standard deviations.
 
-        The third value of the flow is its variance, px^2.
+        `flow` (N, 3) is sampled at the points: displacement, px, and its variance, px^2.
         """
         apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
         known = np.isfinite(apart)
@@ -191,7 +194,9 @@ class DenseFlowSlipStage(SlipStage):
         return np.asarray((places - origin) @ np.linalg.inv(self._of_px).T, dtype=np.float32)
 
     def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
-        """Return the fractional grid column and row (H, W) of every pixel of the topographic view."""
+        """Return the position of every pixel of the topographic view in the grid of contact cells, as fractional column
+        and row, (H, W) each.
+        """
         y, x = np.indices(shape)
         pixels = np.stack((x, y), -1).astype(np.float64)
         cells = (self.inputs.on_glass(pixels) - grid.places[0, 0]) / (4 * grid.fine_mm)
@@ -199,13 +204,17 @@ class DenseFlowSlipStage(SlipStage):
         return column, row
 
     def _pixels_of(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
-        """Return the mask (H, W) of pixels in grid cells that tracked points cover, with a margin of `_BESIDE_PX`."""
+        """Return the mask (H, W) of the pixels of the topographic view that lie in contact cells near tracked points,
+        dilated by `_BESIDE_PX`.
+        """
         near = cv2.remap(grid.known.astype(np.uint8), *self._columns_and_rows(grid, shape), cv2.INTER_NEAREST)
         side = 2 * _BESIDE_PX + 1
         return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8)) > 0)
 
     def _spread(self, cells: Field, grid: SlipGrid, shape: tuple[int, int]) -> Field:
-        """Interpolate cell values (rows, columns, 2) to pixels (H, W, 2); unknown cells take the nearest value."""
+        """Interpolate vectors (rows, columns, 2) of contact cells to the pixels (H, W, 2) of the topographic view;
+        cells far from all points take the nearest known value.
+        """
         row, column = distance_transform_edt(~grid.known, return_distances=False, return_indices=True)
         at = self._columns_and_rows(grid, shape)
         wide = cv2.remap(cells[row, column].astype(np.float32), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

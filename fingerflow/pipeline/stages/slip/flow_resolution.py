@@ -19,7 +19,8 @@ Field = NDArray[np.float32]
 
 
 class FlowResponse:
-    """Displacement that dense flow measures near a slip border, beyond which skin has moved by a ramp.
+    """Displacement that dense optical flow measures near a slip border, where the true displacement is 0 up to the
+    border and increases linearly beyond it (a ramp).
 
     The smoothing of the flow depends on texture and noise, so it is not known beforehand. The picture itself is
     displaced by a ramp beyond a border, along x and along y, and the flow is computed. The noise of the picture moves
@@ -63,9 +64,10 @@ def _blur(
     distances: NDArray[np.float64],
     axis: int,
 ) -> NDArray[np.float64]:
-    """Return the mean error (K,) px of dense flow at K distances from a border, in an image displaced along `axis`.
+    """Return the mean error (K,) px of dense flow at `distances` (K,) px beyond a border, measured on the image after
+    shifting each pixel along `axis` by a known `length` (H, W) px.
 
-    `distances` (K,) px are beyond the border.
+    `beyond` (H, W) px is the distance of each pixel beyond the border.
     """
     picture = image[0, 0].cpu().numpy().astype(np.float32)
     height, width = picture.shape

@@ -123,7 +123,9 @@ class SkinFlow:
         return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
-        """Replace the reference frame by a later frame `picture`, warped back to the first frame by the known flow."""
+        """Replace the reference image of the flow by a later frame `picture` (1, 1, H, W), warped back to the first
+        frame by the displacement found for it.
+        """
         known = np.isfinite(self._known.variance)
         y, x = np.indices(known.shape, dtype=np.float32)
         went = np.nan_to_num(self._known.displacement)
@@ -144,7 +146,9 @@ def _planes(field: Field, like: Tensor) -> Tensor:
 
 
 def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
-    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point; NaN without points."""
+    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point, given positions `places` (P, 2) px
+    and displacements `moved` (P, 2); NaN without points.
+    """
     if not len(places):
         return np.full((*shape, 2), np.nan, np.float32)
     empty = np.ones(shape, np.uint8)

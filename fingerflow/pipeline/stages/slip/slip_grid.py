@@ -77,7 +77,7 @@ class SlipGrid:
         return np.asarray(fine.reshape(rows, _FINE, columns, _FINE).mean((1, 3)) >= 0.5)
 
     def share(self, fine: Mask, region: Mask) -> float:
-        """Return the area of a mask on the fine grid as a fraction of the area of a region of cells."""
+        """Return the area of a mask on the fine grid divided by the area of the mask `region` on the grid of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
     def covered(self, places: Array, region: Mask) -> Mask:

@@ -144,7 +144,9 @@ class SlipStage(Stage):
                 self._border.gather(*self._shown(motion[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> RampResponse:
-        """Return the function that predicts the displacement that tracking windows measure near a slip border."""
+        """Return the function that predicts the displacement which tracking, averaging over a window, measures at
+        signed distances (mm) from a slip border beyond which the true one increases linearly.
+        """
         return partial(blurred_ramp, half_window=self._reach)
 
     def _motion(self, frames: Any) -> NDArray[Any]:
@@ -152,7 +154,8 @@ class SlipStage(Stage):
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
     def _shown(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
-        """Return the blurred displacement in one frame that `_how_seen` describes, at points and over cells, mm.
+        """Return the displacement in one frame as windows measure it near a slip border, without the correction for
+        curvature: (N, 2) mm at points and (rows, columns, 2) mm over contact cells.
 
         The tracker corrects displacements for a curvature that it measures over most of the contact. Beside a border
         of slip the curvature is another one, so the correction is taken back.
@@ -177,7 +180,9 @@ class SlipStage(Stage):
         return np.asarray(places[np.isfinite(places).all(-1)])
 
     def _deviation_of(self, frame: int) -> float:
-        """Return the median standard deviation, px, of the displacement components in one frame."""
+        """Return the median over all points of the standard deviation, px, of a displacement component in one frame;
+        NaN if it is unknown.
+        """
         if "position_std_px" not in self.results:
             return math.nan
         return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
@@ -273,7 +278,9 @@ class SlipStage(Stage):
         region: NDArray[np.bool_],
         grid: SlipGrid,
     ) -> None:
-        """Compute the mean direction and speed of the slipping skin in a frame."""
+        """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
+        from the points in contact that the mask `sticks` does not mark as sticking.
+        """
         slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
             return
@@ -289,7 +296,9 @@ class SlipStage(Stage):
                 self._speed[frame] = float(np.linalg.norm(way.mean(0))) / seconds
 
     def _ratio_std(self) -> NDArray[np.float64]:
-        """Return the standard deviation (F,) of d²: that of the border's position over a circle's circumference."""
+        """Return the standard deviation (F,) of d², the stick area over the contact area, due to the error of the stick
+        border's position, the border being taken as a circle.
+        """
         place = (
             self._border.place_std if self._settings.criterion == "border" and self._border is not None else math.nan
         )
@@ -359,7 +368,9 @@ def _largest(fine: Mask) -> Mask:
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:
-    """Return RMS values (mm) of the non-rigid displacement in the contact: total, irrotational and solenoidal part."""
+    """Return RMS values, mm, over the contact of the displacement that remains without rigid motion: of all of it, and
+    of its irrotational and its solenoidal part (Helmholtz-Hodge).
+    """
     places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
     left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
@@ -371,7 +382,9 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
 
 
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the friction fit, marked as not identified if it contradicts the measured load ratio T/N at full slip."""
+    """Return the friction fit, marked as not identified if the ratio T/N of tangential to normal force at which it
+    predicts full slip differs from the one measured in the trial (`verdict`).
+    """
     if not fit.identified:
         return fit
     critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))

@@ -102,7 +102,9 @@ class StuckBorder:
         self._deep_squares += float((component[deep] ** 2).sum())
 
     def _smoothed(self, component: Field) -> Field:
-        """Return a smoothed displacement component on the fine grid: noise of the contour would shorten distances."""
+        """Return a displacement component, given on the contact cells, interpolated to the fine grid and smoothed: a
+        contour made uneven by noise would lie nearer to the points around it.
+        """
         known, width = (
             self._grid.fine_mask(self._grid.known).astype(np.float32),
             _SMOOTHED * self._half / self._grid.fine_mm,
@@ -112,7 +114,8 @@ class StuckBorder:
 
     @property
     def place_std(self) -> float:
-        """Return the standard deviation, mm, of the border's position in all frames; NaN where it is not found.
+        """Return the standard deviation, mm, of the stick border's position, one value for all frames; NaN if no border
+        was found.
 
         It is that of the fit, that of the model, and the distance over which slip grows to the error that the points
         of a border share.
@@ -124,7 +127,9 @@ class StuckBorder:
 
     @property
     def followed(self) -> float:
-        """Return the displacement level, mm, whose contour bounds the stick region if the slipping annulus is wide."""
+        """Return the displacement, mm, whose contour line bounds the stick region where the slipping annulus around it
+        is wide: the fitted level, or the least level clear of noise if that is larger.
+        """
         return float(np.fmax(self.level, self._above * self.noise))
 
     def settle(self) -> None:
@@ -153,7 +158,9 @@ class StuckBorder:
         self.level = level
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Return the stick region of one frame as a mask on the fine grid; for the arguments see `gather`."""
+        """Return the stick region of one frame as a mask on the fine grid, given the displacements of points and cells
+        and the contact region (arguments as for `gather`).
+        """
         contact = self._grid.fine_mask(region)
         inside = contact & self._grid.fine_mask(self._grid.known)
         length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
@@ -179,7 +186,8 @@ class StuckBorder:
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:
-        """Return the displacement level, mm, of the contour to draw, and how far, mm, it lies outside the stick border.
+        """Return the displacement, mm, of the contour to draw in a slipping annulus `width` mm wide, and how far, mm,
+        this contour lies outside the stick border, where the displacement is `level`.
 
         This is the level at the border itself, or a higher one where noise requires it, as far as it is reached in a
         slipping annulus of this width.
@@ -211,7 +219,9 @@ class Length:
         self._held: Mask | None = None  # (N,) points that stuck so far
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
-        """Return the stick region of one frame as a mask on the fine grid; arguments as for `StuckBorder.gather`."""
+        """Return the stick region of one frame as a mask on the fine grid, given the displacements of points and cells
+        and the contact region (arguments as for `StuckBorder.gather`).
+        """
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
             return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))

@@ -134,7 +134,9 @@ class MarkerContactStage(ContactStage):
         return light_change(view, self._rest, hidden, CELL_PX, self._markers.look.scale).nan_to_num(0.0)
 
     def _displaced_cells(self, frame: int) -> NDArray[np.bool_]:
-        """Return the mask (h, w) of cells in which the displacement of the gel exceeds the threshold."""
+        """Return the mask (h, w) of cells in which the gel, interpolated between the markers, has moved since rest by
+        at least 2/pi of its largest displacement in the frame, and by more than it creeps.
+        """
         points = self._markers.points[frame]
         moved = points - self._markers.rest
         known = np.isfinite(moved).all(-1)

@@ -23,8 +23,8 @@ _SAME = 0.4  # spacings within which inferred rest positions belong to one marke
 
 
 class Seen(NamedTuple):
-    """Markers detected in one frame: positions (px), covariances (px^2), and differences of positions at two scales
-    (px).
+    """Markers detected in one frame: positions (px), covariances (px^2), and distances (px) between each position and
+    the one found at a coarser image scale.
     """
 
     points: Tensor
@@ -95,7 +95,7 @@ class MarkerStage(Stage):
             self.take(self.see(frame))
 
     def see(self, frame: Tensor) -> Seen:
-        """Detect the markers in one frame (1, 1, h, w) of the view."""
+        """Detect the markers in one frame (1, 1, h, w) of the view, and return their positions and covariances."""
         markers = detect_markers(frame, self.look)
         known = markers.points[0].isfinite().all(-1)
         parts = (markers.points, markers.covariance, markers.disagreement)
@@ -135,7 +135,9 @@ class MarkerStage(Stage):
         self._seen.clear()
 
     def _follow(self, reference: Tensor, ties: Ties) -> Tensor:
-        """Return the index (frames, N) of each of N markers among the detections of each frame; -1 if not detected."""
+        """Match N markers with rest positions `reference` (N, 2) px and neighbour pairs `ties` to the detections in
+        every frame; return the indices (frames, N) of the detections, -1 if not detected.
+        """
         numbers = torch.full((len(self._seen), len(reference)), -1)
         for frames in (range(self.rest_frame, len(self._seen)), range(self.rest_frame, -1, -1)):
             moved = torch.zeros_like(reference)
@@ -151,8 +153,8 @@ class MarkerStage(Stage):
         return numbers
 
     def _infer_entering_markers(self, reference: Tensor, numbers: Tensor, spacing: float) -> Tensor:
-        """Infer the rest positions (K, 2) px of markers that lie outside the view at rest, but enter it in other
-        frames.
+        """Infer the rest positions (K, 2) px of markers that lie outside the view at rest but enter it later, from
+        their detections and the displacement of the nearest matched marker.
         """
         inferred = []
         for seen, number in zip(self._seen, numbers, strict=True):
@@ -218,7 +220,9 @@ class MarkerStage(Stage):
 
 
 def _expected_positions(reference: Tensor, points: Tensor) -> Tensor:
-    """Return expected marker positions (N, 2) px: rest position plus displacement of the nearest detected marker."""
+    """Return expected marker positions (N, 2) px in a frame: rest position `reference` plus displacement of the nearest
+    marker detected in the frame (`points`, NaN if not detected).
+    """
     known = points.isfinite().all(-1)
     if not known.any():
         return reference
@@ -227,7 +231,9 @@ def _expected_positions(reference: Tensor, points: Tensor) -> Tensor:
 
 
 def _are_overstretched(moved: Tensor, ties: Ties) -> Tensor:
-    """Return a mask (N,) of markers whose displacement differs from most neighbours by more than a gel can stretch."""
+    """Return a mask (N,) of markers whose displacement `moved` (N, 2) px differs from those of most neighbours (pairs
+    in `ties`) by more than a gel can stretch.
+    """
     slope = (moved[ties.first] - moved[ties.second]).norm(dim=-1) / ties.distance
     dense = torch.full((len(moved), len(moved)), torch.nan, dtype=moved.dtype)
     dense[ties.first, ties.second] = slope

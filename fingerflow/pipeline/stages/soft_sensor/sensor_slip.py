@@ -71,8 +71,8 @@ class SensorSlipStage(Stage):
         )
 
     def _slipped_share(self, reference: torch.Tensor, moved: Array) -> float:
-        """Return the share of markers whose displacement (N, 2) mm differs from the rigid motion that fits the
-        majority.
+        """Return the share of markers with known displacement `moved` (N, 2) mm that do not follow the rigid motion of
+        the majority; `reference` holds the rest positions. NaN for too few markers.
         """
         known = np.isfinite(moved).all(-1)
         if known.sum() < _FEWEST:
@@ -85,7 +85,9 @@ class SensorSlipStage(Stage):
 
 
 def _springs_back(before: Array, now: Array, spacing: float) -> bool:
-    """Return whether a sheared gel springs back: most markers lose much of their displacement within one frame."""
+    """Return whether a sheared gel springs back: most markers lose much of their displacement from one frame (`before`,
+    (N, 2)) to the next (`now`).
+    """
     known = np.isfinite(before).all(-1) & np.isfinite(now).all(-1)
     if known.sum() < 2:
         return False

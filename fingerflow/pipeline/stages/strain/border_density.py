@@ -16,7 +16,8 @@ Values = NDArray[np.floating]
 def border_density(
     density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
-    """Return the mean strain energy density (n,), mJ/mm^3, of triangles near the contact border, in n frames.
+    """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
+    the contact border, weighted by area.
 
     It is 0 in frames without such triangles.
 

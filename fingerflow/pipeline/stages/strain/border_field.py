@@ -28,14 +28,15 @@ _RADII, _ANGLES = 10, 24  # places of the quadrature, exact for the density of p
 
 
 class BorderFields(NamedTuple):
-    """Coefficients of n fields in the functions of `BorderFunctions`, with their uncertainty."""
+    """Coefficients of n displacement fields in the K polynomials of `BorderFunctions`: mean and covariance."""
 
     coefficients: Array  # (n, K, 2) mean
     covariance: Array  # (n, K, K) of each component
 
 
 class BorderFunctions:
-    """Polynomials on the unit disc that are zero at its border, with quadrature points and weights.
+    """Polynomials in x and y on the unit disc that are zero at its border, with the points and weights of a numerical
+    integration over the disc.
 
     They are orthonormal but for a factor: the standard deviation of the coefficient beforehand, in units of t.
 
@@ -65,7 +66,8 @@ class BorderFunctions:
         self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
 
     def fit(self, places: Array, moved: Array, weight: Array) -> BorderFields:
-        """Fit n fields to the displacements of N points.
+        """Fit the polynomial coefficients of n displacement fields, each to the displacements of N points, by Bayesian
+        least squares.
 
         The noise is as large as stated, or as the residuals if they are larger.
 
@@ -83,7 +85,9 @@ class BorderFunctions:
         return BorderFields(inverse @ normal[:, :functions, functions:], noise * inverse)
 
     def _normal_equations(self, places: Array, moved: Array, weight: Array) -> Array:
-        """Return weighted sums (n, K + 2, K + 2) of products of the K functions and the two displacement components."""
+        """Return the normal equations (n, K + 2, K + 2) of the fits: weighted sums over the points of products of the K
+        polynomials and the two displacement components.
+        """
         i, j = self._powers
         x, y = (_powers(places[:, k], 2 * _DEGREE) for k in range(2))
         inside = 1 - x[:, 2] - y[:, 2]
@@ -103,7 +107,8 @@ class BorderFunctions:
 
 
 def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
-    """Add the prior 1 / t^2 of the largest likelihood to normal equations; return the noise (n,) over that stated.
+    """Choose the prior standard deviation t of the coefficients in each of n fits by maximum likelihood, add 1 / t^2 to
+    the normal equations in place, and return the noise variance (n,) relative to the stated one.
 
     The likelihood has one maximum, which Fibonacci search finds (Kiefer 1953). A Cholesky factor of the equations, with
     the displacements as their last columns, gives both the determinant and, there, what the fit leaves of the squares.
@@ -114,7 +119,9 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
     diagonal[:, functions:] += numbers[:, None]  # so that rounding leaves it positive
 
     def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return the logarithm of the likelihood (n,), up to a constant, and the noise."""
+        """Return the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices `scale`
+        (n,), and the noise variance (n,) relative to the stated one.
+        """
         diagonal[:, :functions] = sums + 1 / _SCALES[scale, None]
         root = np.linalg.cholesky(normal)
         rest = (root[:, functions:, functions:] ** 2).sum((1, 2)) / numbers - 2

@@ -68,7 +68,8 @@ class ContactEnergy:
         self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
         border: Border,
     ) -> FrameEnergies:  # fmt: skip
-        """Return the energies of n frames; NaN where displacements do not decrease towards the contact border.
+        """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where
+        displacements do not decrease towards the contact border.
 
         Errors of neighbours correlate over less than the field can resolve. They act as independent errors whose
         variance is that of a point times the sum of its correlations with all points.
@@ -102,7 +103,8 @@ class ContactEnergy:
         return FrameEnergies(mean, np.sqrt(by_points + by_border**2 + by_tracking**2))
 
     def _shares_of_border(self, points: "_Points", energy: Array) -> Array:
-        """Return the relative changes (n,) of the energies for a border that lies one standard deviation further out.
+        """Return the relative change (n,) of the strain energy in each of n frames if the contact border lay one
+        standard deviation of its position further out.
 
         They are computed in every `_BORDER_FRAMES`-th frame that has a field, and hold until the next.
         """
@@ -122,7 +124,9 @@ class ContactEnergy:
         return self._functions.fit(points.along / points.axes[..., None], points.moved, points.weight)
 
     def _energies_of_fields(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
-        """Return energies (n,) of fields, gradients (n, K, 2) in the coefficients, and energy matrix times covariance.
+        """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
+        and the product (n, K, K) of energy matrix and coefficient covariance, whose trace is the energy that
+        uncertainty adds.
 
         C is the covariance of the coefficients of a component, and Q (n, K, K) that of the energy, a quadratic form in
         them to first order: the trace of Q C is the mean energy of what is left uncertain.
@@ -153,7 +157,9 @@ class ContactEnergy:
 
 
 class _Points(NamedTuple):
-    """N points in n frames, with the ellipse of the contact border."""
+    """Displacements and weights of N points in n frames, with positions along the axes of the ellipse that bounds the
+    contact.
+    """
 
     along: Array  # (n, 2, N) mm along the ellipse's axes, from its centre
     moved: Array  # (n, 2, N) mm displacement in x and y
@@ -165,7 +171,9 @@ class _Points(NamedTuple):
     def of(
         cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: Border
     ) -> "_Points":
-        """Create the points; arguments are as for `ContactEnergy.of_frames`."""
+        """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
+        `ContactEnergy.of_frames`.
+        """
         cosine, sine = np.cos(border.angle), np.sin(border.angle)
         turn = np.stack((cosine, sine, -sine, cosine), axis=-1).reshape(-1, 2, 2)
         from_centre, moved = (

@@ -71,7 +71,8 @@ class CountedSkin:
     def _distorted_by_onsets(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
     ) -> NDArray[np.bool_]:
-        """Return the mask (M,) of triangles whose reference shape is distorted by different onset times of the corners.
+        """Return the mask (M,) of triangles whose reference shape is distorted because each corner counts from its own
+        onset of contact, so that the corners never formed this shape in one frame.
 
         Compared with the skin in the frame in which the last corner touches, such a triangle is shrunk or stretched in
         some direction by more than a factor of `LEAST_AREA`. This too is a difference of two references.
@@ -88,11 +89,8 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 of the tracked points in n frames.
-
-        Separate corners follow the points: copies of points, for triangles with another reference frame.
-
-        Separate corners are copies of points for triangles with another reference frame.
+        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 in n frames of the tracked points,
+        followed by copies of points that are corners of triangles with another reference frame.
         """
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)

@@ -23,7 +23,8 @@ class MissingEnergy:
         self._last = np.zeros(len(areas))  # last known energy of each per depth
 
     def add_frames(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the energy errors (n,) mJ/mm of the next n frames, from energy densities (n, M) mJ/mm^3.
+        """Return the errors (n,) mJ/mm of the strain energy in the next n frames due to triangles in contact of unknown
+        strain, from energy densities (n, M) mJ/mm^3 and the mask `in_contact` (n, M).
 
         Densities are NaN where they are unknown.
         """

@@ -15,7 +15,8 @@ _DEGREE = 2  # of the polynomials in time
 
 
 def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
-    """Return the border ellipses fitted locally over the times (n,) s of their frames; NaN where they are NaN.
+    """Return the ellipses of the contact border, smoothed by local fits over the times (n,) s of their frames; NaN
+    where they are NaN.
 
     Centres and second moments of the ellipses are weighted by exp(-d^2 / 2), where d is the distance by which centre
     and mean radius differ from those of the frame.
@@ -43,7 +44,9 @@ def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
 def _fit_over_time(
     values: NDArray[np.float64], places: NDArray[np.float64], times: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return values (n, V) fitted by polynomials to those at places (n, P) and times (n,) less than 1 from them."""
+    """Return `values` (n, V) smoothed over time: each is fitted by a polynomial to the values at `times` (n,) less than
+    1 away, those with near `places` (n, P) having more weight.
+    """
     numbers = np.arange(len(values))
     reach = min(_FRAMES, int(np.max(np.searchsorted(times, times + 1, side="right") - numbers)))
     frames = numbers[:, None] + np.arange(-reach, reach + 1)

@@ -123,7 +123,9 @@ class StrainStage(Stage):
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
         between_std: torch.Tensor,
     ) -> None:  # fmt: skip
-        """Store strain energies and their deviations for some frames: of the triangles, and of all skin in contact."""
+        """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
+        triangles between points, and that of all skin in contact.
+        """
         frames, border = batch.indices, self._border.at(batch.indices)
         position = self.results["position"][frames]
         beside = border_density(
@@ -147,7 +149,8 @@ class StrainStage(Stage):
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
-        """Return displacement, variance and mask of the points for `ContactEnergy.of_frames`.
+        """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
+        arguments for `ContactEnergy.of_frames`.
 
         The mask is False for all points if displacements are not relative to the onset of contact.
         """
@@ -203,9 +206,8 @@ class StrainStage(Stage):
 def _shared_errors(
     skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """Return correlations of tracking errors: between corners of triangles (M, 3), and in K pairs of near points.
-
-    The pairs (K, 2) and their correlations (K,) are the second and third value.
+    """Return the correlations (M, 3) of tracking errors between the corners of each triangle, the K pairs (K, 2) of
+    points less than `window_px` apart, and the correlations (K,) in these pairs.
 
     Tracking errors come from pixel noise in a window and correlate by the share that two windows have in common: on a
     press correlations are 0.2, 0.4 and 0.6 to 0.75 where the share is a fifth, two fifths and two thirds. Half of a

@@ -54,7 +54,8 @@ class NewSkin:
         self._before: tuple[Points, Points] | None = None  # positions (N, 2) and centre of contact, at the last call
 
     def begin(self, contact: NDArray[np.floating], place: Points) -> None:
-        """Store the positions (N, 2), px of the topographic view, at which the first points were seeded.
+        """Store the positions `place` (N, 2), px of the topographic view, at which the first points were seeded, as
+        those before the first call of `region`.
 
         `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
@@ -118,16 +119,18 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
 
     def _around(self, touching: Mask) -> Mask:
-        """Return the mask (h, w) of the topographic view within the radius of the first seeding region of a contact.
+        """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
+        seeding region extended (its radius).
 
-        The contact has just begun, and is taken to grow as large as that one.
+        The contact is taken to grow as large as that one.
         """
         radius = max(self._window, np.sqrt(self.searched[0].sum() / np.pi)) * self._per_px / (_STEP * self._cell)
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(radius) + 1,) * 2)
         return self._on_topography(cv2.dilate(touching.astype(np.uint8), disc) > 0)
 
     def _cells_without_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Return the flat mask of grid cells, in contact now or soon, that have no tracked point within `far` px.
+        """Return the flat mask of coarse grid cells of the contact view, in contact now or soon, without a point within
+        `far` px; `place` (N, 2) px are the points, `way` (N, 2) their last motion relative to the contact.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -167,7 +170,8 @@ class NewSkin:
         return result
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
-        """Return the mask (K,) of positions (K, 2) px whose skin was outside the region in which points were seeded.
+        """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
+        which the nearest point was seeded, at the time of that seeding.
 
         The skin is traced back to the frame in which the nearest point was seeded.
         """
@@ -189,7 +193,9 @@ class NewSkin:
         return np.asarray(warped > 0)
 
     def _near_points(self, place: Points) -> Mask:
-        """Return the mask (h, w) of pixels whose nearest point is closer than half the median point spacing."""
+        """Return the mask (h, w) of the pixels of the topographic view whose distance from the nearest point of `place`
+        (N, 2) px is less than half the median spacing of the points.
+        """
         height, width = self.searched[0].shape
         column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)

@@ -176,7 +176,9 @@ class TrackingStage(Stage):
                 self.results.create(variable.name, about, point=points)
 
     def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
-        """Seed the first points, in the first usable frame, and return the tracking results (1, N)."""
+        """Seed the first points in `image`, the first usable frame, and return their tracking results (1, N); `margin`
+        is a grid of cells, positive in the gross contact.
+        """
         where, asked = self._seeding_region(), self._settings.points
         points = self._engine.detect(self._view_for_seeding(image), where, asked)
         if len(points) < _FEWEST:
@@ -201,7 +203,9 @@ class TrackingStage(Stage):
         return self._start_tracking(image, points, np.zeros(0, np.intp))
 
     def _impulses(self, image: Images) -> float:
-        """Return the share of pixels of a frame that differ from their neighbours as neither texture nor noise does."""
+        """Return the share of the pixels of a frame that differ from the median of the 3 x 3 pixels around by more than
+        texture or noise can cause (impulse noise).
+        """
         pixels = np.asarray(image, dtype=np.float32)[0, 0]
         apart = np.abs(pixels - cv2.medianBlur(pixels, 3))
         return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))).mean())
@@ -253,7 +257,9 @@ class TrackingStage(Stage):
         return self._start_tracking(image, points, near, found.points[0, near], every.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
-        """Extend the result arrays by `more` points; return False, with a warning, if this would exceed a limit."""
+        """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
+        room for the results.
+        """
         given = [one for stage in self.trial.planned for one in stage.gives]
         given = [one for one in given if one.unasked or one.name in self.trial.asked]
         why = ""
