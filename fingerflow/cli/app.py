@@ -28,7 +28,9 @@ Width = Annotated[
 
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
-    """Run `fingerflow.process` on a scene, with a progress bar unless `quiet`; torch is imported only here."""
+    """Run `fingerflow.process` on a scene for the variables `outputs`, all for None, with a progress bar unless
+    `quiet`; torch is imported only here.
+    """
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
@@ -42,12 +44,12 @@ def figure_files(formats: str | None, width: str | None) -> Any:
 
 
 def tell(facts: Any, text: str, as_json: bool) -> None:
-    """Print data as JSON if requested, else a text for readers."""
+    """Print `facts` as JSON if `as_json`, else `text` for readers."""
     typer.echo(json.dumps(facts, indent=1) if as_json else text)
 
 
 def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
-    """Print data as JSON if requested, else one entry per line."""
+    """Print facts by name as JSON if `as_json`, else one per line."""
     tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 

@@ -39,7 +39,9 @@ def stream(context: typer.Context) -> None:
 
 
 def _forces_of(file: Path) -> "LiveForces | None":
-    """Return the forces of a scene as `process` computes them; log the reason and return None if unreadable."""
+    """Return the forces of the scene in a file as `process` computes them; log the reason and return None if they
+    cannot be read.
+    """
     from fingerflow.pipeline.run import process
     from fingerflow.player.live_forces import LiveForces
     from fingerflow.schema.scene import load_scene

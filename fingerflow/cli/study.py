@@ -61,7 +61,7 @@ def run(
     ] = False,
     together: Together = None,
 ) -> None:
-    """Process all trials whose result is missing or out of date, and write the table of trials."""
+    """Process all trials of a study whose result is missing or out of date, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.run_study import plan_run, run_study
     from fingerflow.study.table import write_tables
@@ -88,7 +88,7 @@ def report(
     formats: Format = None,
     width: Width = None,
 ) -> None:
-    """Write the page of a study (trials, figures and statistics) from the results of `run`."""
+    """Write the page of a study (trials, figures and statistics) from the results of `fingerflow study run`."""
     from fingerflow.study.cluster import Interrupted
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report

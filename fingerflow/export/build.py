@@ -79,7 +79,9 @@ class Graph:
     outputs: tuple[str, ...]
 
     def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Run the graph in torch with portable ops; return its outputs by name, from inputs by name in `known`."""
+        """Run the graph in torch, with implementations that ONNX can express; return its outputs by name, from its
+        inputs by name in `known`.
+        """
         with torch.inference_mode(), Portable():
             results = self.module(*(known[name] for name in self.inputs))
         return dict(zip(self.outputs, results, strict=True))
@@ -97,7 +99,7 @@ class _Call(nn.Module):
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """Build all graphs of a recipe in order of execution, including graphs that are not exported.
+    """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported.
 
     Args:
         precision: replaces the recipe's.
@@ -121,7 +123,9 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 
 
 def _contact_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return, by graph name, the function and the input and output names of each graph of the contact view."""
+    """Return, by graph name, the function and the input and output names of each graph of the contact view; `kind` is
+    the precision of the light of the empty glass.
+    """
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -138,7 +142,9 @@ def _contact_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return, by graph name, the function and the input and output names of each graph of tracked points."""
+    """Return, by graph name, the function and the input and output names of each graph of tracked points; `kind` is the
+    precision of the image noise and of the spline coefficients.
+    """
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -226,5 +232,7 @@ def _field_graphs(recipe: Recipe) -> _Described:
 
 
 def _known_tensors(templates: Templates) -> tuple[Tensor, ...]:
-    """Return the tensors of `Templates` as a tuple, without optional fields that are None."""
+    """Return the tensors of `Templates` (image windows around the tracked points) as a tuple, without fields that are
+    None.
+    """
     return tuple(one for one in templates if one is not None)

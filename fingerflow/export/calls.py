@@ -28,7 +28,9 @@ class GraphCall(NamedTuple):
 
     @classmethod
     def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "GraphCall":
-        """Flatten the arguments of a method call, with default values for omitted arguments."""
+        """Flatten the positional and named arguments of a call of a module's method, with default values for omitted
+        arguments.
+        """
         bound = inspect.signature(getattr(module, method)).bind(*arguments, **named)
         bound.apply_defaults()
         parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
@@ -62,7 +64,9 @@ class GraphCall(NamedTuple):
         return next(found, 0)
 
     def of_recording(self, place: int, batch: int) -> "GraphCall":
-        """Return the call for recording number `place` of a batch; tensors (1, ...) are the same for all recordings."""
+        """Return the call for the recording at index `place` of a batch; tensors (1, ...) are the same for all
+        recordings.
+        """
         return self._replace(
             values=[
                 value[place : place + 1] if isinstance(value, Tensor) and len(value) == batch else value
@@ -79,7 +83,9 @@ class GraphCall(NamedTuple):
 
 
 def pad_points(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
-    """Pad tensors along the axis of points to `room` points, with NaN or, for integers, with 0."""
+    """Pad tensors to `room` points along their axis of points, with NaN or, for integers, with 0; a tensor whose axis
+    is None is returned as it is.
+    """
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):
         if axis is None or tensor.shape[axis] == room:
@@ -93,12 +99,16 @@ def pad_points(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> li
 
 
 def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
-    """Return the axes along which two tensors differ in length: those of points, if they differ in points."""
+    """Return the axes along which two tensors differ in length: if one was computed for more points, these are the axes
+    of points.
+    """
     return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 
 def settings_of(module: nn.Module) -> list[Any]:
-    """Return the settings by which modules of one class can differ: attributes with plain values, and buffers."""
+    """Return all in which modules of one class can differ, as a list: plain attributes, also of submodules, and
+    buffers.
+    """
     found: list[Any] = []
     for name, part in module.named_modules():
         plain = {key: repr(value) for key, value in vars(part).items() if isinstance(value, int | float | str | None)}

@@ -16,7 +16,9 @@ _DIGITS = 6
 
 
 def expected_numbers(recipe: Recipe) -> dict[str, Any]:
-    """Compute the expected results and the sizes of the built-in test frame, for `engines.check.check_engine`."""
+    """Compute, by torch in float64, the contact and the tracked points in the built-in test frame that an engine must
+    reproduce; return them with the sizes of the frame, for `engines.check.check_engine`.
+    """
     views, own = recipe.views, recipe.tracking
     size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
     frame = built_in(**size, window_px=own.window_px)

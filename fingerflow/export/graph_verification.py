@@ -50,7 +50,8 @@ _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that r
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
-    """Verify the exported graphs in a folder: compare ONNX Runtime with torch on all test cases.
+    """Verify the exported graphs of a recipe in a folder: compare the outputs of ONNX Runtime with those of torch on
+    all test cases.
 
     Cases have the batch size of the recipe; a dynamic batch is verified with one recording and with two.
 
@@ -98,7 +99,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
 
 
 def as_text(rows: list[Difference]) -> str:
-    """Return the largest differences as a text table."""
+    """Return the largest differences between ONNX Runtime and torch as a text table, one row for each graph output."""
     head = f"{'graph':<16}{'output':<20}{'unit':<9}{'to torch':>11}{'to float64':>12}{'NaN flips':>11}{'int share':>11}"
     lines = [
         f"{row.graph:<16}{row.output:<20}{row.unit[:8]:<9}{row.to_torch:>11.2g}{row.to_float64:>12.2g}{row.flips:>11}"
@@ -133,7 +134,9 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
 
 
 def _missing_share(expected: NDArray[Any], found: NDArray[Any]) -> float:
-    """Return the share of expected corners (B, N, 2) that were not found, less a tolerance of 1 %; at least 0."""
+    """Return the share of expected corner positions (B, N, 2) that are not exactly among those found, less a tolerance
+    of 1 %; at least 0.
+    """
     known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
     absent = len(known[0] - known[1]) / max(1, len(known[0]))
     return max(0.0, absent - _MOST_FLIPS)

@@ -6,7 +6,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Portable(TorchDispatchMode):
-    """Torch dispatch mode in which ops use their portable implementation, as they do under any dispatch mode."""
+    """Torch dispatch mode that changes no operation; under it, as under any dispatch mode, ops of the package use their
+    portable implementation in place of compiled kernels.
+    """
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]

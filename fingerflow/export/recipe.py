@@ -41,7 +41,9 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """Settings [contact] of a recipe: settings as in a scene file, and whether the contact mask is an output."""
+    """Settings [contact] of a recipe: sizes in px for the detection of contact, as in a scene file, and whether the
+    contact mask is an output.
+    """
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
     gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8
@@ -51,7 +53,9 @@ class ContactRecipe(_Table):
 
 
 class TrackingRecipe(_Table):
-    """Settings [tracking] of a recipe, with the names and meanings of a scene file."""
+    """Settings [tracking] of a recipe: number and spacing of tracked points, window and search sizes, and error limit,
+    as in a scene file.
+    """
 
     points: Annotated[int, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
@@ -62,7 +66,7 @@ class TrackingRecipe(_Table):
 
 
 class FieldsRecipe(_Table):
-    """Settings [fields] of a recipe, with the names and meanings of a scene file."""
+    """Settings [fields] of a recipe: the gauge length in mm over which deformation is measured, as in a scene file."""
 
     gauge_length_mm: Annotated[float, Field(gt=0, le=100)] = 1.6
 
@@ -75,7 +79,7 @@ class ExportRecipe(_Table):
 
 
 class Recipe(_Table):
-    """Complete content of a recipe file."""
+    """Recipe of a deployment bundle: all tables of settings of a recipe file."""
 
     views: ViewRecipe
     contact: ContactRecipe = ContactRecipe()
@@ -94,7 +98,7 @@ class Recipe(_Table):
 
 
 def load_recipe(path: Path) -> Recipe:
-    """Read and validate a recipe file.
+    """Read and validate a recipe file, and return its settings.
 
     Raises:
         FingerflowError: the file cannot be read, is not valid TOML, or has an unknown key or a value out of range; with

@@ -57,11 +57,13 @@ class OnnxRuntime:
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
-        """Wrap a torch module so that ONNX Runtime executes the methods of the module."""
+        """Return a wrapper of a torch module that is used like the module, but whose methods ONNX Runtime executes."""
         return cast(M, _WrappedModule(module, self))
 
     def session(self, leaves: "_ExportedMethod", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
-        """Open an ONNX Runtime session for a method and tensor shapes; export the graph first if it is not cached."""
+        """Open an ONNX Runtime session for a wrapped method and tensors of these shapes, with input names and number of
+        outputs; export the graph first if it is not cached.
+        """
         import onnxruntime
 
         file = self.folder / f"{self._name(leaves, tensors, inputs)}.onnx"

@@ -20,7 +20,7 @@ _CONTROL_FLOW = {"Loop", "If", "Scan"}
 def standard_model(
     module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], shapes: Any = None
 ) -> Any:
-    """Convert a module to an `onnx.ModelProto` of standard operators.
+    """Convert a torch module to an `onnx.ModelProto` of standard operators.
 
     The module takes tensors by position and returns a tuple of tensors.
 

@@ -30,7 +30,9 @@ class Case(NamedTuple):
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
-    """Create test cases for graphs: a press with sub-pixel motion, frames without a finger, and invalid points."""
+    """Create test cases for graphs, each a batch of `batch` recordings: a press with sub-pixel motion, frames without a
+    finger, and invalid points.
+    """
     size = (recipe.views.height, recipe.views.width)
     most = 2**recipe.views.bit_depth - 1
     kind = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
@@ -84,7 +86,9 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 
 
 def complete_inputs(recipe: Recipe, case: Case) -> dict[str, Tensor]:
-    """Complete the inputs of a test case by running, in torch, the graphs that compute the missing inputs."""
+    """Return the inputs of a test case by name, completed by running, in torch, the graphs that compute the missing
+    inputs.
+    """
     known = dict(case.inputs)
     graphs = build(recipe)
     for name in ("light", "noise", "spline", "prepare"):
@@ -101,7 +105,9 @@ def complete_inputs(recipe: Recipe, case: Case) -> dict[str, Tensor]:
 
 
 def inputs_of(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the inputs of one graph by name; graphs that run on the key frame get `key_view` as topography view."""
+    """Return the inputs of one graph by name; graphs that run on the key frame, the one from which points are followed,
+    get `key_view` as topography view.
+    """
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
@@ -135,12 +141,15 @@ def _press(height: int, width: int, bit_depth: int) -> tuple[dict[str, Tensor], 
 
 
 def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return the elliptic radius (B, N) of points: 0 at the middle of the view, 1 at the middle of each side."""
+    """Return the elliptic radius (B, N) of points in a view of (height, width) px: 0 at the middle of the view, 1 at
+    the middle of each side.
+    """
     return torch.hypot(2 * points[..., 0] / size[1] - 1, 2 * points[..., 1] / size[0] - 1)
 
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Create reference positions (B, N, 2) px at contact onset for test points; NaN outside the contact.
+    """Create the positions (B, N, 2) px at which test points first came into contact; NaN for points outside the
+    contact.
 
     The contact reaches outer points last; since their onset, points have spread and turned by some per cent.
     """
@@ -151,7 +160,9 @@ def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _deformation_gradients(points: Tensor) -> Tensor:
-    """Create deformation gradients (B, N, 2, 2): the identity plus a few per cent that vary from point to point."""
+    """Create deformation gradients (B, N, 2, 2) at points: the identity plus a few per cent that vary from point to
+    point.
+    """
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
     result: Tensor = torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
@@ -159,7 +170,9 @@ def _deformation_gradients(points: Tensor) -> Tensor:
 
 
 def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, Tensor]:
-    """Create the contact ellipse for the test of fields: centre and semi-axes (B, 2) mm, and angle (B,) rad."""
+    """Create a contact ellipse about the middle of the view, to test graphs of deformation: centre and semi-axes (B, 2)
+    mm, and angle (B,) rad.
+    """
     half = (mm_per_px / 2 * torch.tensor([size[1], size[0]], dtype=torch.float32)).expand(batch, -1)
     return {
         "center": half.contiguous(),

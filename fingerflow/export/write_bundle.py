@@ -30,7 +30,8 @@ _PLAYER_FILES = ("README.md", "requirements.txt")
 
 
 def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Difference]:
-    """Export a recipe file to a deployment bundle.
+    """Export a recipe file to a deployment bundle: write a new folder with verified ONNX graphs, the player and its
+    files.
 
     Args:
         path: the recipe.
@@ -69,7 +70,9 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
 
 
 def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
-    """Export one graph to an ONNX file and check the file; return the description for bundle.json."""
+    """Export one graph to an ONNX file in a folder and check the file; return its name and SHA-256 hash for
+    bundle.json.
+    """
     import onnx
 
     dynamic = recipe.views.batch == "dynamic"
@@ -99,7 +102,9 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
-    """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json."""
+    """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which
+    describes the graphs by `models`.
+    """
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
@@ -118,7 +123,9 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
 
 
 def scene_for(template: str, height: int, width: int) -> str:
-    """Adapt the scene template, made for two views of 512 x 640 px side by side, to views of another size."""
+    """Return the text of a scene template, made for two views of 512 x 640 px side by side, adapted to views of height
+    x width px.
+    """
     places = {
         "[0, 512]": (0, height),
         "[0, 640]": (0, width),

@@ -1,4 +1,6 @@
-"""Things that a user names by an address such as "udp:127.0.0.1:5005": each kind is one module of a folder."""
+"""Opening of what a user names by an address such as "udp:127.0.0.1:5005" (an output, force sensor or camera): the word
+before the colon selects one of the modules of a folder.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 
 
 class AddressKind(Protocol):
-    """Interface of a module that opens one kind; a module of the folder without `ADDRESS` is none.
+    """Interface of a module that opens addresses of one kind, such as those that begin with "udp:"; modules of the
+    folder without an `ADDRESS` are ignored.
 
     Attributes:
         ADDRESS: form of an address, such as "udp:HOST:PORT", which begins with the name of the kind.
@@ -19,26 +22,32 @@ class AddressKind(Protocol):
     ADDRESS: str
 
     def open_address(self, address: str, *arguments: Any) -> Any:
-        """Open what an address means, given without the name of the kind.
+        """Open and return the output, force sensor or camera of an address, given without its kind, such as
+        "127.0.0.1:5005"; outputs take the units of their values as a further argument.
 
         ImportError with the name of a package means that this package is to be installed.
         """
 
 
 def kinds(package: str) -> dict[str, AddressKind]:
-    """Return all kinds in a package by name, in alphabetical order."""
+    """Return the modules of a package that open addresses, by the word that begins these addresses, such as "udp"; in
+    alphabetical order of the modules.
+    """
     found = pkgutil.iter_modules(import_module(package).__path__)
     modules = [import_module(f"{package}.{one.name}") for one in found]
     return {one.ADDRESS.partition(":")[0]: cast(AddressKind, one) for one in modules if hasattr(one, "ADDRESS")}
 
 
 def forms(package: str) -> str:
-    """Return the forms of all addresses, for messages."""
+    """Return the forms of the addresses that a package can open, such as "osc:HOST:PORT, udp:HOST:PORT", for error
+    messages.
+    """
     return ", ".join(one.ADDRESS for one in kinds(package).values())
 
 
 def open_address(package: str, what: str, asked: str, *arguments: Any) -> Any:
-    """Open what an address means, by the kind that its first word names.
+    """Open and return the output, force sensor or camera with the address `asked`, by the module of a package that its
+    first word names; `what` names the object in error messages.
 
     Raises PlayerError with the reason where there is no such kind or it cannot be opened.
     """

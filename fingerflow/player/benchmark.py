@@ -14,7 +14,8 @@ _INTERVALS = 5  # frame intervals within which 99 % of the results must come
 
 
 def benchmark(bundle: Path, free_s: float = _FREE_S, held_s: float = _HELD_S) -> str:
-    """Return a text about the frame rate that this computer holds with a bundle.
+    """Measure the frame rate that this computer holds with a bundle, and return it as text, below a table of the rates
+    tried and their latencies.
 
     The synthetic source is played as fast as possible, then for ten seconds at shares of that rate, from 0.9 downwards,
     as a camera would give the frames. A rate is held if no frame had to wait for a free buffer, and 99 % of the results
@@ -36,7 +37,9 @@ def benchmark(bundle: Path, free_s: float = _FREE_S, held_s: float = _HELD_S) ->
 
 
 def _played(bundle: Path, folder: str, frames: int, rate: float | None = None) -> dict[str, Any]:
-    """Play the synthetic source without page, and return the summary."""
+    """Play a number of frames of the synthetic source, at a rate in Hz or as fast as possible, into a new folder within
+    `folder` and without live page; return the summary of the stream.
+    """
     paced: dict[str, Any] = {} if rate is None else {"rate": rate}
     output = tempfile.mkdtemp(dir=folder) + "/results"
     return play(bundle, "synthetic", frames=frames, page="off", output=output, **paced)

@@ -14,12 +14,14 @@ _WINDOW = 5.0  # s; two quartz clocks drift apart by some 0.1 ms in it
 
 
 def unix_now() -> float:
-    """Return the Unix time in s, by the clock of `time.perf_counter`."""
+    """Return the Unix time in s, advanced since the start by `time.perf_counter`, so that no step of the system clock
+    shifts it.
+    """
     return EPOCH + time.perf_counter()
 
 
 class CameraClock:
-    """Conversion of a camera's time stamps to the time of this computer.
+    """Converter of a camera's time stamps to the clock `time.perf_counter` of this computer.
 
     A frame cannot arrive before its stamp: the smallest difference between arrival and stamp of the last 5 to 10 s is
     the offset of both clocks plus the shortest transfer. What a frame takes longer counts as latency; the shortest
@@ -37,7 +39,8 @@ class CameraClock:
         self._least = self._before = math.inf  # offset in the present window, and in the one before
 
     def see(self, stamp: float, arrival: float) -> tuple[float, float]:
-        """Return when a frame was exposed, s: for intervals between frames, and for latencies.
+        """Convert a frame's time stamp by the camera, s, and its arrival here, s, to two exposure times in s: one for
+        intervals between frames, one for latencies.
 
         Both are on the axis of `arrival`. The first advances exactly as the stamps do, so that intervals are the
         camera's; the second follows the drift of both clocks. Without a stamp (NaN) both are the arrival.

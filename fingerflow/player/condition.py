@@ -20,7 +20,8 @@ _FORM = re.compile(r"\s*([\w ]+?)\s*(>=|<=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)
 
 
 class Condition:
-    """Comparison of one value of a frame with a limit, which tells when it becomes true.
+    """Comparison of one live value (a number measured in each frame) with a limit, which tells at which frames it
+    becomes true.
 
     Args:
         text: "NAME > NUMBER UNIT"; also >=, <, <=. The name is that of a variable, or the words by which its definition
@@ -48,7 +49,8 @@ class Condition:
         self._true = False
 
     def becomes_true(self, values: Mapping[str, float]) -> bool:
-        """Return whether the condition is true of a frame and was not of the last frame whose value is known.
+        """Return whether the condition holds for the values of a frame, by name, and did not hold for the last earlier
+        frame whose value was known.
 
         The first frame of a stream counts as preceded by one of which it was not true.
         """
@@ -60,7 +62,9 @@ class Condition:
 
 
 def _meant(asked: str, variables: Mapping[str, Variable]) -> str:
-    """Return the name of the variable that a text means."""
+    """Return the name of the only variable that a user's text means: its exact name, or words that occur in the name or
+    at the beginning of the definition; raise PlayerError if none or several match.
+    """
     if asked in variables:
         return asked
     words = set(re.findall(r"[^\W_]+", asked.lower()))
@@ -77,7 +81,9 @@ def _meant(asked: str, variables: Mapping[str, Variable]) -> str:
 
 
 def _factor(variable: Variable, unit: str) -> float:
-    """Return the factor from the unit of the data set to a unit as people type it."""
+    """Return the factor that converts values of a variable from the unit of the data set to a unit typed by the user,
+    such as "mm2"; raise PlayerError if the variable is not measured in that unit.
+    """
     shown, own = variable.shown_unit, "" if variable.units == "1" else variable.units
     known = {own: 1.0} | {one.name: one.factor for one in (shown, shown.percent) if one}
     factors = {_plain(name): factor for name, factor in known.items()}

@@ -26,7 +26,9 @@ class Findings:
         self._wide = self._unknown = 0
 
     def skip(self, status: int) -> bool:
-        """Count an unusable frame; return whether the frame status has changed since the previous frame."""
+        """Count an unusable frame by its status, an index into `FRAME_STATUS`; return whether the status differs from
+        that of the previous frame.
+        """
         self.not_usable[FRAME_STATUS[status]] += 1
         begins, self._last = status != self._last, status
         return begins
@@ -42,7 +44,9 @@ class Findings:
             self._unknown += math.isnan(median)
 
     def missing(self, threshold_known: bool) -> list[str]:
-        """Return a warning sentence for each kind of result that was found in no frame of the stream."""
+        """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`
+        tells whether a contact threshold was given or measured.
+        """
         if not self._usable:
             counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
             return [

@@ -44,7 +44,7 @@ class Channel(Generic[T]):
             return not self._closed
 
     def put_newest(self, item: T) -> T | None:
-        """Append an item without waiting; if the queue is full, remove and return the oldest item."""
+        """Append an item without waiting; if the queue is full, remove and return the oldest item, else return None."""
         with self._changed:
             left = self._items.popleft() if len(self._items) >= self._size else None
             self._items.append(item)
@@ -109,7 +109,9 @@ class InOrder(Generic[T]):
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """Mark an item as computed, and end each computed item whose predecessors have all ended."""
+        """Take over an item that has been computed under its number, and end each computed item whose predecessors have
+        all ended.
+        """
         with self._changed:
             self._done[number] = piece
             if self._ending:
@@ -135,7 +137,7 @@ class InOrder(Generic[T]):
 
 
 class Slot(Frame):
-    """Frame buffer: holds both views (1, 1, H, W), the number and the times of a frame.
+    """Reusable buffer for one frame of a stream: contact and topography view (1, 1, H, W), frame number and times.
 
     Attributes:
         arrival: when the camera took the frame, for latencies: s on the axis of `time.perf_counter`.
@@ -148,7 +150,9 @@ class Slot(Frame):
         self.arrival = self.time = 0.0
 
     def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
-        """Copy the views of a frame into the buffer; raise PlayerError if the frame has another size or bit depth."""
+        """Crop both views, as the scene places them, from a camera frame into the buffer; raise PlayerError with the
+        source's name if the frame is too small, or has not the bundle's pixel type and bit depth.
+        """
         needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(

@@ -18,14 +18,16 @@ class Latencies:
         self.worst = 0.0
 
     def add(self, seconds: float) -> None:
-        """Add a latency in s to the histogram."""
+        """Add a latency in s to the histogram; values outside its range count in the first or last bin."""
         place = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
         self._counts[min(int(place), len(self._counts) - 1)] += 1
         self.count += 1
         self.worst = max(self.worst, seconds)
 
     def quantile(self, share: float) -> float:
-        """Return a quantile of the latencies in s, rounded up to the end of a histogram bin; NaN if there are none."""
+        """Return the latency in s that a share (0 to 1) of all latencies does not exceed, rounded up to the end of a
+        histogram bin; NaN if there are none.
+        """
         if not self.count:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))

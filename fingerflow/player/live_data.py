@@ -77,7 +77,9 @@ class LiveData:
         return True
 
     def show(self, record: Array, views: LiveViews) -> None:
-        """Store the downsampled views of a frame and its results as the latest image."""
+        """Store the downsampled 8-bit views of a frame and the results in its record as the latest image of the live
+        page.
+        """
         arrays = {
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
             for name, view in views.slot.views.items()
@@ -91,7 +93,9 @@ class LiveData:
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
-        """Append the results of a frame to the time traces; full traces drop the oldest entry."""
+        """Append contact areas, median divergence and forces from the record of a frame to the time traces of the live
+        page; full traces drop the oldest entry.
+        """
         names, expected = record.dtype.names or (), self._expected_in(record)
         row = [float(record[name]) if name in names else math.nan for name in self._traced]
         self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
@@ -100,7 +104,8 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Return the latest data for the live page as bytes: a JSON text, then the arrays it describes.
+        """Return the latest image and the time traces, with further facts about the stream, as bytes for the live page:
+        a JSON text, then the arrays it describes.
 
         The length of the text (little-endian uint32) comes first; text and arrays are padded to 4 bytes.
         """

@@ -22,32 +22,38 @@ _FAILED_WAIT = 0.2  # s after a sample that could not be read
 
 
 class FrameForces(Protocol):
-    """Interface of the forces of frames."""
+    """Interface of a provider of the normal and tangential forces in each frame of a stream."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the variables that are known."""
+        """Return the names of the force variables that are available, such as `normal_force`."""
 
     def at(self, number: int, time: float) -> Mapping[str, float]:
-        """Return the forces in a frame in N by name, NaN where unknown, from its number and its `perf_counter` time."""
+        """Return the forces in a frame, N, by variable name, NaN where unknown; the frame is given by its number and
+        its time in s on the axis of `time.perf_counter`.
+        """
 
     def close(self) -> None:
-        """End the measurement."""
+        """Stop measuring, and close the sensor if there is one."""
 
 
 class LiveForces(NamedTuple):
-    """Measured forces of a recording by name, in N for each frame from number ``first`` on."""
+    """Forces that were recorded with the frames of a stream: an array in N for each variable name, which begins at
+    frame number ``first``.
+    """
 
     first: int
     values: Mapping[str, Array]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the variables."""
+        """Return the names of the force variables, such as `normal_force`."""
         return tuple(self.values)
 
     def at(self, number: int, time: float) -> Mapping[str, float]:
-        """Return the forces in a frame by name; NaN for frames outside the recorded range."""
+        """Return the forces recorded in frame `number`, N, by variable name; NaN for frames outside the recorded range.
+        The time is not used.
+        """
         place = number - self.first
         return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
 
@@ -56,7 +62,7 @@ class LiveForces(NamedTuple):
 
 
 class SensorForces:
-    """Forces of a live sensor, read by a thread of its own; a frame has the sample nearest in time.
+    """Forces measured by a live sensor, which is read by a thread of its own; a frame gets the sample nearest in time.
 
     Where the nearest sample is more than 0.05 s away, forces are NaN.
     """
@@ -71,7 +77,9 @@ class SensorForces:
         self._thread.start()
 
     def at(self, number: int, time: float) -> Mapping[str, float]:
-        """Return the forces at a time."""
+        """Return the normal and tangential force in N, by variable name, of the sample nearest to a time in s on the
+        axis of `time.perf_counter`; the frame number is not used.
+        """
         samples = list(self._samples)
         place = bisect.bisect_left(samples, time, key=lambda one: one.time)
         near = min(samples[max(place - 1, 0) : place + 1], key=lambda one: abs(one.time - time), default=None)
@@ -80,7 +88,7 @@ class SensorForces:
         return {"normal_force": near.normal, "tangential_force": near.tangential}
 
     def close(self) -> None:
-        """End reading and close the sensor."""
+        """End the thread that reads the sensor and then closes it, waiting for it at most one second."""
         self._stop.set()
         self._thread.join(1.0)
 

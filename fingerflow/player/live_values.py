@@ -15,7 +15,8 @@ _STAMPED = {"frame", "time"}  # which the stamp of a message holds
 
 
 class LiveValues:
-    """Values of a frame by name: scalars of its record, and components of vectors such as `ellipse_center_x`.
+    """Live values of a frame (the numbers that outputs send) by name: scalars of its record, and components of vectors
+    such as `ellipse_center_x`.
 
     Attributes:
         variables: definition of each value.
@@ -34,14 +35,16 @@ class LiveValues:
         }
 
     def units_of(self, names: Sequence[str] | None) -> dict[str, str]:
-        """Return the units of some values by name, or of all for None; raise PlayerError for an unknown one."""
+        """Return the units of the live values with these names, or of all for None, by name; raise PlayerError for an
+        unknown name.
+        """
         for name in names or ():
             if name not in self.variables:
                 raise PlayerError(f"--values: there is no live value {name!r}; there are {', '.join(self.variables)}")
         return {name: self.variables[name].units for name in names or self.variables}
 
     def of(self, record: Array) -> dict[str, float]:
-        """Return the values of a record."""
+        """Return the live values of a frame by name, taken from its record: scalar results and vector components."""
         return {
             name: float(record[field] if place is None else record[field][place])
             for name, (field, place) in self._places.items()

@@ -8,7 +8,8 @@ from typing import Any
 
 
 def load_lsl() -> tuple[Any, float]:
-    """Return the module pylsl, and what added to `time.perf_counter()` gives its clock, in s; ImportError without it.
+    """Import the package pylsl; return the module, and the offset in s that added to `time.perf_counter()` gives the
+    clock of the Lab Streaming Layer. Raise ImportError if the package is missing.
 
     A few readings are taken, of which the one with the shortest time around it counts.
     """

@@ -1,4 +1,4 @@
-"""Objects of a user's module, given as ``module:name``."""
+"""Import of functions from a user's own module, given as ``module:name``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from fingerflow.errors import PlayerError
 
 
 def load_callable(name: str) -> Callable[..., Any]:
-    """Return what ``module:name`` means, for a module in the present folder or installed.
+    """Import and return the function or other callable that a text ``module:name`` means, from a module in the present
+    folder or an installed one.
 
     Raises PlayerError where it cannot be imported, or cannot be called.
     """

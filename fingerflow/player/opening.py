@@ -41,7 +41,8 @@ def open_player(
     forces_of: ReadForces = lambda scene: None,
     on_frame: OnFrame | None = None,
 ) -> Player:
-    """Open all that the options of a stream name, and return the player that is ready to run.
+    """Open the bundle, frame source, force sensor, outputs and results folder that the options name, and return a
+    player that is ready to run.
 
     Args:
         options: of `option_parser`; the camera may be a factory instead of its name.
@@ -127,7 +128,9 @@ def open_player(
 
 
 def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnFrame | None) -> Iterator[Destination]:
-    """Open one after another the outputs of `--send`, and those of `--then` with their conditions."""
+    """Open and yield one after another the outputs of live values: the function `on_frame` if there is one, those of
+    `--send`, and those of `--then` with their conditions.
+    """
     if len(options.when) != len(options.then):
         raise PlayerError(
             f"{len(options.when)} --when and {len(options.then)} --then: give one --then after each --when"

@@ -1,4 +1,5 @@
-"""HTTP server of the live page: three static files, the variables shown, the live data, and a request to reseed.
+"""HTTP server of the live page: static files, the definitions of the variables shown, the live data, and a request to
+choose new points to track.
 
 The page is served to this computer and to those that its address is bound for. Requests without the token of the
 printed address, for another host name, from pages of other sites, or with a body are refused. The number of clients
@@ -124,7 +125,7 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a connection of a client.
+        """Accept the connection of a client, and return its socket and address.
 
         Raises OSError where no client can be accepted; it waits first if all descriptors are in use.
         """
@@ -215,7 +216,9 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def answer(self, status: int, kind: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Send a complete response; an error status ends the connection."""
+        """Send a complete response with an HTTP status, a content type `kind`, a body and further headers; an error
+        status ends the connection.
+        """
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
@@ -238,7 +241,7 @@ class _Handler(BaseHTTPRequestHandler):
             taken += len(part)
 
     def _means_this_computer(self, name: str) -> bool:
-        """Return whether a host name means this computer and can mean no other.
+        """Return whether a host name, from the Host header of a request, means this computer and can mean no other.
 
         Any other name may be a DNS rebinding attack.
         """

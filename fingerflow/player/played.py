@@ -23,7 +23,7 @@ _STILLS = 64  # frames of the empty glass that are averaged: the noise is then a
 
 
 class StreamInput(NamedTuple):
-    """Input of a stream: frame source, range of frames, background image (empty glass) and dark image.
+    """Input of a stream: scene, frame source, range of frames, background image (empty glass) and dark image.
 
     ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
     known. ``forces_in`` is the scene file that names the forces of these frames.
@@ -41,7 +41,9 @@ class StreamInput(NamedTuple):
 
 
 def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
-    """Choose the input of a stream from the command line; raise PlayerError if options and scene conflict."""
+    """Choose frame source, range of frames, background and dark image of a stream by the options of the command line;
+    raise PlayerError if options and scene conflict.
+    """
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
     shape = None if options.shape is None else (options.shape[0], options.shape[1])
@@ -95,7 +97,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """Return the mean image (H, W) float32 of a view over the first 64 frames of a file.
+    """Return the mean image (H, W) float32 of a view over the first 64 frames of a file, such as a recording of the
+    empty glass; `shape` and `dtype` are those of frames of a raw file.
 
     The frames of the file are full frames, or show this view only.
 

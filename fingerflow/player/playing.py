@@ -22,7 +22,8 @@ LiveSource = str | Path | Callable[[], Any] | None
 def play(
     bundle: str | Path, source: LiveSource = None, on_frame: OnFrame | None = None, **options: Any
 ) -> dict[str, Any]:
-    """Play a stream to its end and return its summary; results are stored as by the command line.
+    """Process a stream of frames with a bundle until it ends, store the results as the command line does, and return a
+    summary with frame counts, frame rate and latencies.
 
     Args:
         bundle: folder of the bundle.
@@ -40,7 +41,8 @@ def play(
 
 
 def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -> Iterator[LiveFrame]:
-    """Yield the stamp and the values of each frame of a stream, which ends with the loop.
+    """Process a stream and yield for each frame its stamp (number and times) and its live values by name; leaving the
+    loop ends the stream.
 
     Arguments and errors are those of `play`. While the loop is busy the newest frame waits and older ones are left
     out, except those of a file without `rate`.

@@ -37,7 +37,9 @@ _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": 
 
 
 def _entry(variable: Variable, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Return the description of a record field for the file header; `shape` does not include the frame axis."""
+    """Return the description of one field of the records for the header of the results: name, type, dimensions, unit
+    and definition; `shape` does not include the frame axis.
+    """
     dtype = np.dtype(kind).newbyteorder("<").str
     about = {"name": variable.name, "dtype": dtype, "shape": shape, "dims": variable.dims, "unit": variable.units}
     return {**about, "long_name": variable.long_name, "matlab": _MATLAB[dtype[1:]]}
@@ -65,12 +67,15 @@ class RecordLayout:
         self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])
 
     def fill(self, records: Mapping[str, Array], place: int, results: Mapping[str, Any]) -> None:
-        """Store the results of a frame in record number `place`; `records` holds the field arrays by name."""
+        """Store the results of a frame, by variable name, at index `place` of the arrays that `records` holds for each
+        field.
+        """
         for name in RESULTS:
             records[name][place] = results[name]
 
     def fill_unknown(self, records: Mapping[str, Array], place: int) -> None:
-        """Store a record for a frame without results.
+        """Store a record of unknown values, for a frame without results, at index `place` of the arrays that `records`
+        holds for each field.
 
         It is NaN, 0 in integer fields, and "frame_not_usable" as the status of points.
         """

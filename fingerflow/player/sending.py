@@ -23,14 +23,14 @@ _CLOSING = 2.0  # s that a stopped stream waits for an output before it abandons
 
 
 class Message(NamedTuple):
-    """Stamp and values of a frame that waits to be sent."""
+    """Live values of a frame that waits to be sent, with the frame's stamp (number and times)."""
 
     frame: FrameStamp
     values: Mapping[str, float]
 
 
 class Destination(NamedTuple):
-    """Opened output, and what it is sent.
+    """Opened output, the names of the live values that it is sent, and the condition on which it is sent them.
 
     Attributes:
         name: for messages.
@@ -45,7 +45,7 @@ class Destination(NamedTuple):
 
 
 class Sender:
-    """Thread that passes live values to one output.
+    """Thread that sends the live values of frames to one output.
 
     Of the frames that come while the output is busy the newest is sent next, and the overtaken ones are counted. All of
     them are sent where that takes 10 ms at most, by the time of the last message: then not the output was slow, but
@@ -80,7 +80,9 @@ class Sender:
         self._thread.start()
 
     def offer(self, message: Message) -> None:
-        """Queue the values of a frame for sending, if they are to be sent."""
+        """Queue the live values of a frame for sending; if the output has a condition, only if this becomes true at the
+        frame.
+        """
         if self._condition is not None and not self._condition.becomes_true(message.values):
             return
         self.offered += 1
@@ -90,12 +92,14 @@ class Sender:
             self._pushed_out += self._messages.put_newest(message) is not None
 
     def stop_waiting(self) -> None:
-        """Let the stream no longer wait for this output, so that it can end; what it still offers has failed."""
+        """Let the stream no longer wait for this output, so that it can end; messages that it still offers count as
+        failed.
+        """
         if self._waits:
             self._messages.close()
 
     def close(self) -> None:
-        """Send what waits and close the output; abandon an output that takes longer than two seconds."""
+        """Send the queued messages and close the output; abandon an output that takes longer than two seconds."""
         self._messages.close()
         self._thread.join(_CLOSING)
         if self._thread.is_alive():
@@ -104,21 +108,23 @@ class Sender:
 
     @property
     def overtaken(self) -> int:
-        """Return the number of messages that were not sent because a newer frame was there."""
+        """Return the number of messages that were not sent because a newer frame came while the output was busy."""
         return self._pushed_out + self._passed_over
 
     @property
     def lost(self) -> int:
-        """Return the number of messages that were overtaken or failed."""
+        """Return the number of messages that were not delivered, as a newer frame overtook them or sending failed."""
         return self.overtaken + self.failed
 
     def facts(self) -> dict[str, Any]:
-        """Return the counts and latencies for the summary and the page."""
+        """Return the output's name, its numbers of messages sent, overtaken and failed, and its latencies in ms, for
+        the summary and the live page.
+        """
         counts = {"sent": self.sent, "overtaken": self.overtaken, "failed": self.failed}
         return {"output": self.name, **counts, "latency_ms": self.latencies.summary()}
 
     def said(self) -> str:
-        """Return the counts and latencies as a sentence for the log."""
+        """Return the numbers of messages sent, overtaken and failed, and the latencies, as a sentence for the log."""
         latency = self.latencies.summary()
         return (
             f"{self.name}: {self.sent} sent, {self.overtaken} overtaken by newer frames, {self.failed} failed; "
@@ -126,7 +132,9 @@ class Sender:
         )
 
     def _next(self) -> list[Message]:
-        """Return the messages that are sent next, after waiting for one; none at the end."""
+        """Wait for a message and return the messages to be sent next: all that are queued, or only the newest if
+        sending all would take too long; an empty list at the end of the stream.
+        """
         found: list[Message] = []
         while (message := self._messages.get(wait=not found)) is not None:
             found.append(message)

@@ -20,14 +20,14 @@ class SerialLine(Protocol):
         """Return at least one byte and at most `size`, after waiting for them; b"" if none came for a while."""
 
     def write(self, data: bytes) -> object:
-        """Write all data."""
+        """Write all bytes to the line."""
 
     def close(self) -> None:
         """Close the line."""
 
 
 class PosixLine:
-    """Serial line in raw mode, 8 data bits, no parity, without flow control.
+    """Serial line of Linux or macOS in raw mode: 8 data bits, no parity, no flow control.
 
     An unknown device, one that is no serial line, or a rate that it does not have raises PlayerError.
     """
@@ -57,11 +57,13 @@ class PosixLine:
             raise PlayerError(f"{device} is no serial line") from None
 
     def read(self, size: int) -> bytes:
-        """Return what has arrived, b"" after 0.2 s without data."""
+        """Return the bytes that have arrived, at most `size`, after waiting for the first; b"" after 0.2 s without
+        data.
+        """
         return os.read(self._file, size)
 
     def write(self, data: bytes) -> None:
-        """Write all data."""
+        """Write all bytes to the line."""
         while data:
             data = data[os.write(self._file, data) :]
 
@@ -71,7 +73,7 @@ class PosixLine:
 
 
 class WindowsLine:
-    """Serial line by pyserial."""
+    """Serial line of Windows, opened by the package pyserial."""
 
     def __init__(self, device: str, baud: int) -> None:
         try:
@@ -81,7 +83,9 @@ class WindowsLine:
         self.write, self.close = self._port.write, self._port.close
 
     def read(self, size: int) -> bytes:
-        """Return what has arrived, b"" after 0.2 s without data."""
+        """Return the bytes that have arrived, at most `size`, after waiting for the first; b"" after 0.2 s without
+        data.
+        """
         # With a larger size pyserial waits until so many bytes are there.
         data: bytes = self._port.read(min(size, max(1, self._port.in_waiting)))
         return data

@@ -52,7 +52,8 @@ _RECORDS_WAITING = 512  # records of more than a second, the time that a slow di
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of one run of the player.
+    """Settings of one run of the player: which frames are processed, at what rate and how many at once, when the stream
+    ends, and where the live page is served.
 
     Attributes:
         every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
@@ -134,7 +135,9 @@ class Player:
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
-        """Play the stream to the end and return a summary of the stream."""
+        """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
+        and warnings.
+        """
         after_computing = (self._free.close, self._frames.close, self._close_outcomes)
         after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
@@ -234,7 +237,9 @@ class Player:
         }
 
     def _run_guarded(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Run `step`, then call each function of `after`, which closes a queue; an exception stops the stream."""
+        """Run `step`, the work of one thread, then call each function of `after`, which closes a queue; an exception of
+        `step` stops the stream.
+        """
         try:
             step()
         except BaseException as error:
@@ -287,7 +292,9 @@ class Player:
                 log.info("%s", self._line(self.recent))
 
     def _falls_behind(self, loses: bool, silent: bool) -> str:
-        """Return in a few words how the results of the last second fall behind the camera; "" if they keep up."""
+        """Return in a few words how the results of the last second fall behind the camera, "" if they keep up; `loses`
+        tells whether frames or messages were lost, `silent` whether no result came.
+        """
         if self._can_wait:
             return ""
         median = self.recent["median"]
@@ -339,7 +346,7 @@ class Player:
                 close_within(_HANGING, source)
 
     def _close_failed(self, source: Source | None, error: Exception, attempt: int) -> None:
-        """Close a source that has failed, and wait before it is reopened, longer at each attempt."""
+        """Log the error of a frame source, close it, and wait before it is reopened, longer at each attempt."""
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
@@ -384,7 +391,9 @@ class Player:
             raise
 
     def _begin(self) -> tuple[int, Work] | None:
-        """Begin the next frame and return its number and `Work`; None if no frame is left or the stream has failed."""
+        """Take the next frame from the queue and begin it; return its number and its `Work`, the data of a frame in
+        progress, or None if no frame is left or the stream has failed.
+        """
         with self._beginning:
             if not self._order.wait_for_room():
                 return None
@@ -406,11 +415,15 @@ class Player:
                 self._outcomes.close()
 
     def _end(self, work: Work) -> bool:
-        """Finish a computed frame and pass on the outcome; return False if the stream has failed."""
+        """Finish a frame that has been computed, and queue the frame outcomes that are now final; return False if the
+        stream has failed.
+        """
         return self._queue_outcomes(self._tracker.finish(work))
 
     def _queue_outcomes(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Put final frame outcomes and events into the queue; return False if the stream has failed."""
+        """Queue final frame outcomes, and events such as a new choice of points, for the measuring thread; return False
+        if the stream has failed.
+        """
         return all(self._outcomes.put(one) for one in passed)
 
     # Measure: outcomes -> records.
@@ -427,7 +440,9 @@ class Player:
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _pass_record(self, outcome: FrameOutcome) -> bool:
-        """Compute the results of a frame and pass on a record of them; return False if the stream has failed."""
+        """Compute the results of a frame from its outcome, offer them to the outputs, and queue a record of them to be
+        stored; return False if the stream has failed.
+        """
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)

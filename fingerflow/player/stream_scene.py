@@ -50,12 +50,16 @@ class StreamScene:
 
     @property
     def given_threshold(self) -> float | None:
-        """Return the contact threshold that the scene file gives; None if it is to be measured."""
+        """Return the contact threshold, a relative loss of intensity, that the scene file gives; None if it is to be
+        measured.
+        """
         return None if isinstance(self.threshold, str) else self.threshold
 
 
 def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
-    """Combine a scene and a bundle into the settings for the tracker of a stream."""
+    """Combine the experiment settings of a scene with number of points, bit depth and view size of a bundle into the
+    settings for the tracker of a stream.
+    """
     region = np.zeros((bundle.height, bundle.width), dtype=bool)
     if scene.drawn is not None:
         for row, first, end in region_runs(scene.drawn, *region.shape):
@@ -124,7 +128,9 @@ def load_scene(path: Path) -> StreamScene:
 
 
 def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
-    """Raise PlayerError if a view has a region that a stream does not support."""
+    """Raise PlayerError if a view of the scene file has a region that streams do not support: any in the contact view,
+    one given as a picture in the topography view.
+    """
     if views["contact"].get("region") is not None:
         raise PlayerError(
             f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
@@ -139,7 +145,8 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
 
 
 def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
-    """Check that a bundle fits a scene file or, without a path, the scene of the synthetic source.
+    """Check that a bundle fits a scene: that read from the scene file at `path` or, without a path, that of the
+    synthetic source.
 
     Raises PlayerError where the views do not have the bundle's size, or where a stream does not support the requested
     threshold or reference.

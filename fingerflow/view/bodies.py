@@ -17,7 +17,7 @@ class Body(BaseModel):
 
 
 class EditBody(Body):
-    """Body of an edit request: keys to set, with their values."""
+    """Body of a request to edit the scene: keys to set, with their values."""
 
     set: list[tuple[str, Any]]
 
@@ -39,13 +39,13 @@ class WriteBody(Body):
 
 
 class ProcessBody(Body):
-    """Body of a processing request: whether to compute all variables."""
+    """Body of a request to process the scene: whether to compute also variables that are computed only on request."""
 
     all: bool = False
 
 
 class EndBody(Body):
-    """Body of a request to end a running command, `process` or `report`."""
+    """Body of a request to end a running command: its name, `process` or `report`."""
 
     of: str
 
@@ -58,7 +58,7 @@ class HistoryBody(Body):
 
 
 class TableBody(Body):
-    """Body of a CSV request: the values of one frame, or time series with selected points."""
+    """Body of a request for a CSV table: values of one frame, or time series with the median over selected points."""
 
     of: str
     frame: Number = 0

@@ -36,7 +36,7 @@ class Command:
         self._listener.start()
 
     def state(self) -> dict[str, Any]:
-        """Return status, progress and last output lines of the command."""
+        """Return whether the command runs, failed or ended well, its progress and its last lines of output."""
         code = self._process.poll()
         if code is not None:
             self._listener.join(5)

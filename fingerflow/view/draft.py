@@ -33,7 +33,8 @@ class NeedsLeaveError(FingerflowError):
 
 
 class Draft:
-    """Draft of a scene file; setting a value keeps the comments and the order of keys.
+    """Scene file as it is edited on the page and perhaps not yet saved; setting a value keeps the comments and the
+    order of keys.
 
     Attributes:
         path: path of the scene file, which may not exist yet.
@@ -100,7 +101,7 @@ class Draft:
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Set a key of the draft, or remove it if the value is None.
+        """Set a key of the draft, given as a tuple of table names and key, or remove it if the value is None.
 
         A table that becomes empty is removed, unless it is required.
 
@@ -133,7 +134,9 @@ class Draft:
                     del outer[name]
 
     def _uncomment(self, table: str, key: str) -> None:
-        """Turn a commented line of a key, and a commented heading of its table, into values, where they stand."""
+        """Activate the commented-out line of a key, and the commented-out heading of its table, where they stand in the
+        text.
+        """
         known = self.table(table)
         if key in known:
             return
@@ -151,7 +154,8 @@ class Draft:
                 return
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
-        """Set the kind of the scene, replacing views that do not suit it by default views.
+        """Set the kind of the scene, replacing views that do not suit it by default views for frames of (height, width)
+        px.
 
         Raises:
             FingerflowError: unknown kind.
@@ -168,7 +172,8 @@ class Draft:
             self.set(("views",), _views_of(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
-        """Validate the draft as `process` does, write it as the scene file, and return the path of that file.
+        """Validate the draft as `process` does, write it as the scene file or to another path `to`, and return the path
+        of that file; `replace` allows overwriting a file that the page has not read.
 
         Raises:
             NeedsLeaveError: a file exists with other content than was read, and `replace` is false.

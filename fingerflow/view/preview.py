@@ -46,7 +46,7 @@ class PredictedPoints:
 
 
 class Previewer:
-    """Previewer of a scene: runs stages of `process` for single frames.
+    """Previewer of a scene: runs stages of `process` for single frames, to show what it will compute.
 
     Every frame is assumed usable: `process` decides that from all frames together.
     """
@@ -73,14 +73,16 @@ class Previewer:
         self._begin_contact(same)
 
     def _begin_contact(self, before: "Previewer | None") -> None:
-        """Begin the contact stage, reusing work of the earlier previewer `before` if it has the same inputs."""
+        """Create and begin the contact stage of `process`, reusing work of the earlier previewer `before` if it has the
+        same inputs.
+        """
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Return the times (frames,) in s of the selected frames."""
+        """Return the times (F,) in s of the frames that the scene selects from the recording."""
         return self._inputs.times
 
     @property
@@ -89,7 +91,9 @@ class Previewer:
         return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
-        """Return the forces (F,) at the selected frames by name of the result variable."""
+        """Return normal force, tangential force and their ratio (F,) at the frames that the scene selects, as far as
+        known, by variable name.
+        """
         given = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,
@@ -126,7 +130,7 @@ class Previewer:
         return PredictedPoints(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
-        """Return a run context of the pipeline with storage for the results of `stored` frames."""
+        """Return a new context for running stages of `process`, with storage for the results of `stored` frames."""
         planned = plan(None, self.scene)
         return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
 
@@ -147,7 +151,7 @@ def all_of_default_stages(scene: Scene) -> list[str]:
 
 
 def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """Return the numbers that a contact stage computed for one frame, without the frame status."""
+    """Return the values that a contact stage computed for one frame, by variable name, without the frame status."""
     return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 

@@ -79,7 +79,8 @@ class Results:
         return int(self.data.sizes["frame"]) // 2
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return numbers and arrays of a frame, given by its index in the result; `shown` is the key of a map, or None.
+        """Return scalar results by name, and arrays by name (positions, displacements, regions, values of a map), of
+        the frame at an index of the result; `shown` is the key of the map, or None.
 
         Raises:
             FingerflowError: no such frame or key.
@@ -106,11 +107,13 @@ class Results:
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
-        """Return the point indices (M, 3) of the corners of M triangles."""
+        """Return the triangles between tracked points: indices (M, 3) of the points at the corners of M triangles."""
         return np.asarray(self.data["triangles"].values, dtype=np.int32)
 
     def course(self, key: str) -> Values:
-        """Return the time series (F,) of a variable with one value per frame, or of "time"."""
+        """Return the time series (F,) that a key names: a variable or component with one value per frame, or "time" in
+        s.
+        """
         if key == "time":
             return np.asarray(self.data["time"].values, dtype=np.float64)
         values = self._component(key, self.data[self._name(key)].dims, self.data[self._name(key)].values)
@@ -119,7 +122,9 @@ class Results:
         return values
 
     def of_points(self, key: str, points: Sequence[int]) -> Values:
-        """Return time series (F, K) of a variable at K selected points, duplicates removed and in ascending order."""
+        """Return time series (F, K) of the variable that a key names at K selected points, without duplicates and in
+        ascending order.
+        """
         variable = self.data[self._name(key)]
         if variable.dims[:2] != ("frame", "point"):
             raise FingerflowError(f"{key} is not of points: choose a map of points")
@@ -129,7 +134,8 @@ class Results:
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
     def range_of(self, key: str) -> tuple[float, float]:
-        """Return the colour limits for all frames: symmetric about 0 for signed values, else starting at 0.
+        """Return the colour limits, for all frames, of the map that a key names: symmetric about 0 for signed values,
+        else starting at 0.
 
         It is computed from 24 frames, without 4 % of the values at either end.
         """
@@ -148,7 +154,9 @@ class Results:
         return self._ranges[key]
 
     def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
-        """Return time series as CSV text with one row per frame, with medians of a variable over selected points."""
+        """Return the time series of `keys` as CSV text with one row per frame, and with them the median of `point_key`
+        over the selected points.
+        """
         columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
         for key in keys:
             columns |= self._column(key, key, self.course(key))
@@ -158,7 +166,9 @@ class Results:
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
-        """Return a frame's values as CSV text with one row per point, or per triangle if `shown` is of triangles."""
+        """Return positions, status and the map `shown` in a frame as CSV text with one row per point, or per triangle
+        if the map is of triangles.
+        """
         of = "point" if shown is None else (*self.data[self._name(shown)].dims, "")[1]
         if of not in ("point", "triangle") or "position" not in self.data:
             raise FingerflowError(
@@ -178,7 +188,9 @@ class Results:
         return _csv(columns)
 
     def _menu_entries(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-        """List the variables with the given dimensions for menus of the page, one entry for each component."""
+        """Return entries for menus of the page (key, definition and last dimension) of the variables that begin with
+        the given dimensions, one for each component.
+        """
         found = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
@@ -193,7 +205,9 @@ class Results:
         return found
 
     def _arrow_scale(self) -> float:
-        """Return an arrow scale, to one digit, that draws the largest displacements 40 px long; 0 if unknown."""
+        """Return the factor, to one digit, by which arrows are longer than displacements, so that the largest are drawn
+        40 px long; 0 if there are no displacements.
+        """
         if "displacement" not in self.data:
             return 0.0
         _, largest = self.range_of("displacement:length")
@@ -206,7 +220,9 @@ class Results:
         return name
 
     def _column(self, key: str, heading: str, values: Values) -> dict[str, Values]:
-        """Return a column of a table in the shown unit of the variable, by its heading."""
+        """Return a column of a CSV table by its heading with unit: values of the variable that a key names, converted
+        to the unit in which it is shown.
+        """
         name = self._name(key)
         unit = shown_unit(name, str(self.data[name].attrs.get("units", "")))
         return {unit.heading(heading): unit.factor * values}
@@ -216,7 +232,7 @@ class Results:
         return self._component(key, self.data[name].dims[1:], self._row(name, frame))
 
     def _row(self, name: str, frame: int) -> NDArray[Any]:
-        """Return the stored values of a variable in one frame."""
+        """Return the stored values of a variable in the frame at an index of the result."""
         if name not in self._stored:
             self._stored[name] = self._file[name]
         row: NDArray[Any] = self._stored[name][frame]
@@ -239,7 +255,7 @@ class Results:
 
 
 def median_of(values: Values) -> Values:
-    """Return the median (F,) over points of time series (F, K), ignoring NaN."""
+    """Return the median (F,) over K points of time series (F, K), ignoring NaN."""
     # With it comes torch: not before the first picture.
     from fingerflow.pipeline.stages.preparation.series import nanmedian
 

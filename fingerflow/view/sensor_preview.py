@@ -67,7 +67,9 @@ class SensorPreviewer(Previewer):
         raise FingerflowError("the markers of a soft sensor are followed, all of them: no points are seeded")
 
     def _followed(self, frames: NDArray[Any]) -> MarkerContactStage:
-        """Return a contact stage for the given frames, after detecting and matching the markers in them."""
+        """Return the contact stage of a soft sensor for the frames at these indices, after detecting the sensor's
+        markers in them and matching them from frame to frame.
+        """
         inputs = self._inputs
         some = replace(inputs, recording=inputs.recording[frames], times=inputs.times[frames])
         trial = RunContext(some, MemoryStore(VARIABLES, len(frames)), self._trial.planned, self._trial.asked, {})

@@ -176,7 +176,9 @@ def _variables(_: object) -> dict[str, dict[str, object]]:
 
 
 def _switch_unit(_: object) -> dict[str, dict[str, object]]:
-    """Switch deformation between both units, for the page and all that it writes; return the variables as shown."""
+    """Switch the unit in which the page and all that it writes show deformation between µm/mm and %; return the
+    variables with their units as shown.
+    """
     os.environ[IN_PERCENT] = "0" if os.environ.get(IN_PERCENT) == "1" else "1"
     return _variables(_)
 

@@ -34,7 +34,9 @@ Facts = dict[str, Any]
 
 
 class Session:
-    """State of the page on the server, shared by all browser windows."""
+    """State of the page on the server (edited scene, result, open files, running commands), shared by all browser
+    windows; its methods answer the requests of the page.
+    """
 
     def __init__(self, opened: Opened) -> None:
         self._lock = threading.RLock()
@@ -49,7 +51,9 @@ class Session:
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
 
     def open(self) -> None:
-        """Load draft and result before the first request of the page; errors are reported by later requests."""
+        """Load the draft of the scene and the result before the first request of the page; errors are reported by later
+        requests.
+        """
         if self._result_path is not None:
             with contextlib.suppress(FingerflowError):
                 self.result()
@@ -75,7 +79,7 @@ class Session:
     # Setting up.
 
     def setup(self) -> Facts:
-        """Return the draft for the page: values, validation problems and properties of the recording."""
+        """Return the draft of the scene file for the page: values, validation problems and recording properties."""
         with self._lock:
             draft = self._draft
             if draft is None:
@@ -114,7 +118,9 @@ class Session:
         return {"folder": str(folder), "at": "" if relative == "." else relative, "folders": folders, "files": files}
 
     def frame(self, frame: int, contact: bool) -> bytes:
-        """Return the image of a frame (index in the file) as packed bytes, with the predicted contact if requested."""
+        """Return the image of a frame (index in the file) and, if requested, the contact predicted in it, as packed
+        bytes.
+        """
         with self._lock:
             pictures = self._pictures_of_draft()
             if not 0 <= frame < len(pictures.recording):
@@ -133,7 +139,9 @@ class Session:
             return packed(facts, arrays)
 
     def points(self) -> bytes:
-        """Return the points that `process` would track, as packed bytes."""
+        """Return the positions (N, 2) px of the points that `process` would track, with their frame and warnings, as
+        packed bytes.
+        """
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
@@ -141,7 +149,9 @@ class Session:
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
-        """Return the draft's forces at the times of the frames, calibration and warnings, as packed bytes."""
+        """Return the forces of the edited scene at the times of its frames, with its calibration and warnings, as
+        packed bytes.
+        """
         with self._lock:
             previewer = self._previewer()
             scene = previewer.scene
@@ -322,13 +332,15 @@ class Session:
             return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
-        """Return time series of the result for several variables, as packed bytes."""
+        """Return time series of the result for the variables or components that keys name, as packed bytes."""
         with self._lock:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, asked: Mapping[str, Any]) -> bytes:
-        """Return the time series of a point with its status, or of several points the median and number known."""
+        """Return the time series of a variable at one point with its status, or the median over several points, with
+        the number of points at which it is known, as packed bytes.
+        """
         key, points = asked["key"], [int(one) for one in asked["points"]]
         with self._lock:
             result = self._opened_result()
@@ -339,7 +351,7 @@ class Session:
             return packed({"key": key, "points": points}, arrays)
 
     def table(self, asked: Mapping[str, Any]) -> str:
-        """Return CSV text of the displayed time series, or of the displayed frame."""
+        """Return CSV text of the time series, or of the frame, that the page displays."""
         with self._lock:
             result = self._opened_result()
             if asked["of"] == "frame":
@@ -354,7 +366,9 @@ class Session:
         return self._draft
 
     def _channels(self) -> list[str]:
-        """Return the column names of the draft's force file; an empty list if the file cannot be read."""
+        """Return the column names of the force file that the edited scene names; an empty list if the file cannot be
+        read.
+        """
         file = self._drafted().table("forces").get("file")
         path = self._drafted().path.parent / file if isinstance(file, str) and file else None
         try:
@@ -386,7 +400,9 @@ class Session:
         return self._preview[1]
 
     def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
-        """Return the predicted contact in a frame (index in the file), without arrays for a frame not selected."""
+        """Return the predicted contact in a frame (index in the file): numbers by name and arrays by name, the latter
+        empty for a frame that the scene does not select.
+        """
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}
@@ -449,7 +465,7 @@ def _calibration_picture(draft: Draft) -> Path | None:
 
 
 def _same_frames(result: Path, scene: Scene) -> bool:
-    """Return True if a result was computed with the same recording settings as a scene has now."""
+    """Return True if a result file was computed with the recording settings that a scene has now."""
     with open_result(result) as earlier:
         return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
 

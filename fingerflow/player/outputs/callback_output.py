@@ -1,4 +1,4 @@
-"""Output to a function of the user's own."""
+"""Output of live values to a Python function of the user's own."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ OnFrame = Callable[[FrameStamp, Mapping[str, float]], Any]
 
 
 class CallbackOutput:
-    """Output that calls a function with the stamp of a frame and its values."""
+    """Output that calls a user's function for each frame, with the frame's stamp (number and times) and its live values
+    by name.
+    """
 
     def __init__(self, function: OnFrame) -> None:
         self._function = function
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Call the function."""
+        """Call the user's function with the stamp of a frame and its live values by name."""
         self._function(frame, values)
 
     def close(self) -> None:
-        """Do nothing, as the function is the user's."""
+        """Do nothing, as there is no connection to close."""
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return the output to a function given as MODULE:FUNCTION."""
+    """Import the function that an address MODULE:FUNCTION names, and return an output that calls it; units are not
+    used.
+    """
     return CallbackOutput(load_callable(address))

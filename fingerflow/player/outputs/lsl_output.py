@@ -15,7 +15,8 @@ log = logging.getLogger("fingerflow.player")
 
 
 class LslOutlet:
-    """Outlet of one sample per frame, stamped with the camera time on the clock of LSL.
+    """Output of live values as a Lab Streaming Layer (LSL) stream: one sample per frame, stamped with the camera time
+    on the clock of LSL.
 
     Channels are the number of the frame, the time of writing on the same clock, and the values, with label and unit.
     """
@@ -33,15 +34,17 @@ class LslOutlet:
         log.warning("LSL serves the stream %r to every computer of this network, without a password", info.name())
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the values of a frame."""
+        """Send the frame number, the time of writing and the live values of a frame as one sample of the stream."""
         sample = [float(frame.number), frame.written + self._shift, *values.values()]
         self._outlet.push_sample(sample, frame.camera_time + self._shift)
 
     def close(self) -> None:
-        """Withdraw the stream."""
+        """Withdraw the stream from the network."""
         del self._outlet
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return the outlet of a new stream with this name."""
+    """Create a Lab Streaming Layer stream with the name `address` and a channel for each value that has an entry in
+    `units`; return the output to it.
+    """
     return LslOutlet(address, units)

@@ -23,7 +23,7 @@ class OscOverUdp:
         self.close = self._datagrams.close
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the values of a frame; one that is unknown is NaN."""
+        """Send the live values of a frame as one OSC bundle in a UDP datagram; an unknown value is NaN."""
         stamp = struct.pack(">idd", frame.number, frame.camera_time, frame.written)
         messages = (
             _padded(f"/fingerflow/{name}") + _padded(",fidd") + struct.pack(">f", value) + stamp
@@ -33,11 +33,11 @@ class OscOverUdp:
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return an output to HOST:PORT."""
+    """Return an output that sends OSC bundles by UDP to the address HOST:PORT; units are not used."""
     return OscOverUdp(address)
 
 
 def _padded(text: str) -> bytes:
-    """Return a text with one to four zero bytes behind it, to a multiple of four."""
+    """Encode a text as an OSC string: append one to four zero bytes, so that the length is a multiple of four."""
     data = text.encode()
     return data + b"\0" * (4 - len(data) % 4)

@@ -11,7 +11,8 @@ from fingerflow.engines.engine import Array
 
 
 class FrameStamp(NamedTuple):
-    """Stamp of the frame to which live values belong.
+    """Stamp of a message with live values: number, camera time and record of the frame they belong to, and time of
+    writing.
 
     Attributes:
         number: of the frame, as in the records; gaps are frames that were dropped or overtaken.
@@ -28,20 +29,20 @@ class FrameStamp(NamedTuple):
 
 
 class Output(Protocol):
-    """Interface of a receiver of live values. An output is called by a thread of its own."""
+    """Interface of an output, which sends the live values of frames to a receiver; a thread of its own calls it."""
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the values of a frame, by the names and in the units of the data set; NaN where one is unknown.
+        """Send the live values of a frame, given by variable name in the units of the data set, NaN where unknown.
 
         Any exception counts as a message that failed.
         """
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection to the receiver."""
 
 
 def as_json(frame: FrameStamp, values: Mapping[str, float]) -> bytes:
-    """Return a message as one JSON object; a value that is unknown is null."""
+    """Encode number and times of a frame and its live values by name as one JSON object, with null for unknown ones."""
     stamp = {"frame": frame.number, "camera_time": frame.camera_time, "written": frame.written}
     known = {name: value if math.isfinite(value) else None for name, value in values.items()}
     return json.dumps(stamp | known, separators=(",", ":")).encode()

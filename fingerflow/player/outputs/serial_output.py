@@ -11,18 +11,22 @@ ADDRESS = f"{FORM}[:TEXT]"
 
 
 class SerialOutput:
-    """Output that writes the same text for every frame, or without a text a line of JSON."""
+    """Output to a serial line, which writes for each frame that it is sent the same text or, without a text, the live
+    values as a line of JSON.
+    """
 
     def __init__(self, line: SerialLine, text: str) -> None:
         self._line, self._text = line, text.encode()
         self.close = line.close
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Write the text, or the values of a frame."""
+        """Write the fixed text or, without one, the stamp and live values of a frame as a line of JSON."""
         self._line.write(self._text or as_json(frame, values) + b"\n")
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Open the serial line DEVICE[@BAUD][:TEXT]."""
+    """Open the serial line of an address DEVICE[@BAUD][:TEXT], and return an output that writes TEXT, or JSON without
+    it; units are not used.
+    """
     device, _, text = address.partition(":")
     return SerialOutput(open_line(device), text)

@@ -38,17 +38,17 @@ class Datagrams:
 
 
 class JsonOverUdp:
-    """Output of one JSON datagram per frame."""
+    """Output that sends the live values of each frame as one JSON object in a UDP datagram."""
 
     def __init__(self, address: str) -> None:
         self._datagrams = Datagrams(address)
         self.close = self._datagrams.close
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the values of a frame."""
+        """Send the stamp and live values of a frame as one JSON datagram."""
         self._datagrams.write(as_json(frame, values))
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return an output to HOST:PORT."""
+    """Return an output that sends JSON datagrams to the address HOST:PORT; units are not used."""
     return JsonOverUdp(address)

@@ -13,7 +13,8 @@ _LINGER = 500  # ms that a message at the end waits for its receiver
 
 
 class ZeroMq:
-    """Output to a PULL socket that the receiver has bound; the player opens no port.
+    """Output of live values as JSON messages to a ZeroMQ socket of type PULL that the receiver has bound; the player
+    opens no port.
 
     PUSH reports a message that nobody can take, which PUB drops in silence: without a receiver, or while the receiver
     is slower than the frames, messages count as failed.
@@ -34,7 +35,7 @@ class ZeroMq:
         self._socket.connect(address)
 
     def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the values of a frame; raise OSError if no receiver takes them now."""
+        """Send the stamp and live values of a frame as one JSON message; raise OSError if no receiver takes it now."""
         try:
             self._socket.send(as_json(frame, values), self._zmq.NOBLOCK)
         except self._zmq.Again:
@@ -47,5 +48,7 @@ class ZeroMq:
 
 
 def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return an output to a PULL socket."""
+    """Return an output that sends JSON messages to a ZeroMQ PULL socket at the address tcp://HOST:PORT; units are not
+    used.
+    """
     return ZeroMq(address)

@@ -14,7 +14,8 @@ _NONE_NOW = 0.001  # s
 
 
 class CallbackSensor:
-    """Sensor that a function reads: it waits for a sample and returns its forces in N, or None if there is none.
+    """Force sensor that a user's function reads: it waits for a sample and returns its forces in N, or None if there is
+    none.
 
     A number is the normal force, a tuple normal force and up to two tangential components. The time of a sample is that
     of the function's return. Its `close` is called if it has one.
@@ -24,7 +25,9 @@ class CallbackSensor:
         self._grab = grab
 
     def read(self) -> ForceSample | None:
-        """Return the next sample."""
+        """Call the user's function, and return its forces as a sample with the time of its return; None if it returns
+        None.
+        """
         forces = self._grab()
         if forces is None:
             time.sleep(_NONE_NOW)
@@ -33,10 +36,12 @@ class CallbackSensor:
         return sample_of(now, [float(one) for one in forces] if isinstance(forces, (tuple, list)) else [float(forces)])
 
     def close(self) -> None:
-        """Close the sensor."""
+        """Call `close` of the user's function, if it has one."""
         getattr(self._grab, "close", lambda: None)()
 
 
 def open_address(address: str) -> ForceSensor:
-    """Open the sensor whose factory is MODULE:FACTORY; the factory returns the function that reads."""
+    """Return the force sensor of an address MODULE:FACTORY; the factory is called and returns the function that reads
+    the sensor.
+    """
     return CallbackSensor(load_callable(address)())

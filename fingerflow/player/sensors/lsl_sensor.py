@@ -11,7 +11,8 @@ _FINDING, _WAITING = 5.0, 0.2  # s
 
 
 class LslSensor:
-    """Inlet of the forces of a stream: its channels `normal_force` and `tangential_force`, else its first to third.
+    """Force sensor that is a Lab Streaming Layer (LSL) stream: its channels `normal_force` and `tangential_force` or,
+    without these names, its first one to three.
 
     The times of samples are the stream's own, on the clock of this computer. A stream that cannot be found, or whose
     channels are not in N, raises PlayerError.
@@ -33,17 +34,21 @@ class LslSensor:
             raise PlayerError(f"the LSL stream {name!r} has forces in {wrong[0]}; send them in N")
 
     def read(self) -> ForceSample | None:
-        """Return the next sample; None if none came for 0.2 s."""
+        """Return the next sample of the stream, with its time on the axis of `time.perf_counter`; None if none came for
+        0.2 s.
+        """
         sample, time = self._inlet.pull_sample(timeout=_WAITING)
         if sample is None:
             return None
         return sample_of(time - self._shift, [float(sample[place]) for place in self._places])
 
     def close(self) -> None:
-        """Close the inlet."""
+        """Close the connection to the stream."""
         self._inlet.close_stream()
 
 
 def open_address(address: str) -> ForceSensor:
-    """Open the stream with this name."""
+    """Find the Lab Streaming Layer stream with the name `address` in the network, and return the force sensor that
+    reads it.
+    """
     return LslSensor(address)

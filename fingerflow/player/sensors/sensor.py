@@ -9,7 +9,7 @@ from fingerflow.errors import PlayerError
 
 
 class ForceSample(NamedTuple):
-    """Sample of a force sensor.
+    """Sample of a force sensor: time, normal force and tangential force.
 
     Attributes:
         time: s, on the axis of `time.perf_counter`.
@@ -31,11 +31,12 @@ class ForceSensor(Protocol):
         """
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection to the sensor."""
 
 
 def sample_of(time: float, forces: tuple[float, ...] | list[float]) -> ForceSample:
-    """Return the sample of one to three forces in N: normal, tangential, or normal and two tangential components.
+    """Return the sample at a time, s, of one to three forces in N: normal; normal and tangential; or normal and two
+    tangential components, of which the magnitude is taken.
 
     Raises PlayerError for another number of forces.
     """

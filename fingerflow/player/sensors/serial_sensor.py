@@ -11,7 +11,7 @@ ADDRESS = FORM
 
 
 class SerialSensor:
-    """Sensor that writes lines such as "1.25, 0.31": normal force and up to two tangential components, N.
+    """Force sensor that sends lines of text such as "1.25, 0.31": normal force and up to two tangential components, N.
 
     The time of a sample is the arrival of the end of its line.
     """
@@ -36,5 +36,5 @@ class SerialSensor:
 
 
 def open_address(address: str) -> ForceSensor:
-    """Open the sensor on the line DEVICE[@BAUD]."""
+    """Open the serial line of an address DEVICE[@BAUD], and return the force sensor that reads it."""
     return SerialSensor(open_line(address))

@@ -16,7 +16,8 @@ _SILENT = 5.0  # s without a frame, after which the camera is opened again
 
 
 class GenICamCamera:
-    """First camera of a GenTL producer, or that with a serial number; features of the camera are set before it starts.
+    """Frame source that is the first camera found by a GenTL producer (a maker's driver file), or that with a serial
+    number; features of the camera are set before it starts.
 
     Frames are Mono8 to Mono16. The time stamp is the camera's; NaN where its producer passes none on.
     """
@@ -65,7 +66,7 @@ class GenICamCamera:
             return frame
 
     def close(self) -> None:
-        """Stop and release the camera and its producer."""
+        """Stop and release the camera, and reset its GenTL producer."""
         if self._camera is not None:
             self._camera.stop()
             self._camera.destroy()
@@ -73,7 +74,9 @@ class GenICamCamera:
 
 
 def open_address(address: str) -> Source:
-    """Open the camera of PRODUCER.cti, with `serial` and features of the camera as NAME=VALUE."""
+    """Open the GenICam camera of an address PRODUCER.cti[,serial=NUMBER][,FEATURE=VALUE]..., and return it as a source
+    of frames.
+    """
     producer, *settings = address.split(",")
     pairs = dict(one.partition("=")[::2] for one in settings)
     serial = pairs.pop("serial", None)
@@ -81,7 +84,9 @@ def open_address(address: str) -> Source:
 
 
 def _set(nodes: Any, name: str, value: str) -> None:
-    """Set a feature of the camera from text; raise PlayerError if it is unknown or does not take the value."""
+    """Set the feature `name` of a camera, in its node map, to a value given as text; raise PlayerError if the camera
+    has no such feature or does not take the value.
+    """
     node = getattr(nodes, name, None)
     if node is None:
         raise PlayerError(f"the camera has no feature {name!r}")

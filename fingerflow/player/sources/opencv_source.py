@@ -14,7 +14,8 @@ ADDRESS = "opencv:INDEX"
 
 
 class OpenCvCamera:
-    """Camera number INDEX of this computer, or a stream of this address; colours are converted to grey.
+    """Frame source that is a camera of this computer, given by its number, or a network stream, given by its address;
+    colours are converted to grey.
 
     The time stamp is the driver's, where it gives one.
     """
@@ -47,5 +48,5 @@ class OpenCvCamera:
 
 
 def open_address(address: str) -> Source:
-    """Open the camera of this number."""
+    """Open the camera with this number or the network stream with this address, as a source of frames."""
     return OpenCvCamera(address)

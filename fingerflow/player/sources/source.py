@@ -35,7 +35,7 @@ OpenSource = Callable[[int], Source]  # from the number of the next frame
 
 
 class SourceRequest(NamedTuple):
-    """Request to open a file or folder as a source of frames.
+    """Request to open a file or folder as a source of frames, from a frame number on.
 
     Attributes:
         first: number of the first frame to read.
@@ -49,7 +49,7 @@ class SourceRequest(NamedTuple):
 
 
 class RecordedFrames:
-    """Source of the frames (H, W) of a file, read by an iterator; `close` closes the file."""
+    """Source of frames (H, W) that an iterator reads from a file; `close` closes the file."""
 
     live, stamp = False, math.nan
 

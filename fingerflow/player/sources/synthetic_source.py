@@ -16,7 +16,9 @@ _NOISES, _NOISE_STEP = 4099, 1009  # different cuts of the noise, and of two con
 
 
 def side_by_side(height: int, width: int) -> StreamScene:
-    """Return the scene of the synthetic source: topography view on the left, contact view on the right."""
+    """Return the scene of the synthetic source, with two views of height x width px: topography on the left, contact on
+    the right.
+    """
     return StreamScene(
         contact=View((0, height), (width, 2 * width)),
         topography=View((0, height), (0, width)),
@@ -42,7 +44,7 @@ class Synthetic:
     half_period = 60  # frames
 
     def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
-        """Draw and store the frames of half a press period.
+        """Draw and store the frames of half a press period, from least to most contact, with the views of a scene.
 
         `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
         """
@@ -71,7 +73,7 @@ class Synthetic:
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
-        """Continue with frame `number`, and return the source itself."""
+        """Let `read` go on with frame `number`, and return the source itself."""
         self._next = number
         return self
 
@@ -84,7 +86,8 @@ class Synthetic:
         return frame
 
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
-        """Return the true results in frame `number`, with which a measurement is compared.
+        """Return the true contact areas in mm², ellipse semi-axes in mm and median divergence in frame `number`, by
+        name; `restart` is the number of times that points have been seeded until then.
 
         The divergence is included only for points seeded at the first restart, in frame 0.
         """
@@ -95,7 +98,9 @@ class Synthetic:
         return self._expected[place] | {"median_divergence": known[place]}
 
     def _buffer_index(self, number: int) -> int:
-        """Return the buffer index at which frame `number` is stored."""
+        """Return the index among the stored frames of half a period at which frame `number` is found, as they are
+        played forwards and backwards in turn.
+        """
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
 
@@ -104,7 +109,8 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Return the brightness of a drawn finger, about -1 to 1, and the share of light lost to contact.
+    """Draw a finger in a view of (height, width) px at a progress 0 to 1 of the press; return the brightness of its
+    skin, about -1 to 1, and the share of light lost to contact.
 
     Both are (H, W) float32.
     """

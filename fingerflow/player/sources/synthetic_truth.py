@@ -15,7 +15,7 @@ _HALVINGS = 30
 
 
 class Pose(NamedTuple):
-    """Position, rotation and spread of the skin, and contact ellipse, in px, at a progress 0 to 1 of the press.
+    """Shift, rotation and uniform stretch of the skin, and contact ellipse, in px, at a progress 0 to 1 of the press.
 
     Values are arrays if the progress is an array. Skin that lies at u from the middle of the view at progress 0 lies at
     ``shift + spread R(turn) u``. The contact is an ellipse about ``shift`` with the semi-axes ``semi`` along x and y.
@@ -62,14 +62,17 @@ class Pose(NamedTuple):
         return self.semi[0] * share, self.semi[1] * share
 
     def reach(self, skin: Array) -> Array:
-        """Return the normalised radius of skin points (..., 2) in the contact ellipse: below 1 in contact."""
+        """Return the distance of skin points (..., 2), given at progress 0, from the centre of the contact ellipse,
+        relative to the ellipse's border in that direction: below 1 in contact.
+        """
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         a, b = self.seen_axes()
         return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
 
 
 def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
-    """Return the true contact areas in mm² and ellipse semi-axes in mm of a frame, by name.
+    """Return the true contact areas in mm² and ellipse semi-axes in mm, by name, at a progress 0 to 1 of the press in
+    views of (height, width) px.
 
     Args:
         touching_px: number of pixels that have lost more than half of the light that contact can take.
@@ -84,7 +87,8 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Return the true median divergence over the contact, for displacements since each point's onset of contact.
+    """Return the true median over the contact of the divergence of skin displacement, where the displacement of each
+    point counts from the moment at which the growing contact reached it.
 
     Points are seeded at progress 0. Skin u is touched at the progress p0(u) at which the growing contact reaches it:
     its displacement is x(u, p) - x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted
