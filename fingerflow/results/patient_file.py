@@ -19,7 +19,9 @@ _MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 30
 
 
 class Refusal(NamedTuple):
-    """Period in which the full disk refused data: duration, and largest amount of data buffered."""
+    """Period during which a full disk accepted no data: its duration in s, and the largest number of bytes buffered
+    meanwhile.
+    """
 
     seconds: float
     kept: int  # bytes, largest amount buffered
@@ -58,7 +60,7 @@ class PatientFile:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write all buffered bytes to the file.
+        """Write all buffered bytes to the file; while the disk is full, keep them in memory for a later attempt.
 
         The first success after a full disk returns the `Refusal` that it ends; otherwise None is returned.
 

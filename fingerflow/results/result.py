@@ -74,7 +74,9 @@ class StoredValues(NamedTuple):
 
 
 class Own(dict[str, StoredValues]):
-    """Variables by name, read from a result file that this process itself wrote, and the attributes of the file."""
+    """Variables by name, read from a result file that this process itself wrote; `attrs` holds the attributes of the
+    file.
+    """
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
@@ -82,7 +84,8 @@ class Own(dict[str, StoredValues]):
 
 
 def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
-    """Read named variables from a result file that this process itself wrote; missing variables are left out.
+    """Read the variables `names` of a result file that this process itself wrote, and its frame numbers and times;
+    variables that the file lacks are left out.
 
     Attributes are read only of the variables named in `described`. Values and texts are those of :func:`load_result`,
     which opens every variable of the file first; for a small recording that takes longer than a stage.

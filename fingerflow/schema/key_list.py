@@ -72,7 +72,8 @@ _PLAIN: dict[type, str] = {
 
 
 def _words(of: Any) -> str:
-    """Return the type and range of a key in words, such as "odd whole number ≥ 3"."""
+    """Return in words the type and range of a key of scene files, such as "odd whole number ≥ 3", given its type `of`.
+    """
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:
