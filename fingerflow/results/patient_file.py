@@ -95,7 +95,9 @@ class PatientFile:
         os.close(self._file)
 
     def _raise_or_wait(self, error: OSError) -> None:
-        """Raise a write error, unless the cause is a disk that has been full for less than half a minute."""
+        """Raise a write error, unless its cause is a disk that has been full for less than half a minute; then return,
+        to try again.
+        """
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

@@ -25,7 +25,8 @@ MARK = "fingerflow_version"  # attribute that identifies a result
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
-    """Write a result to an HDF5/NetCDF4 file, which appears under the final name only when complete.
+    """Write a result, a data set as `process` returns it, to an HDF5/NetCDF4 file, which appears under the final name
+    only when complete.
 
     Raises FingerflowError where it cannot be written, for example if the disk has less free space than the result takes
     in memory, and without `overwrite` where the path is an existing file that is no result.
@@ -120,7 +121,7 @@ def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
 
 
 def scene_of(path: Path) -> Path:
-    """Return the path of the scene file of a result.
+    """Return the path of the scene file with which the result in the file `path` was computed.
 
     Raises FingerflowError where the file is no result, or its scene file does not exist any more.
     """

@@ -49,7 +49,7 @@ class Store(ABC):
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Prepare an empty store for a number of `frames`, in which only variables named in `known` may be created."""
+        """Prepare an empty store for a number of `frames`; only variables that `known` defines may be created in it."""
         self._known = known
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
@@ -135,9 +135,7 @@ class MemoryStore(Store):
 
 
 def indexed_by_time(result: xr.Dataset) -> xr.Dataset:
-    """Return a result in which frames can also be selected by time (s), as in ``result.sel(time=0.25,
-    method="nearest")``.
-    """
+    """Return a result whose frames can also be selected by time, s: ``result.sel(time=0.25, method="nearest")``."""
     return result.set_xindex("time") if "time" in result.coords else result
 
 
@@ -293,5 +291,5 @@ class _Stored:
 
 
 def _fill(variable: Variable) -> tuple[float, str]:
-    """Return fill value and data type for array elements of a variable that are not written yet."""
+    """Return fill value and data type for the elements of the array of a variable that are not written yet."""
     return (np.nan if variable.kind.startswith("f") else 0), variable.kind

@@ -30,7 +30,7 @@ _AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the p
 
 
 class StreamResults(NamedTuple):
-    """Content of the results folder of a stream: header, one record per processed frame, and events."""
+    """Content of the results folder of a camera stream: header, one record per processed frame, and events."""
 
     records: Array
     header: dict[str, Any]
@@ -38,7 +38,8 @@ class StreamResults(NamedTuple):
 
 
 def read_results(folder: str | Path) -> StreamResults:
-    """Read all complete records in the results folder of a stream, even while the writer is still running.
+    """Read the complete records, header and events in the results folder of a stream, even while the writer is still
+    running.
 
     ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
     ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.

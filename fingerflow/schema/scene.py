@@ -254,8 +254,8 @@ class Scene:
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if the scene asks for slip from dense optical flow, else None, so that ``has("dense_flow_slip")``
-        is False.
+        """Return True if slip is to be measured by dense optical flow, else None, so that ``has("dense_flow_slip")`` is
+        False.
         """
         return True if self.slip.displacement == "dense_flow" else None
 
@@ -269,7 +269,7 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Return all settings, including defaults, as JSON text of tables and keys."""
+        """Return all settings of the scene, including defaults, as JSON text with tables and keys as in the file."""
         return json.dumps(_plain(self))
 
 

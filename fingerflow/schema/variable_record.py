@@ -113,7 +113,7 @@ class Variable:
         return self.shown_unit.heading(words)
 
     def shown(self) -> dict[str, object]:
-        """Return what a web page needs to show the variable: label, unit, factor, decimals, and the alternative unit in
+        """Return what a web page needs to show the variable: label, unit, factor, decimals, and the unit to show it in
         %.
         """
         unit = self.shown_unit

@@ -47,7 +47,7 @@ SETUP_FIELDS = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a Phantom recording from headers and image offsets only; raise FingerflowError for colour or damage."""
+    """Open a Phantom recording, reading headers and image offsets only; raise FingerflowError for colour or damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
     if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":

@@ -229,7 +229,8 @@ class FileRecording(Recording):
             self.replace_rate(self.frame_rate)
 
     def replace_rate(self, frame_rate: float) -> None:
-        """Replace the frame rate and the frame times by those that follow from a given frame rate.
+        """Replace the frame rate (Hz) of the recording by a given one, and the frame times by those that follow from
+        it.
 
         Time 0 stays at the trigger. A warning tells of a rate that the file contradicts; a video may state that of its
         playback.

@@ -24,7 +24,8 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a TIFF stack by the page tags; raise FingerflowError unless all pages are grey frames of one shape and type.
+    """Open a TIFF stack, reading the page tags only; raise FingerflowError unless all pages are grey frames of one
+    shape and type.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.

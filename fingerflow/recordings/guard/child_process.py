@@ -121,8 +121,7 @@ class _ChildProcess:
         return process
 
     def _answer(self, process: subprocess.Popen[str], line: str | None) -> Any:
-        """Send a request, one line of text, to the child process and return the answer; None if the process has ended.
-        """
+        """Send a line of text as request to the child process; return the answer, or None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
         try:

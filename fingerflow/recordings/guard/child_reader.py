@@ -39,7 +39,9 @@ def main() -> None:
 
 
 def _run_with_limits(path: str, through: Callable[[str], Any]) -> Any:
-    """Run the reader `through` on a file with limits of time and memory; return its result, or an error text."""
+    """Run the function `through`, which reads a file, with limits of time and memory; return its result, or an error
+    text.
+    """
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)

@@ -20,7 +20,9 @@ class Table(NamedTuple):
 
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return a table with one row per frame: frame number, time, and every variable that has one value per frame."""
+    """Return a table with one row per frame: frame number, time, and the variables that have one value or vector per
+    frame.
+    """
     columns = {"frame": result["frame"].values, **_columns_of(result["time"])}
     for values in _select(result, variables, ("frame",)):
         columns |= _columns_of(values)
@@ -44,8 +46,8 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return the tracks of all points as a table for `napari.layers.Tracks`, with columns track ID, frame, y and x
-    (px), sorted by ID and frame.
+    """Return the tracks of all points as a table for `napari.layers.Tracks`, with columns track ID, frame number, y and
+    x (px), sorted by ID and frame.
 
     Rows exist where a point is tracked. The named `variables` are further columns, napari's properties.
     """

@@ -1,4 +1,4 @@
-"""Maps of a variable, interpolated from points or triangles of skin to a regular grid of the glass."""
+"""Maps of a variable, interpolated from points or triangles of skin to a regular grid on the glass."""
 
 import json
 from typing import NamedTuple
@@ -143,8 +143,8 @@ def _values_of_triangles(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return, for each grid position (y, x) of one frame, the value of the triangle of points that covers it, as (H, W,
-    C); NaN where none does.
+    """Return the values (H, W, C) at the grid positions (y, x) of one frame, each that of the triangle of points which
+    covers the position; NaN where none does.
     """
     found = np.full((len(y), len(x), values.shape[1]), np.nan)
     for triangle, value in zip(points[corners], values, strict=True):
