@@ -7,12 +7,12 @@ from typing import Any
 
 
 def digest_of(*parts: Any) -> str:
-    """Return a digest (16 hexadecimal digits) of values that JSON can represent."""
+    """Return the first 16 hexadecimal digits of the SHA-256 hash of `parts`, written as JSON text with sorted keys."""
     return digest_of_bytes([json.dumps(parts, sort_keys=True).encode()])
 
 
 def digest_of_bytes(parts: Iterable[bytes | memoryview]) -> str:
-    """Return a SHA-256 digest (16 hexadecimal digits) of a sequence of bytes objects."""
+    """Return the first 16 hexadecimal digits of the SHA-256 hash of `parts`, hashed as one sequence of bytes."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)

@@ -7,7 +7,8 @@ from fingerflow.recordings.frames.recording import Recording
 
 
 def identity_of(recording: Recording) -> str:
-    """Return a text with number, size and type of the frames, and a digest of the first frame.
+    """Return a text that identifies a recording: number, size and data type of the frames, and a hash of the first
+    frame.
 
     No other frame is read, because in a video that may take as long as reading all of them.
     """

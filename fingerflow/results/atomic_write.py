@@ -16,7 +16,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Check that an output path overwrites none of the input files of a command.
+    """Check that writing `output` would overwrite none of the input files of a command.
 
     Raises FingerflowError where the output is an input file, the second file of a recording stored in two, or a picture
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
@@ -39,7 +39,8 @@ def spare(output: Path, *inputs: Path | None) -> None:
 
 
 def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
-    """Check that an output path does not overwrite a file that another program has written.
+    """Check that writing `path` would not overwrite a file from another program; `is_ours` tells whether a file is from
+    this one.
 
     Raises FingerflowError where a file exists that `is_ours` does not recognise, unless `overwrite`.
     """
@@ -51,7 +52,9 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
 
 
 def is_marked(path: Path) -> bool:
-    """Return whether a file contains the `MARK` of this package in its metadata (first or last MiB)."""
+    """Return whether a file contains, in its first or last MiB, the text `MARK` that this package writes into its
+    pages, pictures and videos.
+    """
     try:
         with path.open("rb") as file:
             ends = file.read(_END_BYTES)
@@ -62,7 +65,8 @@ def is_marked(path: Path) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Call ``write`` with a temporary path in the folder of the output, then rename the temporary file to the output.
+    """Write a file by calling `write` with a temporary path in the same folder and then renaming the temporary file to
+    `path`.
 
     Neither a crash nor a loss of power leaves a half-written file: its content is on the disk before it has its name.
 
@@ -74,7 +78,9 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 @contextmanager
 def written_atomically(path: Path) -> Iterator[Path]:
-    """Yield a temporary path and rename it to `path` when the context ends, as `write_atomically` does."""
+    """Context manager that yields a temporary path for writing, and renames the temporary file to `path` at the end, as
+    `write_atomically` does.
+    """
     part: Path | None = None
     try:
         if not path.name or path.is_dir():

@@ -14,7 +14,8 @@ _AT_ONCE = 64  # frames
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """Return the variable definitions `known`; for a lossy codec they state which standard deviations are invalid.
+    """Return definitions of the result variables `known`; for a lossy codec, those of standard deviations say that the
+    values are NaN or too small.
 
     A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
     residuals nor scatter show them, so a deviation cannot be widened to include them. On the press as H.264, 22 to 34 %
@@ -37,7 +38,9 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
 
 
 def withhold(store: Store, known: Mapping[str, Variable]) -> None:
-    """Set all standard deviations of a result to NaN, except those of positions, which later computations need."""
+    """Set all standard deviations in a store of results to NaN, except that of positions, which later computations need
+    as a weight.
+    """
     for name in _withheld(known):
         if name in store:
             values = store[name]

@@ -18,7 +18,7 @@ _GB = 1e9
 
 
 def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
-    """Return the memory size of result variables in bytes, if as many points are found as requested.
+    """Return the memory, bytes, that result variables take for a number of frames and of tracked skin points.
 
     There are two triangles per point; the regions of cells are neglected.
     """

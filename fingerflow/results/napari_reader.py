@@ -24,7 +24,7 @@ _COLOURED = 0.98  # quantile of the absolute values at the end of the colours
 
 
 def get_reader(path: str | list[str]) -> Callable[[str], list[Layer]] | None:
-    """Return a function that opens a path as layers, or None for a path that is neither a recording nor a result."""
+    """Return a function that reads `path` as napari layers; None for a path that is neither recording nor result."""
     if not isinstance(path, str):
         return None
     file = Path(path)
@@ -44,7 +44,8 @@ def layers_of_recording(path: str) -> list[Layer]:
 
 
 def layers_of_result(path: str) -> list[Layer]:
-    """Return the layers of a result: the views of its recording, tracks, and points coloured by divergence.
+    """Return the napari layers of a result file: images of the recorded views, tracks of the skin points, and the
+    points coloured by the divergence of their displacement.
 
     All are in px of the topography view; the first axis counts the frames of the result from 0. Views are left out if
     the recording is not there any more.
@@ -96,7 +97,9 @@ def _image(frames: Recording, view: View, name: str) -> Layer:
 
 
 class FramesOnDemand:
-    """Array (frame, y, x) of one view of a recording, of which each frame is read when it is indexed."""
+    """Array-like object (frame, y, x) of one view of a recording, which reads each frame from the file when it is
+    indexed.
+    """
 
     ndim = 3
 

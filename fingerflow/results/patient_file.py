@@ -19,7 +19,9 @@ _MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 30
 
 
 class Refusal(NamedTuple):
-    """Period in which the full disk refused data: duration, and largest amount of data buffered."""
+    """Period during which a full disk accepted no data: its duration in s, and the largest number of bytes buffered
+    meanwhile.
+    """
 
     seconds: float
     kept: int  # bytes, largest amount buffered
@@ -58,7 +60,7 @@ class PatientFile:
             self._kept += data
 
     def flush(self, wait: bool = False) -> Refusal | None:
-        """Write all buffered bytes to the file.
+        """Write all buffered bytes to the file; while the disk is full, keep them in memory for a later attempt.
 
         The first success after a full disk returns the `Refusal` that it ends; otherwise None is returned.
 
@@ -93,7 +95,9 @@ class PatientFile:
         os.close(self._file)
 
     def _raise_or_wait(self, error: OSError) -> None:
-        """Raise a write error, unless the cause is a disk that has been full for less than half a minute."""
+        """Raise a write error, unless its cause is a disk that has been full for less than half a minute; then return,
+        to try again.
+        """
         if error.errno not in _FULL:
             raise error
         self._tried = time.monotonic()

@@ -25,7 +25,8 @@ MARK = "fingerflow_version"  # attribute that identifies a result
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
-    """Write a result to an HDF5/NetCDF4 file, which appears under the final name only when complete.
+    """Write a result, a data set as `process` returns it, to an HDF5/NetCDF4 file, which appears under the final name
+    only when complete.
 
     Raises FingerflowError where it cannot be written, for example if the disk has less free space than the result takes
     in memory, and without `overwrite` where the path is an existing file that is no result.
@@ -74,7 +75,9 @@ class StoredValues(NamedTuple):
 
 
 class Own(dict[str, StoredValues]):
-    """Variables by name, read from a result file that this process itself wrote, and the attributes of the file."""
+    """Variables by name, read from a result file that this process itself wrote; `attrs` holds the attributes of the
+    file.
+    """
 
     def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
@@ -82,7 +85,8 @@ class Own(dict[str, StoredValues]):
 
 
 def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
-    """Read named variables from a result file that this process itself wrote; missing variables are left out.
+    """Read the variables `names` of a result file that this process itself wrote, and its frame numbers and times;
+    variables that the file lacks are left out.
 
     Attributes are read only of the variables named in `described`. Values and texts are those of :func:`load_result`,
     which opens every variable of the file first; for a small recording that takes longer than a stage.
@@ -117,7 +121,7 @@ def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
 
 
 def scene_of(path: Path) -> Path:
-    """Return the path of the scene file of a result.
+    """Return the path of the scene file with which the result in the file `path` was computed.
 
     Raises FingerflowError where the file is no result, or its scene file does not exist any more.
     """

@@ -29,7 +29,9 @@ _CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more point
 
 
 class Values(Protocol):
-    """Interface of the array of a variable, indexed along the first axis by a slice or by consecutive numbers."""
+    """Interface of the array that holds a result variable, indexed along the first axis by a slice or by consecutive
+    numbers.
+    """
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -47,13 +49,15 @@ class Store(ABC):
     """
 
     def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Prepare an empty store for a number of `frames`, in which only variables named in `known` may be created."""
+        """Prepare an empty store for a number of `frames`; only variables that `known` defines may be created in it."""
         self._known = known
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
 
     def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
-        """Create an empty variable in the store and return the array; `sizes` gives the sizes of new dimensions."""
+        """Create a result variable in the store, filled with NaN or 0, and return its array; `sizes` gives the lengths
+        of dimensions that are new to the store.
+        """
         self._sizes.update(sizes)
         variable = self._known[name]
         of_it = {**variable.attributes(), **(attributes or {})}
@@ -61,11 +65,15 @@ class Store(ABC):
         return values
 
     def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
-        """Create a variable in the store and write all of its values."""
+        """Create the result variable `name` in the store and write all of its values; `sizes` gives the lengths of
+        dimensions that are new to the store.
+        """
         self.create(name, attributes, **sizes)[:] = values
 
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
-        """Enlarge the dimension `dim` of all variables; new elements take the value in `fills`, else the fill value."""
+        """Enlarge the dimension `dim` of all variables to `size`; new elements take the value that `fills` gives for
+        the variable, else NaN, or 0 for integers.
+        """
         before, self._sizes[dim] = self._sizes[dim], size
         for name in list(self._values):
             if dim in self._known[name].dims:
@@ -89,7 +97,9 @@ class Store(ABC):
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        """Add coordinates and global attributes to the results, after which nothing more may be written."""
+        """Add the times (s) and numbers of the frames and the global attributes to the results, after which nothing
+        more may be written.
+        """
 
 
 class MemoryStore(Store):
@@ -125,7 +135,7 @@ class MemoryStore(Store):
 
 
 def indexed_by_time(result: xr.Dataset) -> xr.Dataset:
-    """Return a result whose frames are also selected by time: ``result.sel(time=0.25, method="nearest")``."""
+    """Return a result whose frames can also be selected by time, s: ``result.sel(time=0.25, method="nearest")``."""
     return result.set_xindex("time") if "time" in result.coords else result
 
 
@@ -265,7 +275,9 @@ class _Stored:
             self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))
 
     def _consecutive(self, index: Any) -> tuple[slice, int]:
-        """Convert consecutive frame numbers to an ascending slice, and a step: 1 if ascending, -1 if descending."""
+        """Convert consecutive frame numbers, given as a slice or a list, to an ascending slice and a step: 1 if they
+        ascend, -1 if they descend.
+        """
         numbers = range(self.shape[0])[index] if isinstance(index, slice) else np.asarray(index, dtype=int).tolist()
         if not len(numbers):
             return slice(0, 0), 1
@@ -279,5 +291,5 @@ class _Stored:
 
 
 def _fill(variable: Variable) -> tuple[float, str]:
-    """Return fill value and data type for array elements of a variable that are not written yet."""
+    """Return fill value and data type for the elements of the array of a variable that are not written yet."""
     return (np.nan if variable.kind.startswith("f") else 0), variable.kind

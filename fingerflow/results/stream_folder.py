@@ -30,7 +30,7 @@ _AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the p
 
 
 class StreamResults(NamedTuple):
-    """Content of the results folder of a stream: header, one record per processed frame, and events."""
+    """Content of the results folder of a camera stream: header, one record per processed frame, and events."""
 
     records: Array
     header: dict[str, Any]
@@ -38,7 +38,8 @@ class StreamResults(NamedTuple):
 
 
 def read_results(folder: str | Path) -> StreamResults:
-    """Read all complete records in the results folder of a stream, even while the writer is still running.
+    """Read the complete records, header and events in the results folder of a stream, even while the writer is still
+    running.
 
     ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
     ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
@@ -67,7 +68,8 @@ def read_results(folder: str | Path) -> StreamResults:
 
 
 def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
-    """Write a CSV table of the results of a stream: one row per frame, with scalars and components of vectors.
+    """Write the results of a stream to a CSV table with one row per frame, and one column per scalar variable or
+    component of a vector.
 
     Columns are named as by `fingerflow export-table`. Raises PlayerError where the file cannot be written, or exists
     without `overwrite`.
@@ -101,7 +103,8 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
 
 
 class Sink:
-    """Writer of the results folder of a stream; a killed process loses at most the last second.
+    """Writer of the folder in which the results of a camera stream are stored frame by frame; a killed process loses at
+    most the last second.
 
     header.json describes a record, records.bin holds the records one after another, and events.jsonl the events with
     their times. While the disk is full, records are buffered in memory for half a minute (`PatientFile`); the event
@@ -132,7 +135,9 @@ class Sink:
             raise
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write summary.json: counts and latencies of the stream. A full disk is logged: results are safe."""
+        """Write counts and latencies of the stream to summary.json; if the disk is full, only log this, since the
+        results are stored already.
+        """
         part = unfinished(self.folder / "summary.json")
         try:
             part.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
@@ -203,7 +208,9 @@ class Sink:
             self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
-        """Append one event of the stream to events.jsonl as one line; any thread may call this."""
+        """Append one event of the stream, with its frame number and further facts, as one line to events.jsonl; any
+        thread may call this.
+        """
         assert self._events is not None
         line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
         with self._said():

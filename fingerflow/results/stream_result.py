@@ -21,7 +21,7 @@ _TRACKED = 0  # flag of `status`
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
-    """Return the results folder of a stream as a labelled data set.
+    """Return the results in the folder of a stream as an xarray data set, in the form that `process` returns.
 
     Variables have the names, dimensions, units, definitions and flags of :func:`fingerflow.process`, as far as a stream
     has them.
@@ -57,7 +57,9 @@ def _labelled(results: StreamResults) -> xr.Dataset:
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
-    """Return all variables recorded in a stream, and further variables derived from them, by name."""
+    """Return all variables recorded in a stream, and others derived from them, as arrays by name; `chosen` lists the
+    number of points at each reseeding.
+    """
     records, header = results.records, results.header
     points = max(chosen, default=0)
     found: dict[str, Array] = {}

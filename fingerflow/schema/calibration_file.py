@@ -17,7 +17,8 @@ class CalibrationError(Exception):
 
 
 class TransformRows(NamedTuple):
-    """Transform between the two views as stored in a calibration file: matrix rows and residuals.
+    """Transform between the pixels of the two camera views as stored in a calibration file: matrix rows and residuals
+    of the fit.
 
     Attributes:
         matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
@@ -29,7 +30,8 @@ class TransformRows(NamedTuple):
 
 
 class CalibrationFile(NamedTuple):
-    """Content of a calibration file in plain numbers: image scale, transforms and discs.
+    """Content of a calibration file in plain numbers: image scale, transforms between the views, and the ellipses
+    fitted to hole and discs of the calibration target.
 
     Pixels are those of a view. `views` holds half-open ranges of rows and columns of a frame.
     """

@@ -45,7 +45,7 @@ class ListedKey(NamedTuple):
 
 
 def key_list() -> list[ListedKey]:
-    """Return descriptions of all keys of scene files, in the order of the kind "press", which has all tables."""
+    """Return descriptions of all keys of scene files, in the order in which a scene of the kind "press" has them."""
     tables = {"views": views_of(KINDS["press"]), **SCENE}
     return [key for name, table in tables.items() for key in _keys(table, name)]
 
@@ -72,7 +72,7 @@ _PLAIN: dict[type, str] = {
 
 
 def _words(of: Any) -> str:
-    """Return the type and range of a key in words, such as "odd whole number ≥ 3"."""
+    """Return the type and range of a scene file's key in words, such as "odd whole number ≥ 3", given its type `of`."""
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:

@@ -1,4 +1,6 @@
-"""Rasterisation of regions of a view to runs of pixels, in pure Python, for both `process` and streams."""
+"""Rasterisation of polygons and ellipses in an image to horizontal runs of pixels, in pure Python, for both `process`
+and streams.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +10,9 @@ Point = tuple[float, float]
 
 
 def region_runs(region: Mapping[str, Any], height: int, width: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the runs of pixels (row, first, end) inside a region, given as a polygon or an ellipse."""
+    """Yield the pixels inside a region, a polygon or an ellipse, in an image of `height` x `width` px, as runs (row,
+    first column, end column).
+    """
     if region["polygon"] is not None:
         yield from polygon_runs(region["polygon"], height, width)
     else:
@@ -16,7 +20,8 @@ def region_runs(region: Mapping[str, Any], height: int, width: int) -> Iterator[
 
 
 def polygon_runs(corners: Sequence[Point], height: int, width: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the runs of pixels (row, first, end) with centres inside a closed polygon, by the even-odd rule.
+    """Yield the pixels with centres inside a closed polygon, by the even-odd rule, in an image of `height` x `width`
+    px, as runs (row, first column, end column).
 
     Corners are (x, y) px with integers at pixel centres. A centre on a left or an upper side is inside, on a right or a
     lower side outside, so polygons that share a side share no pixel.
@@ -36,7 +41,8 @@ def polygon_runs(corners: Sequence[Point], height: int, width: int) -> Iterator[
 def ellipse_runs(
     center: Point, semi_axes: Point, angle: float, height: int, width: int
 ) -> Iterator[tuple[int, int, int]]:
-    """Yield the runs of pixels (row, first, end) with centres inside an ellipse.
+    """Yield the pixels with centres inside an ellipse, in an image of `height` x `width` px, as runs (row, first
+    column, end column).
 
     `angle` is that of the first axis, rad from x towards y. With x along the row, (p x + q y)^2 / a^2 + (p y - q x)^2 /
     b^2 <= 1 is a quadratic in x.

@@ -17,7 +17,9 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings [recording]: file with the frames, frame rate, trigger frame, and range of frames to process."""
+    """Settings in the table [recording] of a scene file: file with the frames, frame rate, trigger frame, and range of
+    frames to process.
+    """
 
     frames: Path
     frame_rate: float | None
@@ -27,7 +29,9 @@ class RecordingSettings:
 
 
 class Views(Mapping[str, View]):
-    """Settings [views]: rectangle of the camera frame that each view occupies, by name of the view."""
+    """Settings in the tables [views] of a scene file: rectangle of the camera frame that each view occupies, by name of
+    the view.
+    """
 
     def __init__(self, views: Mapping[str, View]) -> None:
         self._views = dict(views)
@@ -60,7 +64,7 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings [background]: recordings of the empty glass, and of the dark view without light.
+    """Settings in the table [background] of a scene file: recordings of the empty glass, and of the view without light.
 
     A soft sensor needs neither.
     """
@@ -71,7 +75,8 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """Settings [forces]: force file, columns of the normal and tangential force, and calibration of the force sensors.
+    """Settings in the table [forces] of a scene file: force file, columns of the normal and tangential force, and
+    calibration of the force sensors.
 
     ``units`` is the unit of all forces, None for the unit in each heading. ``gain``, ``sign`` and ``offset`` are one
     number for all or one each, normal first (`recordings.forces.newtons.Sensor`).
@@ -93,7 +98,8 @@ class ForceSettings:
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """Settings [calibration]: image scale and view transform, given directly or by a calibration file.
+    """Settings in the table [calibration] of a scene file: image scale and transform between the views, given directly
+    or by a calibration file.
 
     ``topography_to_contact`` is used only if there is a topography view.
     """
@@ -105,7 +111,8 @@ class CalibrationSettings:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Standard deviations of a displacement component, the divergence and a strain component in still frames.
+    """Noise floor of a rig: standard deviations of a displacement component, the divergence and a strain component,
+    measured in frames without motion.
 
     They hold for the window and the gauge length with which they were measured.
     """
@@ -119,7 +126,9 @@ class NoiseFloor:
 
 @dataclass(frozen=True)
 class RigSettings:
-    """Settings [rig]: hardware that a recording does not state, and the measured noise floor, for the report."""
+    """Settings in the table [rig] of a scene file: hardware that a recording does not state, and the measured noise
+    floor, for the report.
+    """
 
     camera: str | None
     lens: str | None
@@ -130,7 +139,9 @@ class RigSettings:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """Settings [contact]: segmentation of the real and of the apparent (gross) contact."""
+    """Settings in the table [contact] of a scene file: segmentation of the real and of the apparent (gross) contact
+    area.
+    """
 
     median_px: int
     threshold: float | Literal["reference_frame", "per_frame"]
@@ -139,7 +150,7 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """Settings [tracking]: how skin points are seeded and tracked."""
+    """Settings in the table [tracking] of a scene file: how skin points are seeded and tracked."""
 
     points: int
     window_px: int
@@ -154,7 +165,8 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """Settings [fields]: how skin deformation is computed, and elastic constants of the skin.
+    """Settings in the table [fields] of a scene file: how skin deformation is computed, and elastic constants of the
+    skin.
 
     ``reference`` is the instant from which displacement is measured: "onset", "first_frame", a frame number, or a time
     from the trigger, such as "0.25 s".
@@ -171,7 +183,8 @@ class FieldSettings:
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """Settings [slip]: how stick and slip are distinguished in a trial of tangential loading.
+    """Settings in the table [slip] of a scene file: how stick and slip are distinguished in a trial of tangential
+    loading.
 
     A scene with this table is of the kind "slip" unless it states another. ``stuck_mm`` is used by the criteria
     "displacement" and "relative". ``displacement`` is measured at tracked points or, by dense flow, everywhere.
@@ -184,7 +197,8 @@ class SlipSettings:
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Settings [stream]: additional settings for playing an exported bundle on a camera stream.
+    """Settings in the table [stream] of a scene file: additional settings for running exported graphs (a bundle) on a
+    live camera stream.
 
     ``region`` is the part of the topography view in which skin is expected to touch, as it lies in the first frame.
     Points are seeded in it, by `process` too, so that both seed the same points.
@@ -233,12 +247,16 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """Return True for a soft sensor (a gel with markers), else None, which `Scene.has` treats as missing."""
+        """Return True if the scene is that of a soft sensor (a gel with markers), else None, so that
+        ``has("soft_sensor")`` is False.
+        """
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """Return True if slip is measured by dense flow, else None, which `Scene.has` treats as missing."""
+        """Return True if slip is to be measured by dense optical flow, else None, so that ``has("dense_flow_slip")`` is
+        False.
+        """
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
@@ -251,7 +269,7 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Return all settings, including defaults, as JSON text of tables and keys."""
+        """Return all settings of the scene, including defaults, as JSON text with tables and keys as in the file."""
         return json.dumps(_plain(self))
 
 
@@ -270,7 +288,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """Return one scene of a file that holds several, given the tables and keys of the scene.
+    """Return the scene with the given tables and keys, `written`, which is one of several scenes in the file `path`.
 
     Args:
         written: tables and keys as parsed from TOML.
@@ -287,7 +305,9 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
 
 
 def scene_of_text(text: str, path: Path) -> Scene:
-    """Return the scene in a text that will be written to the file `path`; raise errors as :func:`load_scene`."""
+    """Return the scene that a TOML text describes, which will be written to the file `path`; raise errors as
+    :func:`load_scene`.
+    """
     try:
         return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
     except SceneError as error:
@@ -350,7 +370,7 @@ def _view(found: Mapping[str, Any]) -> View:
 
 
 def _plain(value: Any) -> Any:
-    """Convert settings to JSON types."""
+    """Convert settings (data classes, mappings and paths) to JSON types."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):

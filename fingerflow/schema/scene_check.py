@@ -36,7 +36,9 @@ MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle 
 
 @dataclass(frozen=True)
 class Problem:
-    """Problem with one key of a scene file: the message `said` continues a sentence that begins with the key."""
+    """Problem with one key of a scene file; the message `said` continues a sentence that begins with the name of the
+    key.
+    """
 
     keys: Keys
     said: str
@@ -268,7 +270,9 @@ class _Check:
             self._record_conflict(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
-        """Apply a rule `OneOf`: record a problem unless exactly one key of a table is given."""
+        """Apply a rule `OneOf`: record a problem unless the table that the rule names has exactly one of its possible
+        keys.
+        """
         place, _, name = rule.key.rpartition(".")
         table, around = self._value_at(rule.key), self._value_at(place)
         if not table or place not in self.given:  # a role shares the region of its view
@@ -283,7 +287,9 @@ class _Check:
             around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Apply a rule `FitsTheViews`: check that the calibration has a view transform and is made with these views."""
+        """Apply a rule `FitsTheViews`: record a problem unless the calibration has a transform between the views and
+        was made with the views of this scene.
+        """
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
@@ -331,5 +337,7 @@ def _ranges(view: tuple[Pixels, Pixels] | None) -> str:
 
 
 def _option(view: tuple[Pixels, Pixels]) -> str:
-    """Return rows and columns of a view as command-line options of `fingerflow calibrate`."""
+    """Return the row and column ranges of a view as four numbers in a text, as the options of `fingerflow calibrate`
+    take them.
+    """
     return " ".join(map(str, (*view[0], *view[1])))

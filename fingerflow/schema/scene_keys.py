@@ -53,7 +53,9 @@ class Choice:
 
 @dataclass(frozen=True)
 class Column:
-    """Type of a key that takes a column by name or by number from 1, or a list of up to ``several`` columns."""
+    """Type of a key that takes a column of the force file, by name or by number from 1, or a list of up to ``several``
+    columns.
+    """
 
     several: int = 1
 
@@ -73,7 +75,9 @@ class TimeRange:
 
 @dataclass(frozen=True)
 class Moment:
-    """Type of a key that takes an instant: a word, a frame number from 0, or a time from the trigger as "0.25 s"."""
+    """Type of a key that takes an instant of the recording: a word, a frame number from 0, or a time from the trigger
+    as "0.25 s".
+    """
 
     words: tuple[str, ...]
 
@@ -132,7 +136,8 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """Definition of one key of scene files: type, meaning, default, unit, and the readers that need the key.
+    """Definition of one key of scene files: type, meaning, default and unit, and which reader (`process` or a stream)
+    requires the key.
 
     Attributes:
         type: its type and range.
@@ -153,7 +158,8 @@ class SceneKey:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """Definition of one table of scene files: keys, meaning, and the readers that need the table.
+    """Definition of one table of scene files: its keys and meaning, and which reader (`process` or a stream) requires
+    the table.
 
     A table that is left out takes its defaults, or is None if a reader needs one of its keys.
 
@@ -174,7 +180,9 @@ _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name o
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
-    """Split the name of a key into words and unit; the unit is "" if the name has none."""
+    """Return the name of a key in words and its unit, such as "window" and "px" for `window_px`; the unit is "" if the
+    key has none.
+    """
     if name == "mm_per_px":
         return "scale", "mm/px"
     for end, unit in _UNITS.items():
@@ -424,7 +432,7 @@ class NotBoth:
 
 @dataclass(frozen=True)
 class OneEach:
-    """Rule of scene files: a list in `key` has one number for each force channel."""
+    """Rule of scene files: a list in `key` has one number for each force channel that the keys `forces` name."""
 
     key: str
     forces: tuple[str, ...]
@@ -441,7 +449,7 @@ class InPlaceOf:
 
 @dataclass(frozen=True)
 class Inside:
-    """Rule of scene files: the rectangle in `key` lies inside the view `view`."""
+    """Rule of scene files: the rectangle that `key` describes lies inside the view that `view` describes."""
 
     key: str
     view: str
@@ -449,14 +457,16 @@ class Inside:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Rule of scene files: the table `key`, if given, has exactly one of the possible keys."""
+    """Rule of scene files: the table `key`, if given, has exactly one of the keys that are possible in it."""
 
     key: str
 
 
 @dataclass(frozen=True)
 class FitsTheViews:
-    """Rule of scene files: the calibration file has a transform between the views, and was made with these views."""
+    """Rule of scene files: the calibration has a transform between the two views of the scene, and was made with the
+    same rectangles of the frame as views.
+    """
 
     key: str
     scale: str

@@ -7,7 +7,8 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of scene, which determines the views and the stages that run by default.
+    """Kind of experiment that a scene file describes, which determines its views and the processing stages that run by
+    default.
 
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.

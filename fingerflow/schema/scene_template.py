@@ -81,7 +81,7 @@ def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) 
 def _table_text(
     name: str, table: SceneKey | SceneTable, values: Mapping[str, Any] | None, whole: bool
 ) -> Iterator[str]:
-    """Yield the lines of one table of a new scene file; if `values` is None, all lines are comments.
+    """Yield the lines of the table `name` in the text of a new scene file; if `values` is None, all lines are comments.
 
     Keys without a value are comments with their default or sample; if all keys of the table have defaults, they are
     written with them. Without `whole`, only keys with values are written.

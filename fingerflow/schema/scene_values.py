@@ -32,7 +32,9 @@ class WrongValue(Exception):
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """Convert a TOML value to the type of a key; raise WrongValue if the value is invalid."""
+    """Check a value from a scene file against the type `kind` of its key and return it converted to that type; raise
+    WrongValue if it is invalid.
+    """
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -66,7 +68,7 @@ def value_of(kind: Type, value: Any) -> Any:
 
 
 def either(words: Iterable[str]) -> str:
-    """Return alternatives as text in the form "'a', 'b' or 'c'"."""
+    """Return words as a text of alternatives, in the form "'a', 'b' or 'c'"."""
     *others, last = map(repr, words)
     return f"{', '.join(others)} or {last}" if others else last
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def unfinished(path: Path) -> Path:
-    """Return a hidden temporary path for an unfinished output, which is renamed to the output path on completion.
+    """Return a hidden temporary path under which an output is written until it is complete and renamed to `path`.
 
     Also removes the temporary paths of the same output that killed runs have left. Their names hold the computer and
     the process id; a path is removed only if it is of this computer and its process has ended.
@@ -30,7 +30,7 @@ def unfinished(path: Path) -> Path:
 
 
 def finish(part: Path, path: Path) -> None:
-    """Rename a complete temporary file or folder to the final path, safely even if power is lost.
+    """Rename the complete temporary file or folder `part` to the final path, once its content is safely on the disk.
 
     The content is on the disk before the name, and the name before this returns. Raises OSError where the system
     refuses.

@@ -37,7 +37,7 @@ class ShownUnit:
     percent: "ShownUnit | None" = None
 
     def heading(self, words: str) -> str:
-        """Return a label or the name of a column, followed by the unit in brackets."""
+        """Return a label or the name of a column, followed by the unit in brackets if there is one."""
         return f"{words} ({self.name})" if self.name else words
 
 
@@ -113,7 +113,9 @@ class Variable:
         return self.shown_unit.heading(words)
 
     def shown(self) -> dict[str, object]:
-        """Return what a web page needs to show the variable: label, unit, factor, decimals, and the unit in %."""
+        """Return what a web page needs to show the variable: label, unit, factor, decimals, and the unit to show it in
+        %.
+        """
         unit = self.shown_unit
         percent = unit.percent and {"unit": unit.percent.name, "factor": unit.percent.factor}
         of_unit = {"unit": unit.name, "factor": unit.factor, "decimals": unit.decimals, "percent": percent}

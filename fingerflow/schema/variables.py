@@ -49,7 +49,8 @@ _RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of leas
 
 
 def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
-    """Return the standard deviation, mm^2, of the gross areas of ellipses with semi-axes (frames, 2) mm.
+    """Return the standard deviation, mm^2, of the gross contact area in each frame, from the semi-axes (frames, 2), mm,
+    of its ellipse and the real contact area (frames,).
 
     Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one.
     The constants are measured on presses through real prints (docs/methods/contact.md).
@@ -562,5 +563,7 @@ VARIABLES: dict[str, Variable] = by_name(
 
 
 def shown_unit(name: str, units: str) -> ShownUnit:
-    """Return the unit in which a variable is shown; one that is not defined here is shown in its own `units`."""
+    """Return the unit in which figures and tables show the variable `name`; a variable that is not defined here is
+    shown in `units`.
+    """
     return VARIABLES.get(name, Variable(name, (), units, "")).shown_unit

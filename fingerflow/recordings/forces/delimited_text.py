@@ -79,7 +79,9 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    """Return the numbers in a table body; raise ValueError unless every line has `columns` numbers."""
+    """Return the numbers (lines, columns) of a table, given the text below its heading; raise ValueError unless every
+    line has `columns` numbers.
+    """
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
         body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
@@ -89,7 +91,9 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
-    """Return the names and units of all columns, and whether a separate line of units follows the heading."""
+    """Return the names and units of all columns from the `cells` of a heading, and whether `below`, the line after it,
+    is a separate line of units.
+    """
     names, units = [], {}
     for cell in cells:
         name, unit = split_unit(cell)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class ForceTable:
-    """All columns of a force file as stored, before force channels are selected and converted.
+    """Table of all columns of a force file with the values as stored, before force channels are selected and converted.
 
     `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `warnings`:
     sentences for the user.
@@ -26,7 +26,9 @@ class ForceTable:
     warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64], unit: object = None) -> None:
-        """Add a column, or a matrix (n, k) as k columns name[0] to name[k - 1]; `unit` is None if unknown."""
+        """Add a column (n,), or the k columns of a matrix (n, k), named name[0] to name[k - 1], to the table; `unit` is
+        None if unknown.
+        """
         values = np.squeeze(np.asarray(values, np.float64))
         added = {name: values} if values.ndim == 1 else {}
         if values.ndim == 2:

@@ -60,7 +60,8 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """Return the forces with time shifted to 0 where the trigger channel first rises through `trigger_level`.
+        """Return the forces with the sample times shifted so that the trigger channel first rises through
+        `trigger_level` at 0 s.
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.
@@ -81,7 +82,8 @@ class Forces:
         return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
-        """Return all channels at the times of the frames, low-pass filtered at half the frame rate.
+        """Return all channels, by name, resampled at the times of the frames after a low-pass filter that ends at half
+        the frame rate.
 
         frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
         frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces
@@ -113,8 +115,8 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Resample values (k, n) at `times` (n,) to the frame times `wanted` (m,), as (k, m); NaN outside the record
-        and in gaps.
+        """Resample k channels (k, n), sampled at `times` (n,), at the frame times `wanted` (m,); return them as (k, m),
+        with NaN outside the record and in gaps between samples.
         """
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.

@@ -35,7 +35,8 @@ Indices = NDArray[np.intp]
 
 
 def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float) -> Samples:
-    """Return channels (k, n), low-pass filtered at `nyquist` (Hz), at the times `wanted` (m,), as (k, m).
+    """Low-pass filter k channels (k, n), sampled at `times` (n,) in s, with a stop band from `nyquist` (Hz) on, and
+    return their values (k, m) at the times `wanted` (m,).
 
     `times` increase strictly; `wanted` lie between the first and the last of them.
     """
@@ -75,7 +76,11 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
 def _group_frames(
     times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Group frames that can share one filter kernel, as their sample times relative to the frame are equal (polyphase).
+    """Return groups of indices into the frame times `wanted`; the frames of a group have samples at equal times
+    relative to the frame, so that one set of filter weights serves them all (polyphase filter).
+
+    Samples `first` to `last` - 1 lie under the kernel of a frame; `interior` marks frames whose kernel lies wholly
+    inside the record.
 
     At 10 kHz and 300 frames/s there are three such groups, and some single frames near the ends.
     """
@@ -107,13 +112,16 @@ def _sample_durations(times: Samples) -> Samples:
 
 
 def kernel_half_width(nyquist: float) -> float:
-    """Return half the length of the low-pass kernel in s, by Kaiser's rule for a given transition width."""
+    """Return half the length, s, of the low-pass kernel for a Nyquist frequency (Hz), from its transition width by
+    Kaiser's rule.
+    """
     transition = (STOP_BAND - PASS_BAND) * nyquist
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
 def _window_polynomial() -> Samples:
-    """Return the coefficients of a polynomial in 1 - position^2 that approximates a Kaiser window, constant first.
+    """Return the coefficients, constant first, of a polynomial in 1 - p^2 that approximates the Kaiser window at
+    position p, which runs from -1 to 1 along the window.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """
@@ -134,7 +142,12 @@ def _sinc(sine: Samples, angle: Samples) -> Samples:
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
-    """Correct filter weights (m, w) to a sum of 1 and, except at the ends of the record, a first moment of 0."""
+    """Return filter weights (m, w), for m frames and w samples each, corrected to a sum of 1 and, for `interior`
+    frames, to a first moment of 0.
+
+    The correction uses the window values (m, w) and the sample times relative to the frame, `offset` (m, w). Frames are
+    `interior` if their kernel lies wholly inside the record.
+    """
     weights = weights / weights.sum(1, keepdims=True)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)

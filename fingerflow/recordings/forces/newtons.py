@@ -16,7 +16,8 @@ _CHANGES = 0.1  # N, tolerated change of a force within the tare
 
 @dataclass(frozen=True)
 class Sensor:
-    """Calibration of a force channel: force in N = sign x gain x (reading - zero).
+    """Calibration of a force sensor: force in N = sign x gain x (reading - zero), where zero is the reading without a
+    load.
 
     Attributes:
         gain: N per unit of the reading, which is V for a channel in V, else N.
@@ -32,7 +33,7 @@ class Sensor:
 
 
 def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
-    """Return forces in which the channels named in `sensors` are converted to newtons.
+    """Return `forces` with the channels named in `sensors` converted from sensor readings to newtons.
 
     Args:
         forces: from `open_forces`, aligned: times are from the trigger.

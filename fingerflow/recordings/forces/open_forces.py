@@ -97,7 +97,9 @@ def open_forces(
 
 
 def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
-    """Return the sample times in s and the name of the time column; empty and None if a sample rate is used."""
+    """Return the sample times in s, taken from a time column, and the name of that column; or an empty array and None
+    if the times follow from a sample rate.
+    """
     if sample_rate is not None:
         if time is not None:
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
@@ -145,7 +147,9 @@ def _check_sample_rate(table: ForceTable, sample_rate: float) -> None:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
-    """Return the median sample rate in Hz of a time column; None if the times do not increase throughout."""
+    """Return the sample rate in Hz that the median interval of a time column (s) gives; None if the times do not
+    increase throughout.
+    """
     steps = np.diff(times)
     return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
@@ -153,7 +157,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 def _selected_columns(
     table: ForceTable, channels: Sequence[Column] | Mapping[str, Column] | None, time_column: str | None
 ) -> dict[str, str]:
-    """Return the file column of each selected force channel, as a mapping from channel name to column name.
+    """Return a mapping from the name of each selected force channel to the name of its column in the file.
 
     Without a choice these are all columns as long as the times, or as the longest column.
     """
@@ -177,7 +181,8 @@ def force_columns(path: str | PathLike[str]) -> list[str]:
 
 
 def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the properties of a force file: sample rate in Hz, and of each column samples, unit, minimum and maximum.
+    """Return the properties of a force file: its sample rate in Hz and, for each column, number of samples, minimum,
+    maximum and unit.
 
     The rate is that which the file states, else that of its time column. Raises FingerflowError if the file is
     unreadable.

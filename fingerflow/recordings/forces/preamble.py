@@ -16,7 +16,9 @@ _RUN = 3  # consecutive lines of numbers that identify a table
 
 
 class Content(NamedTuple):
-    """Table in a text file from the heading on, with sample rate (Hz) and start time (s) if the preamble has them."""
+    """Text of the table in a file, from its heading on, with the sample rate (Hz) and start time (s) if the lines above
+    the table state them.
+    """
 
     text: str
     sample_rate: float | None = None
@@ -24,7 +26,8 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """Return the table in a text without the preamble: consecutive lines of numbers, and the heading above.
+    """Return the table in a text, from its heading on, without the lines above (preamble); a table is recognised by
+    consecutive lines with equally many numbers.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
@@ -91,7 +94,7 @@ def is_read(line: str) -> bool:
 
 
 def separator_of(line: str) -> str | None:
-    """Return the separator between the cells of a line: comma, semicolon or tab, or None for blanks."""
+    """Return the separator between the cells of a line: comma, semicolon or tab, or None if blanks separate them."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)

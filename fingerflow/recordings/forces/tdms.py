@@ -44,7 +44,9 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
-    """Return the table of all numeric channels, and the sample clocks as (interval, start) in s."""
+    """Return a table of all numeric channels in an open TDMS file, and the set of their clocks: (sample interval, time
+    of the first sample) in s.
+    """
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
     table = ForceTable(path, {})

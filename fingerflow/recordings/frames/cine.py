@@ -47,7 +47,7 @@ SETUP_FIELDS = {
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a Phantom recording from headers and image offsets only; raise FingerflowError for colour or damage."""
+    """Open a Phantom recording, reading headers and image offsets only; raise FingerflowError for colour or damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
     if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":
@@ -104,7 +104,9 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _frame(path: Path, data: NDArray[np.uint8], offsets: NDArray[np.int64], layout: _CineLayout, index: int) -> Frames:
-    """Return one frame of a `.cine` file, given the byte offset of the frame."""
+    """Return frame `index` of a `.cine` file as grey values (H, W), given the bytes of the file, `data`, and the byte
+    offset of each frame.
+    """
     # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
     start = int(offsets[index])
     start += _unsigned(data[start : start + 4])
@@ -212,7 +214,9 @@ def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
 
 
 def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
-    """Return how many frames, from the first one on, are completely stored in a `.cine` file."""
+    """Return how many frames of a `.cine` file, from the first one on, are stored completely, given the byte offset of
+    each frame and the bytes of an image.
+    """
     ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
     while count:
@@ -224,7 +228,8 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
 
 
 def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
-    """Return the time stamps (TIME64) that the camera recorded, in s from the trigger.
+    """Return the time stamps of the frames, s from the trigger, decoded from the TIME64 values that the camera
+    recorded; empty without any.
 
     TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
     double would round the difference to 0.2 us.
@@ -238,7 +243,8 @@ def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.
 def _times(
     stamps: NDArray[np.float64], first_number: int, rate: float | None
 ) -> tuple[NDArray[np.float64] | None, float | None, list[str]]:
-    """Return frame times in s and frame rate according to the camera clock, and warnings for the user.
+    """Return frame times (s from the trigger), frame rate (Hz) and warnings for the user, according to the camera's
+    time stamps; the times are None if the stamps do not increase.
 
     FrameRate is the setting of the camera; if frames were left out on saving, only the time stamps show it. Frame
     numbers count from the trigger, but in some cameras numbers and clock disagree by minutes.

@@ -37,7 +37,9 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
 
 
 def _frame(frames: h5py.Dataset, index: int) -> Frames:
-    """Return one frame; raise the HDF5 error if the frame holds only fill values because a chunk cannot be read."""
+    """Return frame `index` (H, W) of an HDF5 data set (N, H, W); raise HDF5's error if it holds only fill values
+    because a chunk cannot be read.
+    """
     frame: Frames = frames[index]
     if frames.chunks is not None and not frames.is_virtual and np.any(unset := frame == frames.fillvalue):
         step, height, width = frames.chunks
@@ -95,7 +97,8 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _incomplete_frames(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return a mask of the frames of which the file lacks a chunk.
+    """Return a mask (N,) that is True for each frame of which the file lacks a chunk (block in which HDF5 stores a data
+    set).
 
     File and data set must have been checked before.
     """

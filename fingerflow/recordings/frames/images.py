@@ -51,7 +51,9 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
-    """Return one frame from a folder of images; raise FingerflowError if size or type differ from the first image."""
+    """Return frame `index` (H, W) from the image `files` of a folder; raise FingerflowError if its size or type differs
+    from the first image.
+    """
     file = files[index]
     assert file is not None, "a missing file is an unreadable frame"
     image = _read_image(file)

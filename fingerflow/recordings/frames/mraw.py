@@ -116,7 +116,9 @@ class _MrawLayout:
 
 
 def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
-    """Return frame `index` as grey values, from stored bytes (N, frame_bytes) with packed or shifted pixels."""
+    """Return frame `index` as grey values (H, W), from the stored bytes (N, frame_bytes) of N frames whose pixels are
+    packed or bit-shifted.
+    """
     data = np.asarray(stored[index])
     if layout.stored_bits == 12:
         return unpack(data, 12, layout.shape)

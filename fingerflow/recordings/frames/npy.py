@@ -13,7 +13,9 @@ from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a NumPy file by the header only; raise FingerflowError unless shape and type suit grey frames."""
+    """Open the frames of a NumPy file, reading the header only; raise FingerflowError unless shape and type suit grey
+    frames.
+    """
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
         if length > MOST_NPY_HEADER:

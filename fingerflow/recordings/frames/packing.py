@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 
 def unpack(packed: NDArray[np.uint8], bits: int, shape: tuple[int, int]) -> NDArray[np.uint16]:
-    """Unpack packed grey values of 10 bits (four in 5 bytes) or 12 bits (two in 3 bytes) to an image."""
+    """Return an image of `shape` (H, W) from packed grey values of 10 bits (four in 5 bytes) or 12 bits (two in 3
+    bytes).
+    """
     size, values_in_group = (5, 4) if bits == 10 else (3, 2)
     padded = np.pad(packed, (0, -len(packed) % size))  # an incomplete last group
     group = padded.reshape(-1, size).T.astype(np.uint16)

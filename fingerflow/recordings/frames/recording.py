@@ -191,7 +191,7 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """Recording of all frames of a file.
+    """Recording of all frames in a file, each read from a memory map or by a function of the reader of its format.
 
     `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
     cannot. `close_file` closes the file.
@@ -229,7 +229,8 @@ class FileRecording(Recording):
             self.replace_rate(self.frame_rate)
 
     def replace_rate(self, frame_rate: float) -> None:
-        """Replace the frame rate and the frame times by those that follow from a given frame rate.
+        """Replace the frame rate (Hz) of the recording by a given one, and the frame times by those that follow from
+        it.
 
         Time 0 stays at the trigger. A warning tells of a rate that the file contradicts; a video may state that of its
         playback.
@@ -338,7 +339,7 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
-    """Return the set of steps between successive indices.
+    """Return the set of differences between successive indices.
 
     For a few indices a Python loop is faster than NumPy.
     """
@@ -375,7 +376,7 @@ def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
 
 
 def lossy_codec(name: str) -> str:
-    """Return a warning for the user that a lossy codec has altered the pixels.
+    """Return a warning for the user that the lossy codec `name` has altered the pixels.
 
     A codec that compresses each frame by itself leaves an error that differs from frame to frame. Residuals include it,
     and deviations from them are valid: on the shipped press as Motion JPEG two of three errors lie within the stated

@@ -24,7 +24,8 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path) -> FileRecording:
-    """Open a TIFF stack by the page tags; raise FingerflowError unless all pages are grey frames of one shape and type.
+    """Open a TIFF stack, reading the page tags only; raise FingerflowError unless all pages are grey frames of one
+    shape and type.
 
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.
@@ -46,7 +47,7 @@ def open_frames(path: Path) -> FileRecording:
 
 
 def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
-    """Return one frame of a TIFF stack that cannot be memory-mapped."""
+    """Decode page `index` of a TIFF stack and return it as a frame (H, W) of the given shape."""
     image = np.asarray(pages[index].asarray())
     if image.size != shape[0] * shape[1]:
         raise DamagedFrame(f"is {image.shape} and not {shape}")
@@ -66,7 +67,8 @@ class _Complaints(logging.Filter):
 
 
 def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
-    """Return the file positions of all page headers, which form a linked chain; raise FingerflowError for a loop.
+    """Return the byte positions of all page headers in a TIFF file, each of which refers to the next one; raise
+    FingerflowError if they form a loop.
 
     tifffile checks for loops only at the hundredth page, and not at all where it takes pages one by one.
     """
@@ -93,7 +95,12 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
 def _describe(
     path: Path, file: tifffile.TiffFile, headers: set[int], complaints: list[str]
 ) -> tuple[Description, Sequence[Any] | Frames]:
-    """Return the metadata of a TIFF stack, and its frames as a memory map or as pages that must be decoded singly."""
+    """Return the metadata of an open TIFF stack, and its frames, either as one memory map (N, H, W) or as pages that
+    must be decoded one by one.
+
+    The file positions of the page `headers` show whether data follow the last frame; `complaints` are the messages of
+    tifffile about damage.
+    """
     series: Any = file.series
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
@@ -176,7 +183,9 @@ def _describe(
 
 
 def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
-    """Return the byte ranges of all strips and tiles as sorted tuples (first byte, end, page number)."""
+    """Return the byte ranges in the file of all strips and tiles (parts in which a page is stored), as sorted tuples
+    (first byte, end, page number).
+    """
     return sorted(
         (offset, offset + length, number)
         for number, page in pages.items()
@@ -185,7 +194,9 @@ def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Return why the pixels of a page cannot be read, as far as its header shows; "" if no damage is found."""
+    """Return why the pixels of a TIFF page cannot be read, judged by its header, the file size and the bytes of a
+    frame; "" if no damage is found.
+    """
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))

@@ -154,7 +154,8 @@ class VideoRecording(FileRecording):
             self._cache.pop(other, None)
 
     def _dependent_frames(self, number: int) -> range:
-        """Return the frames that may depend on a given frame: those not yet delivered, up to the next key frame.
+        """Return the range of frames that an error in frame `number` may spoil: those that the decoder has not
+        delivered yet, up to the next key frame.
 
         Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
         """
@@ -174,8 +175,8 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Yield number and image of each decoded frame from key frame `key` on, without frames that are shown before
-        it.
+        """Yield frame number and image of each frame that is decoded from key frame `key` on, except frames displayed
+        before it.
         """
         count = 0
         packets = self._container.demux(stream)
@@ -265,7 +266,9 @@ class _Pixels:
 
 @contextmanager
 def _reported_errors() -> Iterator[list[str]]:
-    """Yield a list that, after the context, holds all errors that FFmpeg reported in any decoder thread."""
+    """Context manager that yields a list, which at the end of the context holds the messages of all errors that FFmpeg
+    reported in any decoder thread.
+    """
     found: list[str] = []
     with _REPORTS:
         level = av.logging.get_level()
@@ -321,7 +324,9 @@ def unfinished(path: Path) -> str:
 
 
 def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """Return a Matroska integer of variable length and the end position; None if the value is marked unknown."""
+    """Return the integer of variable length (Matroska format) at byte `at` of `data`, and the position after it; the
+    integer is None if it is marked unknown.
+    """
     first = data[at] if at < len(data) else 0
     width = 9 - first.bit_length()
     if width > 8:
@@ -381,7 +386,9 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
 
 
 def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
-    """Return (time stamp, is key frame, is damaged) for each readable packet of a video."""
+    """Return (time stamp, is key frame, is damaged) for each readable packet of a video stream in an open file
+    (`container`).
+    """
     found: list[tuple[Any, bool, bool]] = []
     try:
         for packet in container.demux(stream):

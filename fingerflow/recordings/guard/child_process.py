@@ -37,7 +37,8 @@ def check_in_child_process(path: Path, kind: str) -> None:
 
 
 def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
-    """Read a MATLAB file in a child process, and return the content.
+    """Read a MATLAB file in a child process, so that a damaged file cannot crash this one, and return its variables by
+    name.
 
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
@@ -62,7 +63,9 @@ def _from_json(value: Any) -> Any:
 
 
 class _ChildProcess:
-    """Child process that traverses files, started on first use and restarted after each crash."""
+    """Child process that reads through files to find those that crash a library; it is started on first use and
+    restarted after each crash.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -71,7 +74,8 @@ class _ChildProcess:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process read a file; return an error text, which is "" for a sound file.
+        """Let the child process read a file of a given `kind`; return "" for a sound file, else a text that states the
+        error.
 
         Of a sound MATLAB file the content is returned instead.
         """
@@ -117,7 +121,7 @@ class _ChildProcess:
         return process
 
     def _answer(self, process: subprocess.Popen[str], line: str | None) -> Any:
-        """Send a request to the child process and return the answer; None if the process has ended."""
+        """Send a line of text as request to the child process; return the answer, or None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
         try:

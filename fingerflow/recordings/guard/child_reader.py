@@ -26,7 +26,9 @@ SHUFFLE, FLETCHER32, CHECKSUM_BYTES = 2, 3, 4  # numbers of HDF5's filters that 
 
 
 def main() -> None:
-    """Traverse each file named in a line of standard input, and print an answer, until the input ends."""
+    """Read requests, each a line with path and kind of a file, from standard input; traverse each file and print an
+    answer, until the input ends.
+    """
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)
@@ -37,7 +39,9 @@ def main() -> None:
 
 
 def _run_with_limits(path: str, through: Callable[[str], Any]) -> Any:
-    """Run the reader `through` on a file with limits of time and memory; return its result, or an error text."""
+    """Run the function `through`, which reads a file, with limits of time and memory; return its result, or an error
+    text.
+    """
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -141,7 +145,8 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
 
 
 def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
-    """Return an error in the chunk index of an HDF5 data set, which HDF5 itself does not report; None if correct.
+    """Return a text that describes an error in the chunk index of an HDF5 data set, which HDF5 itself does not report;
+    None if the index is correct.
 
     Each chunk has a place of its own in the grid and bytes of its own in the file, as many as its filters leave it.
     Chunks that were never written are allowed. HDF5 crashes on a chunk that is shorter than its checksum.

@@ -43,7 +43,7 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def reading(path: Path, kind: str) -> Iterator[None]:
-    """Context that converts any exception of a file library into a FingerflowError with file name and remedy.
+    """Context manager that converts any exception of a file library into a FingerflowError with file name and remedy.
 
     Libraries of file formats do not specify what they raise for a damaged file: struct.error, KeyError, AssertionError,
     ZeroDivisionError and codecs' own exceptions were observed. Therefore every exception is converted; the context

@@ -13,7 +13,8 @@ _AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # running, or waiting 
 
 
 class IdleLimit:
-    """Context that kills a child process that is idle for too long.
+    """Context manager that kills a child process, given by its process id, once it has been idle for a number of
+    seconds.
 
     It checks once a second. A check counts as idle if neither the process nor any of its children is running, waits for
     a CPU, or has used CPU time since the check before. Time in which other programs occupy the machine, or in which it

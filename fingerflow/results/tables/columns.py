@@ -20,7 +20,9 @@ class Table(NamedTuple):
 
 
 def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return a table with one row per frame: frame number, time, and every variable that has one value per frame."""
+    """Return a table with one row per frame: frame number, time, and the variables that have one value or vector per
+    frame.
+    """
     columns = {"frame": result["frame"].values, **_columns_of(result["time"])}
     for values in _select(result, variables, ("frame",)):
         columns |= _columns_of(values)
@@ -28,7 +30,8 @@ def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return a table with one row per point and frame: frame, time, point, and every variable of points.
+    """Return a table with one row per point and frame: frame number, time, point number, and the variables that have a
+    value for each point.
 
     A variable of points alone, such as the onset, is repeated in every frame.
     """
@@ -43,7 +46,8 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
 
 
 def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
-    """Return point tracks as an array for `napari.layers.Tracks`: track ID, frame, y, x, sorted by ID and frame.
+    """Return the tracks of all points as a table for `napari.layers.Tracks`, with columns track ID, frame number, y and
+    x (px), sorted by ID and frame.
 
     Rows exist where a point is tracked. The named `variables` are further columns, napari's properties.
     """
@@ -71,7 +75,9 @@ def _sizes(result: xr.Dataset) -> tuple[int, int]:
 
 
 def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
-    """Yield the variables whose dimensions are one of the tuples `dims`: those named in `variables`, or all if None."""
+    """Yield the variables of a result whose dimensions, apart from that of vector components, are one of the tuples
+    `dims`: those named in `variables`, or all if None.
+    """
 
     def fits(values: xr.DataArray) -> bool:
         of_it = tuple(map(str, values.dims))
@@ -91,7 +97,9 @@ def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
 
 def _columns_of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
-    """Return the columns of a variable in its shown unit, one per component: a mapping from name to values."""
+    """Return the values of a variable, in the unit in which tables show it, as a mapping from column name to values,
+    with one column per component.
+    """
     shown = shown_unit(str(values.name), values.attrs["units"])
     numbers = values.values if shown.factor == 1 else shown.factor * values.values
     if values.dims[-1] not in LABELS:

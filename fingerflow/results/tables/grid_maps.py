@@ -1,4 +1,4 @@
-"""Maps of a variable, interpolated from points or triangles of skin to a regular grid of the glass."""
+"""Maps of a variable, interpolated from points or triangles of skin to a regular grid on the glass."""
 
 import json
 from typing import NamedTuple
@@ -19,7 +19,8 @@ _MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
 
 
 class Maps(NamedTuple):
-    """Maps (F, C, H, W) of a variable on a regular grid of the glass, for F frames and C components; NaN where unknown.
+    """Maps (F, C, H, W) of a variable on a regular grid on the glass, for F frames, C components and H x W grid
+    positions; NaN where unknown.
 
     Attributes:
         name: of the variable; `unit` its shown unit; `components` the names of its components, () for a scalar.
@@ -55,7 +56,8 @@ class Maps(NamedTuple):
 
 
 def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
-    """Interpolate a variable to a regular grid of the glass in each frame, at the current positions of the skin.
+    """Interpolate a variable of skin points or triangles, at their positions in each frame, to a regular grid on the
+    glass with a spacing of `step_mm`.
 
     A variable of points is interpolated linearly in the Delaunay triangles of their positions in the frame (Barber et
     al. 1996). It is known within half a gauge length of a point that has a value; farther away no gradient is fitted
@@ -116,7 +118,8 @@ def _gauge_mm(result: xr.Dataset) -> float:
 def _interpolate_points(
     points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """Interpolate a variable of points to the grid positions (H, W, 2) of one frame, as (H, W, C).
+    """Interpolate values (N, C) of the points (N, 2) in one frame linearly to the grid positions `places` (H, W, 2) mm,
+    and return them as (H, W, C).
 
     The result is NaN farther than `reach` from all points.
     """
@@ -140,7 +143,9 @@ def _values_of_triangles(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the value (H, W, C) of the triangle that covers each grid position, in one frame."""
+    """Return the values (H, W, C) at the grid positions (y, x) of one frame, each that of the triangle of points which
+    covers the position; NaN where none does.
+    """
     found = np.full((len(y), len(x), values.shape[1]), np.nan)
     for triangle, value in zip(points[corners], values, strict=True):
         if not (np.isfinite(triangle).all() and np.isfinite(value).any()):

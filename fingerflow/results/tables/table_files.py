@@ -62,7 +62,7 @@ def export_table(
 
 
 def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
-    """Write the map of a variable on a regular grid of the glass to a file, for every frame.
+    """Write maps of a variable on a regular grid on the glass, one for each frame, to a file.
 
     Args:
         result: of `process`.
