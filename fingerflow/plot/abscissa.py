@@ -52,7 +52,9 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
 
 
 def varies(result: xr.Dataset, force: str) -> bool:
-    """Return True if a force varies by more than a tenth of its largest value and more than ten times its noise."""
+    """Return True if a force of the result, such as "normal_force", varies over the frames by more than a tenth of its
+    largest value and more than ten times its noise.
+    """
     if force not in result:
         return False
     known = _smoothed(result, force)
@@ -81,7 +83,9 @@ def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
 
 
 def _noise(result: xr.Dataset, force: str) -> float:
-    """Return the noise (standard deviation) of a force from second differences, which ignore a steady rise."""
+    """Return the standard deviation of the noise in a force of the result, from second differences over the frames,
+    which ignore a steady rise.
+    """
     values = result[force].values.astype(np.float64)
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]

@@ -169,7 +169,9 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
-    """Return one variable of a result, or one component of it, as a curve in its display unit."""
+    """Return one variable of a result, or its component number `component`, as a curve in its display unit, with its
+    standard deviations if the result has them.
+    """
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -193,7 +195,8 @@ def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: 
 def _draw(
     result: xr.Dataset, axes: Axes | None, against: str | None, curves: Sequence[_Curve], title: str, words: str = ""
 ) -> Axes:
-    """Draw several curves into one axes, with bands of ± BAND standard deviations.
+    """Draw several curves of a result into one axes, against the variable `against`, with bands of ± BAND standard
+    deviations.
 
     `words` label the vertical axis, with the unit of the first curve; without them its variable does.
     """
@@ -237,7 +240,9 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
 
 
 def _frame_limits(x: Values) -> tuple[float, float]:
-    """Return axis limits that include all frames, even those in which the curves have no value."""
+    """Return limits of the horizontal axis that include its values `x` in all frames, even in those where the curves
+    have no value.
+    """
     known = x[np.isfinite(x)]
     if not len(known):
         return 0.0, 1.0

@@ -70,7 +70,9 @@ class FigureFiles:
         return [folder / f"{name}.{suffix}" for suffix in (*self.formats, "txt")]
 
     def keep_others(self, folder: Path, name: str, overwrite: bool) -> None:
-        """Raise FingerflowError if a figure would replace another program's file, unless ``overwrite`` is set."""
+        """Raise FingerflowError if a file of a figure would replace one that fingerflow has not written, unless
+        ``overwrite`` is set.
+        """
         for path in self.paths(folder, name):
             keep_others(path, is_marked, overwrite)
 

@@ -157,7 +157,7 @@ def field_map(
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """Return one limit of the colour scale for the maps of several frames, in the unit of the map.
+    """Return the colour-scale limit that the maps of a quantity in several frames share, in the unit of the map.
 
     It is the largest over these frames of the 0.98 quantile of the absolute values, at most three times their median; 1
     if all are 0.
@@ -224,7 +224,9 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
 def _directions(
     axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
 ) -> None:
-    """Draw the direction of the major (or minor) principal strain as short lines at the centres of some triangles."""
+    """Draw short lines along the major (or minor) principal strain at the centres of evenly spread triangles, selected
+    from those in the mask `shown`; `corners` holds the point indices of all triangles.
+    """
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
     some = np.flatnonzero(shown)
@@ -236,7 +238,8 @@ def _directions(
 
 
 def _select_spread(places: Values, most: int) -> NDArray[np.intp]:
-    """Select about `most` evenly spread positions, and return their indices.
+    """Select about `most` of the positions (N, 2), evenly spread over the area that they cover, and return their
+    indices.
 
     Of each cell of a grid, the position nearest to the centre is selected.
     """

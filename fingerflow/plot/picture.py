@@ -135,7 +135,9 @@ def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> N
 
 
 def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
-    """Draw the points at their positions in a frame; lost points at their positions in the first frame."""
+    """Draw the tracked points of a frame onto a view, to which `matrix` maps from mm on the glass; lost points are
+    drawn as crosses at their positions in the first frame.
+    """
     if "position" not in result:
         return
     name = followed(result)

@@ -6,7 +6,8 @@ _NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmet
 
 
 def with_uncertainty(value: float, spread: float = math.nan) -> str:
-    """Return "value ± spread" with two significant digits of the spread; three of the value if it has no spread.
+    """Return "value ± spread" as text, rounded to two significant digits of the spread (a standard deviation), or the
+    value alone with three digits if the spread is unknown.
 
     >>> with_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'

@@ -15,7 +15,7 @@ def is_sensor(result: xr.Dataset) -> bool:
 
 
 def followed(result: xr.Dataset) -> str:
-    """Return what the tracked points of a result are called in figures: "markers" or "points"."""
+    """Return the word in figures for the tracked points of a result: "markers" for a soft sensor, else "points"."""
     return "markers" if is_sensor(result) else "points"
 
 

@@ -63,7 +63,8 @@ def _of_points(result: xr.Dataset) -> list[str]:
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
-    """Return a caution if more strains than expected exceed the largest plausible strain of skin.
+    """Return a caution, in a list, if more triangles between tracked points than expected are strained beyond what skin
+    can be; otherwise, and for a soft sensor, an empty list.
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """
@@ -89,7 +90,9 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
 
 def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Return the number of points without a position in the last usable frame, by reason, most frequent first."""
+    """Return pairs (reason, number) of the tracked points that have no position in the last usable frame, by the reason
+    of their loss, most frequent first.
+    """
     if "status" not in result or not result["status"].size:
         return []
     status = result["status"]

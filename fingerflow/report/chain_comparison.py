@@ -30,7 +30,8 @@ _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larg
 
 @dataclass(frozen=True)
 class ChainComparison:
-    """Contact area and divergence at T forces: measured (T,), and of skin chains with K frictions (K, T).
+    """Contact area and divergence (median over the contact, mean over its inner part) at T normal forces: measured
+    (T,), and simulated with the skin-chain model at K friction coefficients (K, T).
 
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
@@ -47,7 +48,9 @@ class ChainComparison:
     parameters: str
 
     def notes(self) -> list[str]:
-        """Return sentences about the assumptions of the comparison and about the fitted parameters."""
+        """Return sentences for the report on the assumptions of the comparison and on the tissue stiffness fitted to
+        the measured area.
+        """
         assert self.fit.tissue_interval is not None
         low, high = self.fit.tissue_interval
         given = PARAMETERS[self.parameters]
@@ -65,7 +68,8 @@ class ChainComparison:
 
 
 def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> ChainComparison:
-    """Simulate a skin chain of fitted stiffness under the measured normal force, once for each friction coefficient.
+    """Compare a result with the skin-chain model under the measured normal force, once for each coefficient in
+    `friction`; its tissue stiffness is fitted to the measured area, all else is the parameter set `parameters`.
 
     Raises:
         FingerflowError: no friction or one below 0, unknown parameters, results without a compared variable, or a
@@ -116,7 +120,9 @@ def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters
 
 
 def inner_divergence(result: xr.Dataset) -> Values:
-    """Return the mean divergence (F,), um/mm, of points within 0.6 of the contact ellipse; NaN without points."""
+    """Return for each of F frames the mean divergence, um/mm, of the tracked points within 0.6 of the contact ellipse's
+    radius from its centre; NaN without such points.
+    """
     found = np.full(result.sizes["frame"], np.nan)
     if "divergence" not in result or "position" not in result:
         return found
@@ -131,7 +137,9 @@ def inner_divergence(result: xr.Dataset) -> Values:
 
 
 def draw(beside: ChainComparison, width_mm: float = TWO_COLUMNS_MM) -> Figure:
-    """Draw area, median divergence and inner mean divergence against normal force, as measured and as simulated."""
+    """Draw three panels against normal force, each as measured and as simulated by the skin-chain model: contact area,
+    median divergence over the contact, and mean divergence over its inner part.
+    """
     panels = (
         (VARIABLES["gross_contact_area"].axis_label, beside.area, beside.chain_area),
         (_MEDIAN.axis_label, beside.median, beside.chain_median),
@@ -157,7 +165,9 @@ def draw(beside: ChainComparison, width_mm: float = TWO_COLUMNS_MM) -> Figure:
 
 
 def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:
-    """Fit the tissue stiffness of the skin chain to contact areas measured while the force rises to its maximum."""
+    """Fit the tissue stiffness of the skin-chain model to contact areas (mm²) at normal forces (N) of the frames in the
+    mask `large`, up to the largest force; `given` holds its other parameters.
+    """
     top = int(np.flatnonzero(large)[np.argmax(force[large])])
     rising = large & (np.arange(len(force)) <= top) & (force > 0.02 * force[top])
     at = np.unique(np.searchsorted(np.maximum.accumulate(np.where(rising, force, 0.0)),

@@ -19,7 +19,8 @@ PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear a
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Displacement field of P points, split into the `parts` named by PARTS; NaN at points with unknown displacement.
+    """Displacement field of P points, split into the parts named by PARTS (constant, divergence, curl, two shears,
+    rest); NaN at points with unknown displacement.
 
     All parts but the first, the field, add up to it. With divergence d, curl c (rad) and shears s, t the gradient of
     all but the rest is [[d + s, t - c], [t + c, d - s]] / 2, dimensionless.
@@ -118,7 +119,9 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
 
 
 def _arrow_scale(found: Decomposition) -> float:
-    """Return an arrow scale, to one digit, that draws the 0.95 quantile of displacement as a sixth of the field."""
+    """Return the factor, to one digit, by which displacement arrows are lengthened so that the 0.95 quantile of their
+    lengths is a sixth of the field's width.
+    """
     length = np.linalg.norm(found.parts["field"], axis=1)
     wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
     long = float(np.nanquantile(length, 0.95))

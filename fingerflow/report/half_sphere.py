@@ -12,7 +12,9 @@ DEPTH_MM, DEEPEST_MM = 3.0, 4.0
 
 
 def draw_half_sphere(axes: Axes) -> Axes:
-    """Draw figure S4 A: a fingertip pressed 3 mm into the glass, its arc (2 L) and its contact width (2 a), mm."""
+    """Draw figure S4 A: a fingertip, as a half-sphere, pressed 3 mm into the glass, with the arc (2 L) of skin that is
+    pressed flat and the width (2 a) of the contact, mm.
+    """
     delta, radius = DEPTH_MM, RADIUS_MM
     turn = np.linspace(0, np.pi, 181)
     axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY)
@@ -36,7 +38,9 @@ def draw_half_sphere(axes: Axes) -> Axes:
 
 
 def draw_lengths(axes: Axes) -> Axes:
-    """Draw figure S4 B: arc length L and contact radius a (mm) against the normal indentation (mm)."""
+    """Draw figure S4 B: half the arc of skin that is pressed flat (L) and the radius of the contact (a), mm, against
+    the normal indentation (mm).
+    """
     delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
     axes.plot(delta, arc_length(delta, RADIUS_MM), color=RED, linestyle="--", label="L, arc of the skin")
     axes.plot(delta, contact_radius(delta, RADIUS_MM), color=INK, label="a, contact")
@@ -47,7 +51,9 @@ def draw_lengths(axes: Axes) -> Axes:
 
 
 def draw_radial_strain(axes: Axes) -> Axes:
-    """Draw figure S4 C: compression (%) of skin that sticks to the glass against the indentation, with 3 mm marked."""
+    """Draw figure S4 C: the compression (L - a) / L (%) of skin that sticks to the glass, as its arc L is pressed into
+    the contact radius a, against the indentation (mm), with 3 mm marked.
+    """
     delta = torch.linspace(0, DEEPEST_MM, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, RADIUS_MM), color=INK)
     at_three = 100 * float(radial_strain(DEPTH_MM, RADIUS_MM))

@@ -64,7 +64,8 @@ def _compressed(found: re.Match[str]) -> str:
 
 
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
-    """Return the values of the named curves of axes, which the page displays at the cursor, or None if there are none.
+    """Return the labelled curves of axes that have `count` values, with axis limits, labels and place in the figure,
+    for the page to display values at the cursor; None if there are none.
 
     The axes must have been drawn by `inline_svg`, which settles their layout. Return None without such a curve.
     ``box`` is left, top, width and height as shares of the figure.

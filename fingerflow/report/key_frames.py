@@ -47,7 +47,9 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
-    """Return a mask (F,) of frames with known divergence or motion, or with contact if neither was computed."""
+    """Return a mask (F,) of frames in which any point has a known divergence or, if none was computed, a known
+    displacement or position; without all of these, of frames in contact.
+    """
     count = result.sizes["frame"]
     for name in ("divergence", "displacement", "position"):
         if name in result and np.isfinite(result[name].values).any():
@@ -101,14 +103,18 @@ def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFram
 
 
 def _largest_and_half(values: NDArray[np.floating], name: str) -> list[ReportFrame]:
-    """Return two key frames of a series (F,): where it is largest, and where it first reaches half of that."""
+    """Return two key frames of a time series (F,): where it is largest, and where it first reaches half of that; `name`
+    is the name of the series in their reasons.
+    """
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
     return [ReportFrame(top, f"largest {name}"), ReportFrame(half, f"half of the largest {name}")]
 
 
 def _select_spaced(found: list[ReportFrame], count: int) -> list[ReportFrame]:
-    """Select up to five candidate frames that lie more than 2 % of `count` frames apart, and sort them by time."""
+    """Select, in order of preference as given, up to five candidate frames more than 2 % of the recording's `count`
+    frames apart, and return them sorted by time.
+    """
     kept: list[ReportFrame] = []
     for one in found:
         if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):

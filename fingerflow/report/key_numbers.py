@@ -43,7 +43,8 @@ class Line:
 
 
 def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]:
-    """Return table rows (force, areas, divergence, curl, displacement, energy) with ± one standard deviation.
+    """Return the rows of the table of key numbers, one per quantity (time, force, areas, divergence, energy and
+    others), with its value at each of the key frames `frames` ± one standard deviation.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
     energy the uncertainty of the border. For areas without one it is the scatter from frame to frame (`scatter`).
@@ -68,7 +69,8 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the standard deviation (F,) of a series about parabolas fitted to 11 frames around each frame.
+    """Return for each frame the standard deviation of a time series (F,) about a parabola fitted to the 11 frames
+    around it.
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """

@@ -14,13 +14,16 @@ MEASURED = ("displacement", "divergence", "strain")
 
 
 def still_scene(scene: Scene, frames: Path) -> Scene:
-    """Return the scene of a recording of still frames: the same settings, displacement counted from its first frame."""
+    """Return the scene for processing `frames`, a recording in which nothing moves, with the settings of `scene` but
+    without forces, and with displacement counted from the first frame.
+    """
     recording = replace(scene.recording, frames=frames, trigger_frame=None, first_frame=0, last_frame=None)
     return replace(scene, recording=recording, forces=None, fields=replace(scene.fields, reference="first_frame"))
 
 
 def noise_floor(result: xr.Dataset, scene: Scene) -> NoiseFloor:
-    """Return the standard deviations of displacement, divergence and strain in still frames (`still_scene`).
+    """Return the noise floor, the standard deviations of displacement, divergence and strain, from the result of a
+    recording in which nothing moves; `scene` is that of `still_scene`.
 
     Deviations of all points and frames after the first count from the mean of all: what moves all points together,
     such as vibration between frames, is part of the noise floor. Both frames contribute, the first and the later one.

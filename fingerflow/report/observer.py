@@ -12,7 +12,9 @@ from fingerflow.plot.rounding import with_interval
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
-    """Draw figure S11 A: histograms of the normalised metric of correct and incorrect trials, with fitted Gaussians."""
+    """Draw figure S11 A: histograms of a metric, divided by its 0.9 quantile, in correctly and in incorrectly answered
+    trials, with a Gaussian fitted to each.
+    """
     axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials")
     if not observer.bins.size:
         axes.set_title(observer.reason)
@@ -58,7 +60,9 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
-    """Draw the table of figure S11 C: estimate, interval and number of trials of each metric, and chance level."""
+    """Draw the table of figure S11 C: for each metric the estimate of `quantity` with its 95 % interval and number of
+    trials, beside `chance`, the value that guessing gives.
+    """
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
@@ -76,7 +80,9 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
 
 
 def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
-    """Draw figure S12 A: histogram of participant medians, fitted two-Gaussian mixture, and border of the groups."""
+    """Draw figure S12 A: a histogram of a quantity's medians `values`, one per participant, with the fitted mixture of
+    two Gaussians and the border between the two groups of participants.
+    """
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)

@@ -57,7 +57,9 @@ def _captioned(picture: Picture, text: str) -> Picture:
 
 
 def _arrow_scale(result: xr.Dataset) -> float:
-    """Return the arrow scale, to one digit, that draws the 0.98 quantile of displacement as 40 px; 0 if unknown."""
+    """Return the factor, to one digit, by which displacement arrows are lengthened so that the 0.98 quantile of
+    displacement is 40 px long in the video; 0 if no displacement is known.
+    """
     if "displacement" not in result:
         return 0.0
     length = np.linalg.norm(result["displacement"].values, axis=-1)

@@ -68,7 +68,9 @@ class Section:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Drawing functions for one report page; each figure is also written as a file if ``files`` is given."""
+    """Functions that draw the figures of one report page from `result`, and also write each as a file into `folder` if
+    ``files`` is given.
+    """
 
     result: xr.Dataset
     folder: Path
@@ -94,7 +96,8 @@ class _Figures:
         return Drawn(name, svg, caption_of(figure))
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section with one curve per variable; None if the result has values of none of them.
+        """Return a section of the page with one curve for each pair (drawing function, variable) in `given` whose
+        variable has values in the result; None if none has.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
@@ -112,7 +115,9 @@ class _Figures:
         return Section(title, panels, notes)
 
     def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw one figure per variable, passing the same settings to each drawing function."""
+        """Draw one figure for each pair (drawing function, variable) in `given`, passing the same settings, such as
+        `against`, to every function.
+        """
         figures = []
         for draw_one, variable in given:
             on = draw_one(self.result, **settings)
@@ -264,7 +269,9 @@ def _sections(
 
 
 def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], first: int) -> Section | None:
-    """Return the section of maps at the key frames, each quantity with one colour scale, or None without maps."""
+    """Return the page's section with maps over the contact at the key frames `frames`, each quantity with one colour
+    scale, or None without maps; the reader first sees frame number `first` of these.
+    """
     places = [one.frame for one in frames]
     there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
     if not there or not places:

@@ -130,13 +130,17 @@ def _attribute(result: xr.Dataset, variable: str, name: str) -> float | None:
 
 
 def _magnification(result: xr.Dataset) -> float:
-    """Return the px of the contact view that a px of the topography view covers."""
+    """Return the scale between the two views of a frame: the number of contact-view pixels along the side of one pixel
+    of the topography view.
+    """
     matrix = np.array(json.loads(result.attrs["topography_to_contact"]), dtype=np.float64)
     return float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
 
 
 def _spacing(result: xr.Dataset) -> str:
-    """Return the mean spacing of the tracked points, where positions are known, in words."""
+    """Return a phrase with the median distance (px) from a tracked point to its nearest neighbour, in the frame with
+    the most known positions; "" for fewer than three points.
+    """
     position = result["position_px"].values
     frame = int(np.isfinite(position).all(-1).sum(1).argmax())
     known = position[frame][np.isfinite(position[frame]).all(-1)]

@@ -19,7 +19,9 @@ _FRAMES = 24  # frames with a median curl
 
 @dataclass(frozen=True)
 class PressField:
-    """Ground-truth displacement and curl at P points of the contact in the last frame, and median curl in F frames."""
+    """True displacement and curl of the skin in a synthetic press, at P points of the contact in the last frame, and
+    the median curl over the contact in each of F frames.
+    """
 
     reference: Values  # (P, 2) mm, reference positions
     displacement: Values  # (P, 2) mm since onset of contact

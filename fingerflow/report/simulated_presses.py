@@ -35,7 +35,9 @@ _SINCE = "Strains count from the undeformed finger."
 
 @dataclass(frozen=True)
 class SimulatedPresses:
-    """Skin-chain simulations of a press at K frictions and T times; `chain` holds arrays (T, K, ...) in SI units."""
+    """Simulations of a press with the skin-chain model at K friction coefficients and T times; `chain` holds arrays (T,
+    K, ...) in SI units.
+    """
 
     friction: tuple[float, ...]
     time: Values  # (T,) s
@@ -47,7 +49,9 @@ class SimulatedPresses:
         return self.friction.index(friction)
 
     def profile(self) -> "Profile":
-        """Return radial and hoop strain of each contact by radius, interpolated between the chain's elements."""
+        """Return the radial and hoop (circumferential) strain of the skin against the radius from centre to edge of the
+        contact, at each time and friction, interpolated between the chain's elements.
+        """
         shape = (*self.chain.contact_length.shape, _RADII)
         radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
         x = 1e3 * self.chain.position[..., 0].numpy()
@@ -61,7 +65,9 @@ class SimulatedPresses:
         return Profile(radius, radial, hoop)
 
     def energy(self) -> Values:
-        """Return the strain energy (T, K) in mJ over the contact disc, 2 mm deep (equation 3); 0 without contact."""
+        """Return the strain energy (T, K), mJ, of the skin over the contact disc down to a depth of 2 mm, by equation
+        3, at T times and K frictions; 0 without contact.
+        """
         found = self.profile()
         rings = np.nan_to_num(_density(found.radial, found.hoop)) * 2 * np.pi * found.radius
         return np.asarray(DEPTH_MM * np.trapezoid(rings, found.radius, axis=-1))
@@ -69,7 +75,9 @@ class SimulatedPresses:
 
 @dataclass(frozen=True)
 class Profile:
-    """Radial and hoop strain (T, K, R) at T times, K frictions and R radii (mm) up to the contact edge."""
+    """Radial and hoop (circumferential) strain of the skin, (T, K, R) each, at T times, K frictions and R radii (mm)
+    from the centre to the edge of the contact.
+    """
 
     radius: Values
     radial: Values  # du/dx
@@ -79,7 +87,8 @@ class Profile:
 def simulate_presses(
     friction: Sequence[float] = FRICTIONS, times: int = _TIMES, elements: int = _ELEMENTS
 ) -> SimulatedPresses:
-    """Simulate a press with a force that rises to 3 N in a second, at each friction coefficient.
+    """Simulate a press with the skin-chain model at each friction coefficient, under a normal force that rises to 3 N
+    in one second; `times` and `elements` are the numbers of time steps and chain elements.
 
     The contact of the skin chain has the area printed in the paper.
     """
@@ -169,7 +178,9 @@ def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False
 
 
 def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 K: tangential speed (mm/s) of the chain element that moves furthest, against normal force."""
+    """Draw figure S5 K for the skin-chain model: the tangential speed (mm/s) of the element in contact that is
+    displaced furthest by the end, against normal force.
+    """
     moved = 1e3 * presses.chain.displacement[..., 0].numpy()
     touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
     furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
@@ -185,7 +196,9 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
-    """Draw figure S5 J for the skin chain: largest tangential displacement (mm) at full load, by friction."""
+    """Draw figure S5 J for the skin-chain model: the largest tangential displacement (mm) of skin in contact at full
+    load, one bar per friction coefficient.
+    """
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
@@ -207,7 +220,9 @@ def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
 
 
 def _rate(series: Values, time: Values) -> Values:
-    """Return time derivatives (T, K) per second: slopes of lines fitted to 0.12 s of values; NaN near the ends."""
+    """Return the time derivatives (T, K), per second, of K series at T equal time steps: slopes of lines fitted to 0.12
+    s of values, NaN near the ends.
+    """
     step = float(time[1] - time[0])
     width = max(1, round(_SLOPE_S / step / 2))
     rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
@@ -222,7 +237,8 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 
 def _axisymmetric_maps(presses: SimulatedPresses) -> tuple[list[tuple[float, float, float, float]], Values]:
-    """Return extents (mm) and strain maps (2, H, W, 3) at low and high friction, assuming axial symmetry.
+    """Return the extents (mm) of the contact and maps (2, H, W, 3) of the strains exx, eyy and exy over it, at low and
+    high friction, from the radial strains of the chain by axial symmetry.
 
     They are those at full load; NaN off contact.
     """

@@ -71,7 +71,8 @@ def draw_trial(
     fit: FrictionFit | None = None,
     printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figures 2 b and c: relative stuck area d^2 against load ratio for one trial, with the fitted model.
+    """Draw figures 2 b and c for one trial: the stuck area relative to the contact area, d^2, against the load ratio
+    (tangential over normal force), with the verdict on slip and the fitted friction model.
 
     ``printed_area`` is the d^2 of the printed criterion, drawn beside it.
     """
@@ -106,7 +107,8 @@ def draw_trial(
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
-    """Draw figures 2 b and c for many trials: stuck area d^2 against load ratio, scaled to 1 at full slip.
+    """Draw figures 2 b and c for many trials, each given as (d^2, load ratio, verdict): the stuck area relative to the
+    contact area, d^2, against the load ratio over its value at full slip.
 
     Trials without a complete loss of adhesion are counted, not drawn.
     """
@@ -138,7 +140,8 @@ def draw_over_time(
     area_std: ArrayLike | None = None,
     printed_area: ArrayLike | None = None,
 ) -> Axes:
-    """Draw figure 2 d: relative stuck area d^2 against time (s), with its collapse and the start of full slip.
+    """Draw figure 2 d: the stuck area relative to the contact area, d^2, against time (s), with the collapse and the
+    start of full slip that `verdict` states.
 
     ``area_std`` draws a band of one standard deviation, ``printed_area`` the d^2 of the printed criterion.
     """
@@ -159,7 +162,9 @@ def draw_over_time(
 
 
 def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: TrialVerdict) -> bool:
-    """Draw the sudden collapse of the stuck area, and return True; without a collapse draw nothing and return False."""
+    """Draw as a thick line the part of the curve of `area` against `x` in which the stuck area suddenly collapses, and
+    return True; if the verdict states no collapse, draw nothing and return False.
+    """
     if verdict.outcome != "vanishes abruptly":
         return False
     collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)

@@ -53,7 +53,9 @@ class SlipTrial:
 
 
 def verdict_line(trial: SlipTrial) -> str:
-    """Return one line with the verdicts on a trial by change point, by the published rule and by model."""
+    """Return one line of text on how a trial loses its stuck area (abruptly, gradually or undecided): by change-point
+    detection, by the rule printed in the paper, and by the fitted model.
+    """
     found = trial.verdict
     numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
     if math.isfinite(found.loss_load_ratio):
@@ -68,7 +70,9 @@ def verdict_line(trial: SlipTrial) -> str:
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
-    """Return one line that counts the trials by verdict, by the change point and by the published rule."""
+    """Return one line that counts the trials by verdict on the loss of the stuck area, by change-point detection and by
+    the rule printed in the paper, and the `failed` trials without verdict.
+    """
     lines = []
     for rule, outcomes in (
         ("", [trial.verdict.outcome for trial in trials]),

@@ -24,7 +24,9 @@ _SHAPES = 6  # drawn shapes of the skin during a press
 
 @dataclass(frozen=True)
 class Depth:
-    """Stress and strain below the surface of K simulated presses, at Y positions along it and several depths."""
+    """Stress at full load and strain over time below the skin surface in K simulated presses, at Y positions along the
+    surface; stress also as a map over Z depths.
+    """
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
@@ -35,7 +37,9 @@ class Depth:
 
 
 def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
-    """Compute stress below the surface of simulated presses, and the viscoelastic strain that it causes."""
+    """Compute the stress below the surface of simulated presses at `places` positions along it and `depths` depths, and
+    the viscoelastic strain 2 mm deep that it causes.
+    """
     edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
@@ -167,7 +171,9 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
 
 
 def _line_styles(presses: SimulatedPresses) -> list[dict[str, Any]]:
-    """Return one line style per simulation, thinner for later ones, so that overlapping curves stay visible."""
+    """Return keyword arguments of `Axes.plot` for one line per simulated friction, each thinner than the one before so
+    that overlapping curves stay visible.
+    """
     widths = np.linspace(2.6, 0.8, len(presses.friction))
     styles = line_styles(len(presses.friction), ordered=True)
     return [
@@ -177,7 +183,9 @@ def _line_styles(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
-    """Return text with the ratios of values (K,) at high friction to those at low and at the lowest friction."""
+    """Return text with the ratios of a quantity (K,), one value per simulated friction, at high friction to that at low
+    and at the lowest friction.
+    """
     high = values[presses.index(HIGH)]
     over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
     return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())

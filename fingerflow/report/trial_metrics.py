@@ -176,7 +176,8 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Draw figures S7 C to E, S8 H and I, S9 E: share of "more slippery" answers against the median of a metric.
+    """Draw figures S7 C to E, S8 H and I, S9 E: share of "more slippery" answers against the median of a metric, one
+    dot per participant and vibration amplitude.
 
     One dot a participant and amplitude, darker for smaller amplitudes. The title has Spearman's coefficient over the
     dots.
@@ -237,7 +238,8 @@ def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
 
 
 def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
-    """Return median metric, share of answers, condition index and participant (N,) of N participant-condition pairs.
+    """Return, for N pairs of participant and condition, four arrays (N,): the median of the trials' `values`, the share
+    of "more slippery" answers, the index of the condition, and the participant.
 
     Pairs without a known value are left out.
     """
@@ -261,7 +263,9 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
 
 
 def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
-    """Add grid and caption to axes as `finished` does, with the legend to the right of them."""
+    """Add a light grid, a caption and, to the right of the axes, a legend to axes, and return them; the legend is
+    headed by the last word of `title`, its unit.
+    """
     finished(axes, caption)
     axes.legend(
         frameon=False, title=title.rpartition(" ")[2], loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.3,

@@ -24,7 +24,9 @@ _MOST_POINTS = 20_000  # of a line, more than any figure resolves
 
 @dataclass(frozen=True)
 class TribometerTrace:
-    """Trace of T samples of a finger sliding to and fro on a plate with modulated vibration; float64, SI units."""
+    """Recording, in T samples, of a finger sliding to and fro on a plate whose vibration amplitude is modulated:
+    forces, finger position and vibration amplitude; float64, SI units.
+    """
 
     path: Path
     time: Tensor  # (T,) s
@@ -34,7 +36,8 @@ class TribometerTrace:
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
-        """Return friction coefficients of the half periods in which vibration amplitude rises, in six amplitude bins.
+        """Return the friction coefficients of the trace in six bins of vibration amplitude, for each epoch: a half
+        period of the modulation, in which the amplitude rises.
 
         Raises:
             FingerflowError: the trace cannot be divided into epochs.
@@ -122,7 +125,9 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
 
 
 def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
-    """Draw figure S1 B: friction of each sliding epoch against vibration amplitude, with median and quartiles."""
+    """Draw figure S1 B: friction coefficient against vibration amplitude (µm), one grey line per sliding epoch (one
+    rise of the amplitude), with median and quartiles over the epochs.
+    """
     middles = 1e6 * ((epochs.edges[1:] + epochs.edges[:-1]) / 2).numpy()
     for medians in epochs.median.numpy():
         axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)
@@ -140,6 +145,8 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
 
 
 def _axis_limit(values: np.ndarray) -> float | None:
-    """Return an upper axis limit (1.2 times the 0.99 quantile) that ignores outliers; None without finite values."""
+    """Return an upper axis limit for values, 1.2 times their 0.99 quantile, so that outliers do not set it; None
+    without finite values.
+    """
     known = values[np.isfinite(values)]
     return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

@@ -23,7 +23,9 @@ class ViewPainter:
     """Painter of contact, points and displacement over the views of a frame; colours are RGB."""
 
     def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-        """Check that the result was computed from this recording; raise FingerflowError otherwise."""
+        """Prepare to paint the frames of a recording with their result; raise FingerflowError if the result was
+        computed from another recording.
+        """
         check_recording(result, scene, recording)
         self._result = result
         self._outlined = result[[name for name in _OUTLINED if name in result]]
@@ -33,7 +35,9 @@ class ViewPainter:
         self._first = scene.recording.first_frame
 
     def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
-        """Return an RGB image (H, W, 3) of a frame's views next to each other; `frame` is an index in the result."""
+        """Return an RGB image (H, W, 3) of a frame, by its index in the result: its views side by side, with contact,
+        points, and displacement arrows lengthened by `arrow_scale` (0: no arrows).
+        """
         picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
         outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
         parts = []
@@ -77,5 +81,7 @@ class ViewPainter:
 
 
 def _drawing_coordinates(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Convert positions (N, 2) from mm on the glass to integers in 1/8 px for OpenCV; arbitrary where NaN."""
+    """Convert positions (N, 2), mm on the glass, by the affine map `matrix` (2, 3) to px of a view, as integers in 1/8
+    px, which OpenCV draws; arbitrary where NaN.
+    """
     return np.round(np.nan_to_num(in_pixels(millimetres, matrix)) * 8).astype(np.int32)

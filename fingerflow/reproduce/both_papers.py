@@ -65,7 +65,9 @@ def _compare(
     figures: Sequence[PrintedFigure[Source] | PrintedMovie[Source]],
     progress: bool,
 ) -> None:
-    """Compute all results of a paper, draw its figures, and write both into the folder of the page."""
+    """Compute the reproduced results of a paper from its simulated experiment `source`, draw its figures, and write
+    both into the folder `page`.
+    """
     answers = [row.answer(source) for row in tqdm(rows, desc="rows", disable=not progress)]
     drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures", disable=not progress)]
     write_results(page, paper, about, answers, drawn)

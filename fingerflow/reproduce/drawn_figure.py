@@ -26,7 +26,8 @@ _WIDE = 9.0  # inches of such a strip
 
 @dataclass(frozen=True)
 class DrawnFigure:
-    """Reproduced figure or movie of the page: name, what the printed one shows, file names, and own caption.
+    """Figure or movie on the reproduction page: name, what the printed one shows, file names, and what the reproduced
+    one shows.
 
     `file` is empty if nothing was drawn: `shown` then says why. `movie` is empty for a figure.
     """
@@ -59,7 +60,8 @@ class PrintedFigure(Generic[Source]):
 
 @dataclass(frozen=True)
 class PrintedMovie(Generic[Source]):
-    """Movie of a paper: its number, what it shows, the function that draws the reproduced frames, and their repeats.
+    """Movie of a paper: its number, what it shows, the function that draws the frames of the reproduced one, and how
+    often each frame is repeated in the file.
 
     `draw` returns the frames and what they show here.
     """
@@ -84,7 +86,9 @@ class PrintedMovie(Generic[Source]):
 
 
 def _strip(pictures: list[Picture]) -> Figure:
-    """Return a figure with three frames of a movie: in a row if they are tall, else in a column."""
+    """Return a figure with three evenly spaced frames of a movie, first to last: in a row if they are tall, else in a
+    column.
+    """
     chosen = [pictures[at] for at in np.linspace(0, len(pictures) - 1, _STILLS).round().astype(int)]
     height, width = chosen[0].shape[:2]
     in_row = height > 0.8 * width

@@ -45,12 +45,16 @@ def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
 
 
 def _supplement_panels(study: PressStudy, name: str, sources: Sources | None = None) -> list[SheetPanel]:
-    """Return the panels of a figure of the supplement that are drawn from the table of trials and from models."""
+    """Return those panels of the supplement's figure `name`, such as "S5", that can be drawn from the simulated study's
+    table of trials and from models.
+    """
     return list(SHEETS[name](sources or study.sources).panels)
 
 
 def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[PressStudy], Drawn]:
-    """Return the function that draws a figure whose panels are all those of the supplement."""
+    """Return the function that draws the supplement's figure `name`, such as "S7", from a study; `shown` is the first
+    line of its caption, with ``{count}`` for the number of trials.
+    """
     return lambda study: _sheet(name, _supplement_panels(study, name), shown.format(count=_count(study)))
 
 
@@ -152,7 +156,9 @@ def _curl(study: PressStudy) -> Drawn:
 
 
 def _triangulated(part: SubFigure, press: TypicalPress) -> None:
-    """Draw both views at the largest force, the topographic view with the triangles between the tracked points."""
+    """Draw both views of a press at its largest force, the topography view with the triangles between the tracked
+    points.
+    """
     left, right = part.subplots(2, 1)
     show(left, view_of(press.scene, "contact", press.peak))
     show(right, view_of(press.scene, "topography", press.peak))
@@ -179,7 +185,9 @@ def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None
 
 
 def _processed_frames(study: PressStudy) -> Iterator[Picture]:
-    """Yield the frames of movie M1: high (above) and low friction at the same force, with contact and displacements."""
+    """Yield the frames of movie M1: a press at high friction above one at low friction, at the same normal forces, with
+    contact outlines and displacement arrows.
+    """
     high, low = study.typical
     forces = np.linspace(0.2, min(high.largest_force, low.largest_force), 40)
     with (
@@ -194,7 +202,9 @@ def _processed_frames(study: PressStudy) -> Iterator[Picture]:
 
 
 def _strain_frames(study: PressStudy) -> Iterator[Picture]:
-    """Yield the frames of movie M4: strains and energy density at high (above) and low friction, at the same force."""
+    """Yield the frames of movie M4: maps of strain and energy density of a press at high friction above those of one at
+    low friction, at the same normal forces.
+    """
     pair = study.typical
     limits = {name: max(plot.colour_limit(one.result, name, (one.peak,)) for one in pair) for name in _MOVIE_MAPS}
     figure = Figure(figsize=(14, 6.4), dpi=72, layout="constrained")

@@ -77,7 +77,9 @@ def _models(_: Slides) -> Drawn:
 
 
 def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, width: float, scale: float = 0.0) -> None:
-    """Draw the stuck area of equation 5 against the load ratio T/N, divided by `scale` (0: the largest load ratio)."""
+    """Draw the relative stuck area that the partial-slip model (equation 5) predicts for a static and a kinetic
+    friction coefficient, against the load ratio T/N divided by `scale` (0: by its largest value).
+    """
     largest = float(critical_load_ratio(static, kinetic))
     load: Values = largest * (1 - np.linspace(1, 0, 400) ** 2)
     smallest = float(critical_stuck_area(static, kinetic).nan_to_num(0.0))
@@ -89,7 +91,9 @@ def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, wid
 
 
 def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
-    """Draw the measured stuck area of a set of slides against load ratio, with four models fitted to all slides."""
+    """Draw the measured stuck area of a set of slides against load ratio, relative to that at full slip, with four
+    models fitted to all slides; return figure and caption.
+    """
     judged = [one for one in own if one.trial.verdict.loss_load_ratio > 0]
     if not judged:
         return None, "no slide of this set has a complete loss of adhesion"

@@ -98,7 +98,9 @@ def _median_filter(study: PressStudy) -> Obtained:
 
 
 def _setting(text: str, values: Callable[[PressStudy], tuple[float, ...]]) -> Callable[[PressStudy], Obtained]:
-    """Return the function of a row that states settings; ``{}`` in the text stand for their values."""
+    """Return the function that states settings of the study as a reproduced result: `text`, in which ``{}`` stand for
+    the numbers that `values` returns.
+    """
 
     def obtain(study: PressStudy) -> Obtained:
         found = values(study)
@@ -264,7 +266,8 @@ def _cut_off(_: PressStudy) -> Obtained:
 
 
 def _deep_stresses(_: PressStudy) -> Obtained:
-    """Compare the closed-form stresses below a loaded strip with numerical integration of equation 11.
+    """Compare the closed-form stresses at a point below a uniformly loaded strip of the surface with numerical
+    integration of equation 11.
 
     The shear stress, which equation 11 lacks, is integrated too.
     """
@@ -290,7 +293,9 @@ def _deep_stresses(_: PressStudy) -> Obtained:
 
 
 def _gains_over_low_friction(study: PressStudy, quantity: str, values: Values) -> Obtained:
-    """Compute the ratios of a quantity (K,) at the highest friction to that at each lower one, the lowest decides."""
+    """Compute the ratios of a quantity (K,), one value per simulated friction, at high friction to that at each other
+    one; the ratio to the lowest is compared with the printed number.
+    """
     frictions = study.sources.presses.friction
     high = values[frictions.index(HIGH)]
     ratios = {one: float(high / values[frictions.index(one)]) for one in frictions if one != HIGH}
@@ -309,7 +314,9 @@ def _stress_gain(study: PressStudy) -> Obtained:
 
 
 def _strain_gain(study: PressStudy) -> Obtained:
-    """Compute the gain of the largest compression at the receptor depth of 2 mm by friction."""
+    """Compute how many times larger the compression at receptor depth, 2 mm below the middle of the contact, is at high
+    than at lower friction in the skin-chain model.
+    """
     depth = study.sources.depth
     compression = -depth.strain_z[-1, :, len(depth.place) // 2]
     return _gains_over_low_friction(study, "compression 2 mm deep", compression)

@@ -30,7 +30,9 @@ _SMALL_UM = 1.0  # amplitudes up to which groups differ in print
 
 
 def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple[Interval, ...]]:
-    """Return mean ± SD of a metric over all presses as text, and the 95 % confidence intervals of both."""
+    """Return mean ± standard deviation of a metric over all measured presses as text, and the 95 % confidence intervals
+    of mean and of standard deviation.
+    """
     values = study.values(metric)
     values = values[np.isfinite(values)]
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
@@ -64,7 +66,9 @@ def _force_rates(study: PressStudy) -> Obtained:
 
 
 def _as_designed(study: PressStudy, metric: str, unit: str, design: tuple[float, float], because: str) -> Obtained:
-    """Compare mean and standard deviation of a metric over all presses with those of the simulation's design."""
+    """Compare mean and standard deviation of a metric over all measured presses with the values `design` from which the
+    simulation drew them; `because` explains a difference.
+    """
     return Obtained(*_distribution(study, metric, unit), f"{design[0]:g} ± {design[1]:g} {unit}", because)
 
 
@@ -85,7 +89,9 @@ _CHANCE = "the presses of this study are few"
 
 
 def _area(study: PressStudy, metric: str) -> Obtained:
-    """Return mean ± SD over participants of their median contact area (mm²) at the largest force."""
+    """Return mean and SD over participants of a contact area (mm²) at the largest force, taken for each participant as
+    the median of the presses.
+    """
     own = study.frame.groupby("participant")[[metric, f"true_{metric}"]].median()
     found, truth = own[metric].to_numpy(float), own[f"true_{metric}"].to_numpy(float)
     mean, deviation = float(found.mean()), float(found.std(ddof=1))
@@ -98,7 +104,8 @@ def _area(study: PressStudy, metric: str) -> Obtained:
 
 
 def _slopes(study: PressStudy) -> Obtained:
-    """Correlate the slope of real contact area against force (1 to 3 N) with the vibration amplitude.
+    """Compute Spearman's rank correlation, over presses, between vibration amplitude and the slope of real contact area
+    against normal force from 1 to 3 N.
 
     The area is normalised by the median of the participant.
     """
@@ -115,7 +122,9 @@ def _slopes(study: PressStudy) -> Obtained:
 
 
 def _area_reduction(study: PressStudy) -> Obtained:
-    """Compute by how many percent the largest vibration reduces the real contact area at 3 N, over participants."""
+    """Compute by how many percent the largest vibration amplitude reduces the real contact area at 3 N against the
+    smallest: mean and 95 % interval over participants.
+    """
     frame = study.measured
     means = frame.groupby(["participant", "condition"])["real_contact_area_at_3n"].mean().unstack()
     fall = 100 * (1 - means.iloc[:, -1] / means.iloc[:, 0]).dropna().to_numpy(float)
@@ -198,7 +207,9 @@ def _rate_on_answers(study: PressStudy) -> Obtained:
 
 
 def _unrelated(study: PressStudy, *metrics: str, because: str) -> Obtained:
-    """Test that metrics do not correlate with the share of "more slippery" answers."""
+    """Test that none of the metrics is correlated with the share of "more slippery" answers (Spearman, over pairs of
+    participant and condition); `because` explains a difference from the paper.
+    """
     trials = study.sample.trials
     found = {metric: correlate_with_answers(trials, study.column_of_sample(metric)) for metric in metrics}
     if unknown := [f"{_words(metric)}: {one.reason}" for metric, one in found.items() if not math.isfinite(one.value)]:
@@ -220,7 +231,9 @@ def _by_amplitude(study: PressStudy, metric: str) -> Obtained:
 
 
 def _angle_at(study: PressStudy, place: int) -> Obtained:
-    """Return mean ± SD over presses of the peak force angle (degrees) at the smallest (0) or largest (-1) amplitude."""
+    """Return mean ± SD over presses of the angle (degrees) between force and surface normal, at the smallest (`place`
+    0) or largest (-1) vibration amplitude.
+    """
     frame = study.measured
     amplitude = sorted(set(frame["condition"]))[place]
     own = np.degrees(frame.loc[frame["condition"] == amplitude, "force_angle"].to_numpy(float))

@@ -129,7 +129,8 @@ class PressStudy:
 
     @cached_property
     def rates(self) -> Any:
-        """Return a DataFrame of strain and energy rates against normal force, while the force rises.
+        """Return a DataFrame with the rates of strain and of strain energy in each frame of a press while the normal
+        force rises, and the force there.
 
         Columns: metric, condition, press, participant, normal_force_N and rate, of 200 presses at most. Metrics are
         `strain_rate`, the mean of both directions, and `strain_energy_rate`.
@@ -151,7 +152,8 @@ class PressStudy:
 
     @cached_property
     def rate_curves(self) -> Any:
-        """Return a DataFrame of mean strain and energy rates against normal force in steps of 0.5 N, by condition.
+        """Return a DataFrame of the rates of strain and of strain energy averaged over participants, by condition and
+        by normal force in steps of 0.5 N.
 
         Participants are the units of the intervals of 95 %, as in `curves`.
         """
@@ -170,7 +172,9 @@ class PressStudy:
 
     @cached_property
     def forces_of_peaks(self) -> dict[str, dict[float, float]]:
-        """Return the normal force (N) at the peak of each metric of `rates`: median over presses, by amplitude (µm)."""
+        """Return the normal force (N) at which each rate in `rates` is largest, as the median over presses, by metric
+        and vibration amplitude (µm).
+        """
         own = self.rates
         peaks = own.loc[own.groupby(["metric", "press"])["rate"].idxmax()]
         median = peaks.groupby(["metric", "condition"])["normal_force_N"].median()
@@ -186,7 +190,8 @@ class PressStudy:
 
     @cached_property
     def errors(self) -> tuple[Values, Values]:
-        """Return errors of median displacement (T, 2) mm and median divergence (T,) of T presses at the largest force.
+        """Return the errors, measured minus true, of the median displacement (T, 2) mm and the median divergence (T,)
+        over the contact at the largest force of T presses.
 
         An error is the measured value minus the simulated truth. T is at most 8; divergence has no unit.
         """
@@ -203,7 +208,8 @@ class PressStudy:
 
     @cached_property
     def chain_strain(self) -> dict[float, tuple[Values, Values]]:
-        """Return radial strains of the skin-chain model and the forces at which their rates peak, by friction.
+        """Return, for each friction, the median radial strain (3,) % of the skin-chain model at 1, 2 and 3 N, and the
+        forces (2,) N at which strain and strain energy change fastest.
 
         The strains (3,) are medians in % relative to the undeformed finger, at 1, 2 and 3 N. The forces (2,) in N are
         those at the largest rate of the strain and of the strain energy.

@@ -15,7 +15,8 @@ _TWO_SIDED = 1.96  # standard deviations of an interval of 95 %
 
 @dataclass(frozen=True)
 class Obtained:
-    """Reproduced result of a printed one: values as text and as intervals, true values, and reasons for differences.
+    """Reproduced counterpart of a printed result: values as text, an interval for each printed number, the simulated
+    truth, and why the two differ or nothing can be obtained.
 
     Attributes:
         text: values with units and deviations; empty where nothing can be obtained.
@@ -34,7 +35,8 @@ class Obtained:
 
 @dataclass(frozen=True)
 class Row(Generic[Source]):
-    """Printed result, and the function that computes the reproduced one.
+    """Printed result of a paper, and the function that computes its reproduced counterpart from the simulated
+    experiment.
 
     Attributes:
         id: of the list of printed results.
@@ -53,7 +55,8 @@ class Row(Generic[Source]):
     obtain: Callable[[Source], Obtained]
 
     def answer(self, source: Source) -> "Answer":
-        """Compute the reproduced result and compare it: it agrees if each number's interval overlaps the printed one.
+        """Compute the reproduced counterpart of this printed result from the simulated experiment `source`, and return
+        both with a verdict: they agree if each number's interval overlaps the printed one.
 
         Raises ValueError if the numbers of printed and obtained results do not correspond.
         """
@@ -77,7 +80,9 @@ class Row(Generic[Source]):
 
 @dataclass(frozen=True)
 class Answer:
-    """Row of the results table: printed and reproduced result, simulated truth, verdict, and reason."""
+    """Row of the page's results table: printed and reproduced result, simulated truth, verdict (agrees, differs, or why
+    not compared), and reason.
+    """
 
     id: str
     quantity: str
@@ -90,7 +95,7 @@ class Answer:
 
 
 def exactly(*values: float) -> tuple[Interval, ...]:
-    """Return an interval of zero width for each value."""
+    """Return for each value the interval (value, value), as for numbers that are exact."""
     return tuple((value, value) for value in values)
 
 
@@ -100,7 +105,7 @@ def rounded(*values: float, digit: float) -> tuple[Interval, ...]:
 
 
 def within(value: float, deviation: float) -> tuple[Interval, ...]:
-    """Return the interval value ± deviation, for a printed value."""
+    """Return the interval from value - deviation to value + deviation of a printed number, as a tuple of one."""
     return ((value - deviation, value + deviation),)
 
 
@@ -118,5 +123,5 @@ def number(value: float, deviation: float | None = None) -> str:
 
 
 def unobtainable(because: str) -> Callable[[Any], Obtained]:
-    """Return the `obtain` function of a row whose result cannot be reproduced; `because` is the reason."""
+    """Return a function for `Row.obtain` that gives no result but the reason `because`, why none can be reproduced."""
     return lambda _: Obtained("", because=because)

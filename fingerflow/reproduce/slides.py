@@ -37,7 +37,9 @@ _PIXEL_MM = 0.04  # the paper's pixel
 
 @dataclass(frozen=True)
 class JudgedSlide:
-    """Simulated slide with its measurement: set (abrupt, fading or unsteady), true slip, measured trial, and scene."""
+    """Simulated slide of a finger with its measurement: set ("abrupt" or "fading" loss of the stuck area, or "unsteady"
+    tangential force), true slip, measured trial, and scene.
+    """
 
     kind: str
     truth: LinearSlip
@@ -45,7 +47,7 @@ class JudgedSlide:
     scene: Scene
 
     def is_judged_correctly(self) -> bool:
-        """Return True if the measured verdict is the expected one of the slide's set."""
+        """Return True if the measured verdict on how the stuck area is lost is the one expected for the slide's set."""
         return self.trial.verdict.outcome == EXPECTED[self.kind]
 
 
@@ -57,7 +59,9 @@ class Slides:
     failed: tuple[str, ...] = ()
 
     def of(self, kind: str) -> list[JudgedSlide]:
-        """Return the measured slides of one set: "abrupt", "fading" or "unsteady"."""
+        """Return the measured slides of one set: "abrupt" or "fading" loss of the stuck area, or "unsteady" tangential
+        force.
+        """
         return [one for one in self.slides if one.kind == kind]
 
 
@@ -76,7 +80,9 @@ def design_slides() -> dict[str, LinearSlip]:
 
 
 def kind_of(slide: LinearSlip) -> str:
-    """Return the set to which a slide belongs: "abrupt", "fading" or "unsteady"."""
+    """Return the set to which a simulated slide belongs: "abrupt" or "fading" loss of the stuck area, or "unsteady"
+    tangential force.
+    """
     return UNSTEADY if slide.swing >= _SWINGS[UNSTEADY] else ABRUPT if slide.last > 0 else FADING
 
 

@@ -47,7 +47,9 @@ def _with(counts: tuple[int, ...]) -> str:
 
 
 def _abrupt(slides: Slides) -> list[JudgedSlide]:
-    """Return the slides whose stuck area vanishes abruptly, in ascending order of the critical stuck area."""
+    """Return the slides measured to lose their stuck area abruptly, in ascending order of the critical area: the
+    relative stuck area at which the collapse begins.
+    """
     found = [one for one in slides.slides if one.trial.verdict.outcome == EXPECTED[ABRUPT]]
     return sorted(found, key=lambda one: one.trial.verdict.critical_area)
 
@@ -73,7 +75,9 @@ def _extents(slides: Slides) -> Obtained:
 def _least_and_largest(
     slides: Slides, measured: Callable[[TrialVerdict], tuple[float, float]], more: str, truth: str
 ) -> Obtained:
-    """Return a value of the slides with the least and with the largest critical area; `measured` gives value and SD."""
+    """Return a measured quantity of two slides, those that collapse from the least and from the largest stuck area;
+    `measured` gives its value and SD, `more` follows in the text.
+    """
     found = _abrupt(slides)
     if not found:
         return Obtained("", because="no slide was judged to vanish abruptly")
@@ -160,12 +164,16 @@ def _force_rate(slides: Slides) -> Obtained:
 
 
 def _pressure(radius: Values | float) -> Values:
-    """Return the contact pressure of equation 1 at radii relative to the contact radius."""
+    """Return the contact pressure of equation 1, for a contact of unit radius and unit normal force, at distances
+    `radius` from its centre.
+    """
     return np.asarray(2 / math.pi * (1 - np.square(radius)))
 
 
 def _traction(radius: Values, stuck: float) -> Values:
-    """Return the tangential traction of equations 2 and 3 at relative radii, for a relative stuck area d²."""
+    """Return the tangential traction of equations 2 and 3, for a contact of unit radius and unit normal force, at
+    distances `radius` from its centre, if the share `stuck` (d²) of its area sticks.
+    """
     slipping = _KINETIC * _pressure(radius)
     return np.where(radius**2 < stuck, _STATIC * 2 / math.pi * (1 - stuck), slipping)
 

@@ -68,7 +68,8 @@ def view_of(scene: Scene, name: str, frame: int) -> Picture:
 
 
 def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | None = None) -> NDArray[np.bool_]:
-    """Return the mask of pixels in which the skin touches the glass in a frame.
+    """Return the mask (H, W) of contact-view pixels in which the skin touches the glass in a frame, found by a
+    threshold of darkness after a median filter of `median_px` pixels.
 
     There, the frame is darker than the threshold of the result, relative to a frame of the empty glass. The median is
     that of the scene, unless `median_px` states another.
@@ -127,7 +128,9 @@ def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
 
 
 def difference_panel(pairs: Sequence[tuple[float, NDArray[np.bool_], NDArray[np.bool_]]]) -> SheetPanel:
-    """Return the panel of figure S1 E: contact mask at high minus low friction, at several forces (N)."""
+    """Return the panel of figure S1 E: where skin touches at high but not at low friction (red) and the reverse (blue),
+    from triples (normal force in N, contact mask at high and at low friction).
+    """
 
     def draw(part: SubFigure) -> None:
         for axes, (force, high, low) in zip(np.atleast_1d(part.subplots(1, len(pairs))), pairs, strict=True):

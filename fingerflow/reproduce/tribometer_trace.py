@@ -18,7 +18,8 @@ _NOISE_N = 1e-3  # of a sample
 
 
 def write_trace(path: Path, friction: Callable[[Values], Values], largest_um: float) -> TribometerTrace:
-    """Simulate a trace of six strokes of 2 s, write it as CSV, and return it; an existing file is read.
+    """Simulate a tribometer trace, six strokes of 2 s of a finger on a vibrating plate, write it as CSV unless the file
+    exists, and return the trace in the file.
 
     Args:
         path: of the file; one that is there is kept.

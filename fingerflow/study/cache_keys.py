@@ -50,7 +50,9 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Keys:
-    """Cache keys of a trial: digests for result and table row, and the input files by key of the scene file."""
+    """Cache keys of a trial: a digest of all that its result depends on, one that adds what its table row depends on,
+    and the input files by their key in the scene file, such as `recording.frames`.
+    """
 
     result: str
     row: str
@@ -63,7 +65,9 @@ class Keys:
         return cls(found["result"], found["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
-        """Return the scene keys whose input files changed, or may have changed, between these cache keys and `now`."""
+        """Return the scene-file keys, such as `recording.frames`, of the input files that differ between these cache
+        keys and `now` by `same_content`, or that only one of the two lists.
+        """
         names = dict.fromkeys((*self.inputs, *now.inputs))
         both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
@@ -107,13 +111,17 @@ def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
-    """Return True if size and digest are equal, and, for a digest of samples only, also the modification time."""
+    """Return True if an input file is unchanged: size and digest are equal before and now and, if the digest covers
+    only samples of a large file, so is the modification time.
+    """
     unchanged = (before.size, before.digest) == (now.size, now.digest)
     return unchanged and (before.modified == now.modified or now.whole)
 
 
 def all_codes() -> dict[str, str]:
-    """Return digests of the source code that computes results and of that which computes table rows, by name."""
+    """Return a digest of the source code that computes results and one of the code that computes table rows, under the
+    keys "result" and "row".
+    """
     return {part: code_of(part) for part in _PARTS}
 
 

@@ -45,7 +45,8 @@ def run_on_workers(
     progress: bool = True,
     trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
-    """Run a function on tasks, on the workers of a cluster, and yield the results as they complete.
+    """Run a function on each task in worker processes of a Dask cluster, and yield the results in the order in which
+    tasks finish.
 
     Args:
         function: of a module, so that a worker can run it.
@@ -74,7 +75,9 @@ def run_on_workers(
 
 
 def workers_for(count: int, workers: int | None) -> int:
-    """Return the number of workers to start: the requested number or one per core, but at most one per task."""
+    """Return the number of workers to start for `count` tasks: `workers`, or else one per core of this computer, but at
+    most one per task.
+    """
     return max(1, min(workers or cores(), count))
 
 
@@ -141,7 +144,9 @@ class _Workers:
         self._ended.set()
 
     def capacity(self) -> int:
-        """Return the number of tasks that may be queued on the workers at a time."""
+        """Return the number of tasks to keep submitted to the cluster at a time: a multiple of its number of worker
+        threads.
+        """
         return max(2, _IN_FLIGHT * self._threads)
 
     def _watch(self) -> None:

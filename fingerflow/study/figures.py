@@ -33,7 +33,9 @@ _MOST_NAMED = 12  # most conditions in a legend
 
 
 class StudyFigure(NamedTuple):
-    """Figure of a study: name, image file ("" if not drawn), caption, and messages on panels that were left out."""
+    """Figure of a study as it was written: name, image file ("" if not drawn), caption, and sentences on the panels
+    that were left out.
+    """
 
     name: str
     file: str
@@ -97,7 +99,9 @@ def write_figures(
 
 
 def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
-    """Draw the mean curve of a metric against normal force for each condition, with a 95 % band over participants."""
+    """Draw the mean of a metric of the trials against normal force, one curve per condition (vibration amplitude), with
+    its 95 % interval over participants as a band; `curves` is the table `curves.csv` as a DataFrame.
+    """
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
     shown = NUMBERS[metric]
@@ -125,6 +129,8 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
 
 
 def _is_replaced(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if every panel that a sentence reports as missing is drawn as a curve of the study instead."""
+    """Return True if every panel that a sentence such as "B, D need a table of trials" reports as missing is drawn as a
+    curve of the study instead; the keys of `drawn` begin with a panel's letter.
+    """
     letters = {part.strip() for part in said.partition(" need")[0].split(",")}
     return bool(letters) and letters <= {letter[0] for letter in drawn}

@@ -64,7 +64,9 @@ class Manifest:
     design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
-        """Return the scene of a trial; if it is invalid, raise FingerflowError with row, key, value and remedy."""
+        """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
+        FingerflowError with row, key, value and remedy if it is invalid.
+        """
         return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
 
     @cached_property
@@ -141,7 +143,8 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return for each trial the row of the answers file with equal participant and trial number; {} if there is none.
+    """Return, for each row of the table of trials, the row of the CSV file `answers` with the same participant and
+    trial number; {} if there is none.
 
     Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
     """
@@ -159,7 +162,9 @@ def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str,
 
 
 def _rows_of_pattern(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return a row for each file that matches a pattern, with the values of its names in braces, sorted by file."""
+    """Return one table row per recording that matches a pattern such as "{participant}/{trial}.cine", sorted by path:
+    the text found for each name in braces, the recording's path and, by the pattern `forces`, the force file's.
+    """
     parts = re.split(r"\{(\w+)\}", pattern)
     glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
     expression, seen = "", set[str]()

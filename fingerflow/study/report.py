@@ -39,7 +39,9 @@ _MAD = 1.4826  # standard deviation of a Gaussian over its median absolute devia
 
 @dataclass(frozen=True)
 class Outlier:
-    """Largest deviation of a trial from the median of its condition, in robust standard deviations, and its metric."""
+    """Largest deviation of one trial from the median of the trials in its condition: its size in robust standard
+    deviations (from the median absolute deviation), and the metric that deviates so.
+    """
 
     deviations: float
     metric: str
@@ -120,7 +122,8 @@ def write_page(manifest: Manifest) -> str:
 
 
 def outliers(frame: Any) -> list[Outlier]:
-    """Return for each trial its largest deviation from the median of its condition, and the metric that deviates.
+    """Return for each trial, a row of `frame`, how far it lies from the median of its condition in the metric that
+    deviates most, and that metric's name.
 
     The unit is 1.4826 times the median absolute deviation of the condition; 0 for fewer than five trials.
     """

@@ -44,7 +44,8 @@ _FEWEST_SLID = 5  # frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
-    """Return the row of a trial (columns `NUMBERS` and `FACTS`), and its curves at the forces of `FORCE_GRID`.
+    """Return the table row of a trial (values by the column names in `NUMBERS` and `FACTS`), computed from its
+    processed result, and its curves: variables interpolated at the normal forces of `FORCE_GRID`.
 
     None means unknown: not measured, its moment did not occur, or a frame there is not usable. The value at a force F
     is interpolated linearly between the two frames around its first crossing, after the onset and before the maximum.
@@ -71,7 +72,9 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
 
 
 class _Trial:
-    """Time series of a trial, and the moments (contact onset, largest force, 1 to 3 N) whose values are in its row."""
+    """Time series of one trial's result, and the moments at which its table row samples them: contact onset, largest
+    force, and forces of 1 to 3 N.
+    """
 
     def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
@@ -90,7 +93,7 @@ class _Trial:
         self._grid = [self.crossing(float(force)) for force in FORCE_GRID]
 
     def _values(self, name: str) -> Series | None:
-        """Return the series of a variable with NaN in unusable frames; None if the result lacks the variable."""
+        """Return a variable of the trial's result with NaN in unusable frames; None if the result lacks it."""
         if name not in self._result:
             return None
         values = np.array(self._result[name].values, dtype=np.float64)
@@ -153,7 +156,9 @@ class _Trial:
         return moments
 
     def crossing(self, force: float) -> Moment | None:
-        """Return the interpolated moment at which the normal force first reaches `force`; None if it never does."""
+        """Return the moment at which the normal force first reaches `force` (N): the known frames before and after it,
+        and the share of the way from one to the other; None if it never does.
+        """
         if self._force is None or self.onset is None or self.top is None:
             return None
         frames = np.arange(max(self.onset - 1, 0), self.top + 1)
@@ -167,12 +172,16 @@ class _Trial:
         return before, after, float(share)
 
     def curve(self, series: Series) -> list[float | None] | None:
-        """Return a series interpolated at the forces of `FORCE_GRID`, None where not reached; None if it is unknown."""
+        """Return a time series of the trial interpolated at the normal forces of `FORCE_GRID`, with None at forces
+        where it has no value; None instead of the list if it has none at all.
+        """
         values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
-        """Return the largest value of a series between onset and end of contact."""
+        """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
+        known.
+        """
         if self.onset is None or self.last is None:
             return np.nan
         part = series[self.onset : self.last + 1]
@@ -226,7 +235,9 @@ class _Trial:
         }
 
     def facts(self) -> dict[str, Any]:
-        """Return the columns that are not measured quantities: numbers of frames, warnings and verdict on slip."""
+        """Return the columns of the trial's table row that are no measurements: numbers of frames and usable frames,
+        warnings of the processing, and slip verdict (None without one).
+        """
         attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),

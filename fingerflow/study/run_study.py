@@ -19,7 +19,9 @@ _TOGETHER = 8  # trials batched on an accelerator
 
 @dataclass(frozen=True)
 class Planned:
-    """Trial that must run, the part of it that is out of date ("result" or "row"), and the reason."""
+    """Trial that must run: its entry in the manifest, what to redo ("everything", only what has "changed", or only the
+    table "row"), and why.
+    """
 
     entry: TrialEntry
     redo: Part
@@ -28,7 +30,9 @@ class Planned:
 
 @dataclass
 class Summary:
-    """Outcome of a study run: numbers of planned and skipped trials, outcomes, and reason for an interruption."""
+    """Outcome of a study run: numbers of trials selected to run and of those left as they were, the outcome of each
+    that ran, and the reason if the run was interrupted.
+    """
 
     planned: int
     skipped: int
@@ -125,7 +129,8 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Run trials in groups that share a batch, at most ``size`` in each, and yield the outcomes of one group at a time.
+    """Run the planned trials in groups of at most ``size``, each of which one worker computes in lock-step as a batch,
+    and yield the list of a group's outcomes as it completes.
 
     Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
     that was too small for all may suffice for one.
@@ -150,7 +155,8 @@ def _run_groups(
 
 
 def _default_group_size(manifest: Manifest, scheduler: str | None) -> int:
-    """Return the default number of trials per group: several on a GPU of this computer, else 1.
+    """Return how many trials a worker computes together by default: several if this computer has a GPU and no
+    `scheduler` is given, else 1.
 
     They are as many as its memory holds of trials like the first one, at most `_TOGETHER`.
     """
@@ -193,7 +199,9 @@ def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Pl
 
 
 def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
-    """Return the outcome of a trial that killed its worker or raised an error; raise a FingerflowError again."""
+    """Return the outcome "failed" of the trial `name`, whose worker was killed or which raised `error`; if `error` is a
+    FingerflowError, raise it again.
+    """
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

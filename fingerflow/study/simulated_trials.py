@@ -106,7 +106,9 @@ class Design:
 
 @dataclass(frozen=True)
 class Presses:
-    """Parameters of N presses of a simulated study, (N,) each; a reference press precedes each comparison press."""
+    """Parameters of N presses of a simulated study, one array of length N each, in which the reference press of a trial
+    is directly followed by its comparison press.
+    """
 
     participant: NDArray[np.int64]
     amplitude: Values  # µm
@@ -167,7 +169,8 @@ def draw_presses(design: Design) -> Presses:
 
 
 def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArray[np.bool_]:
-    """Return the answers (T,) of the simulated observer in T trials: True if the comparison press felt more slippery.
+    """Return the answers (T,) of a simulated observer in T trials, given the two presses of each: True if the
+    comparison press felt more slippery.
 
     More divergence, or less real contact, is felt as more slippery.
     """
@@ -199,7 +202,8 @@ def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
 
 
 def median_divergence(press: ChainPress) -> float:
-    """Return the true median divergence over the apparent contact at the end of the force rise.
+    """Return the true median divergence, without unit, over the apparent contact of a simulated press at the end of the
+    force rise.
 
     The divergence of each point counts from its onset of contact. It is the truth of the pictures, evaluated along one
     radius: skin and contact are those of a body of revolution.
@@ -264,7 +268,8 @@ def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPr
 
 
 def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
-    """Return median divergence and apparent contact area (mm²) of presses at their peak force.
+    """Return median divergence over the contact and apparent contact area (mm²) of N presses at their peak force, from
+    skin type (`soft`: the softer), vibration amplitude (µm) and peak force (N), each (N,).
 
     Both are interpolated over the force from tables of the skin-chain model.
     """
@@ -280,7 +285,9 @@ def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, for
 
 @lru_cache(maxsize=256)
 def _peak_table(softness: float, friction: float) -> Values:
-    """Return a table (K, 2) of median divergence and apparent contact area (mm²) of the skin chain at K forces."""
+    """Return a table (K, 2) of median divergence and apparent contact area (mm²) that the skin-chain model has at the K
+    forces `_FORCES_N`; `softness` divides the printed stiffnesses of the chain.
+    """
     design = Design(softness=(softness, softness))
     presses = [_press(design, friction, False, min(float(force), _PATHS_N[-1])) for force in _FORCES_N]
     areas = [press.motion.ellipse(1.0) for press in presses]

@@ -34,7 +34,9 @@ _LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force ra
 
 @dataclass(frozen=True)
 class Counted:
-    """Numbers of trials: all trials of the study, those excluded by each rule, and those used."""
+    """Counts of a study's trials: all of them, those that each rule excludes as pairs (rule in words, number), and
+    those used.
+    """
 
     trials: int
     rules: tuple[tuple[str, int], ...]
@@ -79,7 +81,8 @@ def sample_of(frame: Any) -> Sample:
 
 
 def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
-    """Compute all statistics as plain numbers, for `statistics.json` and the HTML report of a study.
+    """Compute all statistics of the trials in `sample` as plain numbers, for `statistics.json` and the HTML report of a
+    study.
 
     - `counted`: numbers of trials, left out by each rule and used.
     - `by_condition`, `by_answer`: an ANOVA of each metric over conditions and over answers, participants being random;
@@ -175,7 +178,8 @@ def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
 
 
 def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Correlation:
-    """Compute Spearman's correlation of a metric (T,) with the share of "more slippery" answers.
+    """Compute Spearman's rank correlation between a metric (T,), one value per trial, and the share of "more slippery"
+    answers, over all pairs of participant and condition.
 
     Each pair of values is the median metric and the share of one participant in one condition.
     """

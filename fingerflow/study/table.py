@@ -79,7 +79,9 @@ def write_tables(manifest: Manifest) -> Tables:
 
 
 def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return one row per trial for the table: columns of the manifest, facts and numbers (None becomes NaN)."""
+    """Return one row of the study's table for each trial and its stored outcome: columns of the manifest, status and
+    files, and measured numbers, NaN where unknown.
+    """
     numeric = all(np.isfinite(_number_of(entry.condition)) for entry, _ in stored)
     rows = []
     for entry, found in stored:
@@ -101,7 +103,9 @@ def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | No
 
 
 def normalised(frame: Any) -> dict[str, Any]:
-    """Return the contact areas of all trials, each divided by its participant's median; NaN where unknown."""
+    """Return, as new columns of the table of trials, the contact areas, each divided by the median over all trials of
+    its participant; NaN where unknown.
+    """
     found = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
@@ -110,7 +114,8 @@ def normalised(frame: Any) -> dict[str, Any]:
 
 
 def differences(frame: Any) -> dict[str, Any]:
-    """Return the columns `DIFFERENCES`: value of a trial minus that of its reference; {} without references.
+    """Return the columns named in `DIFFERENCES`: each metric of a trial minus that of the reference trial with which it
+    was compared; {} if the table of trials names no references.
 
     It is NaN for trials without reference, as the references themselves.
     """
@@ -124,7 +129,8 @@ def differences(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return mean curves as rows: one row per metric, condition and force, averaged over participants.
+    """Return the curves of metrics against normal force, averaged over the participants of each condition, as table
+    rows: one per metric, condition and force.
 
     The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force
@@ -163,7 +169,7 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
 
 
 def _number_of(text: str) -> float:
-    """Return a text as a number; infinity if it is none."""
+    """Parse a text as a number; return infinity if it is not one."""
     try:
         return float(text)
     except ValueError:

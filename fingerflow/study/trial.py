@@ -51,7 +51,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one trial: status, reason for a failure, and the trial's share of the batch's processor time (s)."""
+    """Outcome of one trial in a study run: name, status, reason of a failure, whether that is transient (`passing`),
+    and processor time (s), a share of the total for trials computed together.
+    """
 
     name: str
     status: str
@@ -61,7 +63,8 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process several trials in one batch, write the table row of each, and return their outcomes.
+    """Process several trials in lock-step as one batch, write result and table row of each into its folder, and return
+    their outcomes.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
@@ -69,7 +72,9 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
 
 
 def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial as a generator, which pauses so that the steps of several trials can share a batch."""
+    """Process one trial and write its result and table row, as a generator that pauses at each step so that `together`
+    trials can be computed in lock-step, and that returns the outcome.
+    """
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -125,7 +130,9 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
-    """Return True if the stored row and result of a trial match its current inputs, settings and code."""
+    """Return True if the stored outcome of a trial is up to date: its cache keys match `keys`, computed from the
+    current inputs, settings and code, and the result file that it names is unchanged.
+    """
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or has_result(folder, stored)

@@ -43,12 +43,16 @@ class TrialRow:
 
 
 def result_name(keys: Keys) -> str:
-    """Return the file name of a trial's result, which contains a cache key and so depends on the settings."""
+    """Return the file name of a trial's result, which contains the digest `keys.result`, so that other inputs, settings
+    or code give another name.
+    """
     return f"result-{keys.result}.h5"
 
 
 def has_result(folder: Path, trial: TrialRow) -> bool:
-    """Return True if the result file that a row names exists and was not modified since it was written."""
+    """Return True if the result file that a trial's `row.json` names is in its folder and was not modified since it was
+    written.
+    """
     if trial.result is None or trial.content is None:
         return False
     try:

@@ -42,7 +42,9 @@ MOVIE = "M3.mp4"
 
 @dataclass(frozen=True)
 class Written:
-    """Outcome for one figure: name, path (None if nothing could be drawn), and panels left out with reasons."""
+    """Outcome for one figure (or the movie) of the supplement: name, path (None if nothing could be drawn), and panels
+    left out with reasons.
+    """
 
     name: str
     path: Path | None

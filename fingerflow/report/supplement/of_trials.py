@@ -124,7 +124,8 @@ def strain_energy(sources: Sources) -> Sheet:
 
 
 def _from_table(sources: Sources, *wanted: tuple[Any, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
-    """Return the panels that a table of trials supports, and (letter, missing input) of each other panel.
+    """Return the panels of a figure for whose metrics the table of trials has values and, for each other panel, its
+    letter and the input that it lacks.
 
     Args:
         sources: hold the table.

@@ -19,7 +19,8 @@ _FLATTEST = 0.5  # least height of a panel as a share of its width
 
 @dataclass(frozen=True)
 class SheetPanel:
-    """Panel of a figure: letter, drawing function, width in columns of the figure, and relative height.
+    """Panel of a figure: letter, function that draws it into a subfigure, width in columns of the figure, and height
+    relative to the other panels.
 
     `narrow_rows` is its relative height in a figure with fewer columns than it takes, where that differs.
     """
@@ -36,7 +37,7 @@ class SheetPanel:
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
     def height(self, columns: int) -> float:
-        """Return the relative height of the panel in a figure with the given number of columns."""
+        """Return the panel's height, relative to the other panels, in a figure that has the given number of columns."""
         return self.rows if columns >= self.columns or self.narrow_rows is None else self.narrow_rows
 
 
@@ -54,7 +55,9 @@ class Sheet:
 
     @staticmethod
     def missing_sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return one sentence per missing input, naming the panels that need it, from pairs (panel letter, input)."""
+        """Return one sentence per missing input, such as "A, B need a table of trials", from pairs (panel letter,
+        input).
+        """
         letters: dict[str, list[str]] = {}
         for letter, need in missing:
             letters.setdefault(need, []).append(letter)

@@ -19,7 +19,9 @@ NO_TRIALS = "a table of trials (--trials)"
 
 @dataclass(frozen=True)
 class Sources:
-    """Inputs of the supplement's figures: tribometer trace, table of trials, experimental design, simulations."""
+    """Inputs of the supplement's figures: tribometer trace and table of trials (None if not given), name of the
+    experimental design, and simulations that are computed at first use.
+    """
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
@@ -27,7 +29,9 @@ class Sources:
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:
-        """Return the friction coefficients of each sliding epoch of the tribometer trace; None without a trace."""
+        """Return the friction coefficients in each epoch of the tribometer trace, a stretch of sliding in which the
+        vibration amplitude rises; None without a trace.
+        """
         return None if self.tribometer is None else self.tribometer.epochs()
 
     @cached_property
@@ -46,14 +50,16 @@ class Sources:
         return press_field(Press())
 
     def difference_column(self, metric: str) -> str:
-        """Return the column with the difference of a metric from the reference, or the metric's own if it is
-        missing.
+        """Return the name of the column of the table of trials with a metric's difference from the reference trial, or
+        the metric's own column if that one has no values.
         """
         column = metric + DIFFERENCE
         return metric if self.missing_input(column) else column
 
     def missing_input(self, *metrics: str) -> str:
-        """Return text that names the missing input of a panel with these metrics; empty if nothing is missing."""
+        """Return text that names what is missing to draw these metrics, the table of trials or values in some of its
+        columns; "" if nothing is.
+        """
         if self.trials is None:
             return NO_TRIALS
         values = self.trials.metrics
