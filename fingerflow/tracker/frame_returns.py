@@ -55,8 +55,8 @@ class Ordinary(NamedTuple):
 
     @classmethod
     def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
-        """Estimate both from the squared distances `steps` (n, rows) between consecutive frames, and from their
-        relative excesses (m, rows) over usual distances (`excess`).
+        """Estimate noise and excess limit of ordinary frames from the squared distances `steps` (n, rows) between
+        consecutive frames, and from their relative excesses (m, rows) over usual distances (`excess`).
         """
         usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
         limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
