@@ -111,7 +111,9 @@ def rows_in_one_piece(frames: Array) -> Array:
 
 
 def strides_of_rows(frames: Shaped) -> tuple[int, int]:
-    """Return the strides in pixels of frames (B, 1, H, W), from frame to frame and from row to row."""
+    """Return the distances in memory, in pixels, from one frame to the next and from one row to the next, of frames (B,
+    1, H, W).
+    """
     given: Any = frames
     if isinstance(given, np.ndarray):
         frame, _, row, _ = given.strides

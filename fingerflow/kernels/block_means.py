@@ -13,7 +13,8 @@ Array = NDArray[Any]
 
 
 def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) -> tuple[Array, Array]:
-    """Return the means of frames over blocks (K, rows, columns), and the means over sampled lines (K, lines), float32.
+    """Return the means of frames (K, 1, H, W) over the blocks of a grid (K, rows, columns) and over sampled lines of
+    pixels (K, lines), float32.
 
     They are those of `tracker.block_means`, for frames (K, 1, H, W) of FRAME_KINDS. One line of `steps[0]` and one
     pixel of `steps[1]` is read; `blocks` are the numbers of rows and columns of blocks.

@@ -30,7 +30,9 @@ def check_axes(name: str, array: Shaped, count: int) -> None:
 
 
 def check_like(name: str, array: Shaped, of: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless an array has the dtype `of` and the given shape."""
+    """Raise ValueError unless an array has the dtype `of`, such as "float32", and the given shape; `name` names the
+    array in the message.
+    """
     if KINDS[array.dtype] != of or array.shape != shape:
         raise ValueError(f"{name} is {kind(array)} {tuple(array.shape)}: {of} {shape} is needed")
 
@@ -59,7 +61,9 @@ def check_indices(name: str, index: Shaped, count: int, of: str) -> None:
 
 
 def described(frames: Array) -> dict[str, Array | int]:
-    """Describe frames (B, 1, H, W) with contiguous rows by the fields of the C structure `fingerflow_frames`."""
+    """Return the fields of the C structure `fingerflow_frames` that describe frames (B, 1, H, W) with contiguous rows:
+    data, sizes, strides and dtype.
+    """
     batch, _, height, width = frames.shape
     frame_stride, row_stride = strides_of_rows(frames)
     return {
@@ -74,7 +78,8 @@ def described(frames: Array) -> dict[str, Array | int]:
 
 
 def lit(frames: Array, light: Array, black: Array) -> dict[str, Array | int]:
-    """Check frames, their light and black level; return the fields of the C structure `fingerflow_lit_frames`.
+    """Check frames (B, 1, H, W) with the light of the empty glass and the black level, images for one or all frames;
+    return the fields of the C structure `fingerflow_lit_frames`.
 
     Raises:
         TypeError, ValueError: wrong dtype, or inconsistent shapes.

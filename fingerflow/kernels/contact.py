@@ -49,7 +49,8 @@ def median(frames: Array, size: int) -> Array:
 
 @functools.cache
 def table_of(size: int) -> NDArray[np.uint16] | None:
-    """Return the median filter's instruction table for windows of `size`; None if no table is needed.
+    """Return the instruction table by which the compiled median filter computes windows of `size` x `size` px; None if
+    no table is needed.
 
     No table is needed for size 1 and for sizes with a compiled program.
     """
@@ -57,7 +58,8 @@ def table_of(size: int) -> NDArray[np.uint16] | None:
 
 
 def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, size: int) -> Array:
-    """Compute the mask of real contact (B, 1, H, W) bool, as `ops.contact.real_contact_mask`.
+    """Compute the mask of real contact (B, 1, H, W) bool, skin that touches the glass: pixels darker than `black` +
+    `limits` * `light`, after a majority filter of `size` x `size` px.
 
     Frames are of FRAME_KINDS; `light` and `black` (1 or B, 1, H, W) and `limits` (B,) are float32.
 
@@ -74,7 +76,8 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
 
 
 def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
-    """Compute the illumination gain (B,) float32 from blocks of `side` px, as `ops.contact.illumination_gain`.
+    """Compute the illumination gain (B,) float32, the ratio of each frame's light to that of the empty glass where no
+    skin touches, from blocks of `side` px, as `ops.contact.illumination_gain`.
 
     Arrays are as for `real_contact_mask`.
 
@@ -89,7 +92,8 @@ def illumination_gain(frames: Array, light: Array, black: Array, side: int) -> A
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Divide frames by the light of the empty glass; return the quotients and a mask of the pixels with a quotient.
+    """Divide frames, less the black level, by the light of the empty glass; return the quotients and a mask of the
+    pixels that have one, where the glass is lit.
 
     Both are (B, 1, H, W), as in `ops.filters.illumination`. Frames are of FRAME_KINDS, `light` and `black` as for
     `real_contact_mask`. A pixel is lit if its light exceeds `least`, float32, one per image of light.
@@ -105,7 +109,8 @@ def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[
 
 
 def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bins: int) -> Array:
-    """Compute grey-level histograms (B, bins) int64 of uint8 or uint16 frames inside a mask (B or 1, 1, H, W) bool.
+    """Compute grey-level histograms (B, bins) int64 of uint8 or uint16 frames (B, 1, H, W), from all pixels or from
+    those inside a mask (B or 1, 1, H, W) bool.
 
     `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
 
@@ -148,7 +153,8 @@ def otsu_threshold(counts: Array, low: float, high: float) -> Array:
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
-    """Compute density margin and size of the apparent contact from a mask of real contact (B, 1, H, W) bool.
+    """Compute size and shape of the apparent contact, the whole region covered by ridges and valleys, and its density
+    margin, the local density of real contact above that at the border, from a mask (B, 1, H, W).
 
     The method is that of `ops.contact.apparent_contact`. The results are float32: the signed density margin (B, 1, h,
     w), and (B, 7) covered pixels, area, centre, semi axes and angle. `side` is one of CELLS.

@@ -118,7 +118,8 @@ def contact_threshold(
 
 
 def covered(density_margin: Array, points: Array, transform: Array, cell: int) -> Array:
-    """Return a mask (K, N) bool of the points that the apparent contact covers, as `ops.contact.cells.covered`.
+    """Return a mask (K, N) bool of the points that lie inside the apparent contact of their frame, as
+    `ops.contact.cells.covered`.
 
     A point at the border (a margin of 0), to rounding, may be covered here and not there.
 

@@ -11,10 +11,14 @@ _LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 
 
 def cell_of(radius: int) -> int:
-    """Return the side in px of the cells of the apparent contact: 4 px, less for fine skin patterns."""
+    """Return the side in px of the square cells on which the apparent contact is computed, from the radius of the skin
+    pattern, px: 4 px, less for fine skin patterns.
+    """
     return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 
 def block_of(radius: int) -> int:
-    """Return the side in px of the blocks in which `illumination_gain` compares frames with the empty glass."""
+    """Return the side in px of the blocks in which `illumination_gain` compares frames with the empty glass, from the
+    radius of the skin pattern, px.
+    """
     return max(_LEAST_BLOCK, (2 * radius + 1) // 8 * 8)

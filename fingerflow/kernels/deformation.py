@@ -37,7 +37,8 @@ def correct_points(
     window: int,
     gauge_px: float,
 ) -> CorrectedPoints[Array]:
-    """Correct tracked points of K frames for the deformation of the skin, as `ops.tracking.deformation` up to rounding.
+    """Correct the positions of N points tracked in K frames for the deformation of the skin, estimated from the points,
+    as `ops.tracking.deformation` up to rounding.
 
     Args:
         start: (N, 2) px in the key frame, float32 as all arrays.

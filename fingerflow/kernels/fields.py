@@ -14,7 +14,9 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """Planes fitted locally to scattered values, with the attributes of `ops.fields.local_fit.LocalFit`."""
+    """Planes fitted locally to values of scattered points, at Q query positions: value, gradient and its covariance,
+    number of points and distance of their centroid (`ops.fields.local_fit.LocalFit`).
+    """
 
     value: Array
     gradient: Array
@@ -33,7 +35,8 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Fit planes to scattered values around query positions, as `ops.fields.local_fit` up to rounding.
+    """Fit a plane, by weighted least squares, to the values (B, N, C) of the points within `radius` of each query
+    position (B, Q, 2), and return value and gradient there, as `ops.fields.local_fit` up to rounding.
 
     Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
     C) share a dtype, float32 or float64. B is that of the results, or 1.
@@ -102,7 +105,8 @@ def area_medians(
     measure: int,
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
-    """Compute medians of divergence, curl and strain over ellipses, as `ops.fields.area_medians` up to rounding.
+    """Compute the medians of divergence, curl and the strains over the area of contact ellipses from displacements of N
+    points, as `ops.fields.area_medians` up to rounding.
 
     The results are medians (B, 5), their standard deviations (B, 5), None without `covariance`, and the share (B,) of
     positions in an ellipse where the fields are known.
@@ -182,7 +186,8 @@ def triangle_strain(
     measure: int,
     stiffness: Sequence[float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Compute strain and strain energy of triangles, as `ops.fields.triangle_strain` up to rounding.
+    """Compute strain and elastic strain energy of the M triangles of a mesh from the displacements (B, N, 2) of its
+    points, as `ops.fields.triangle_strain` up to rounding.
 
     The results are strain (B, M, 3), its standard deviation, energy density (B, M), energy (B,) float64, forces
     (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each point adds to the energy.

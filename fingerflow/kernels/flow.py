@@ -42,7 +42,9 @@ class FlowFields(NamedTuple, Generic[Array]):
 
 
 class FlowResidual(NamedTuple, Generic[Array]):
-    """Residual of a flow: cell means of the image difference that displacement and illumination do not explain."""
+    """Residual of a flow: means, over cells of 2 x 2 px, of the part of the image difference that displacement and
+    illumination do not explain.
+    """
 
     data: Array  # (B, 2, h, w)
     squares: Array  # (B, 1, h, w)
@@ -72,7 +74,9 @@ def _run_kernel(
 
 
 def _sizes(image: Array) -> tuple[dict[str, int], tuple[int, int], tuple[int, int]]:
-    """Return the size arguments for images (B, 1, H, W), and the shapes of the image and of the cell grid."""
+    """Return the size arguments of a kernel for images (B, 1, H, W), the size (H, W), and that of the grid of cells of
+    2 x 2 px.
+    """
     batch, _, height, width = image.shape
     return {"batch": batch, "height": height, "width": width}, (height, width), _cells(height, width)
 
@@ -102,7 +106,9 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
 
 
 def _levels(addresses: Sequence[int], shapes: list[list[tuple[int, ...]]]) -> NDArray[np.int64]:
-    """Pack plane addresses and level shapes into an array of the C structure `fingerflow_flow_level`."""
+    """Pack the memory addresses of the arrays (planes) of all multigrid levels, and the sizes of the levels, into an
+    array of the C structure `fingerflow_flow_level`.
+    """
     planes = np.array(addresses, np.int64).reshape(len(shapes), len(_PLANES))
     return np.hstack((planes, np.array([level[0][2:] for level in shapes], np.int64)))
 
@@ -118,7 +124,8 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """Improve a flow (B, 2, H, W) by multigrid cycles, as `ops.flow.flow_multigrid.descended` up to rounding.
+    """Improve a dense optical flow (B, 2, H, W) by multigrid cycles on the linear system whose levels are `planes`, as
+    `ops.flow.flow_multigrid.descended` up to rounding.
 
     `planes` are five for each level, the finest first: tensor, right, down, inverse, inside. `weights` are
     those of the window for the trend of the flow.
@@ -153,7 +160,8 @@ def flow_descend(
 
 
 def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """Compute the multigrid levels of `ops.flow.flow_multigrid.pyramid` up to rounding, as one flat array (N,).
+    """Compute the arrays of all multigrid levels from those of the finest, as `ops.flow.flow_multigrid.pyramid` up to
+    rounding, as one flat array (N,).
 
     It holds the inverse of the finest level (B, 3, H, W), then tensor, right, down, inverse and inside of each coarser
     one, concatenated.
@@ -188,7 +196,8 @@ def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: 
 
 
 def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """Compute the covariance of the flow (B, 3, H, W), as `ops.flow.flow_covariance`, with exp accurate to 2e-7.
+    """Compute the covariance xx, xy, yy (B, 3, H, W) of dense optical flow due to image noise, as
+    `ops.flow.flow_covariance`, from the structure tensor, with exp accurate to 2e-7.
 
     `tensor` is (B, 3, H, W). `density` of the noise, `alpha`, and `textured`, the eigenvalue above which texture is
     known, are (B,), one for each image.
@@ -211,7 +220,8 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
-    """Compute the fields of the first image that dense flow needs, as `ops.flow.dense_flow`.
+    """Compute the fields of the first image that dense flow needs (values, gradients, structure tensor, edges between
+    cells) from its spline coefficients and a mask, as `ops.flow.dense_flow`.
 
     Spline coefficients and mask are (B, 1, H, W).
     """
@@ -245,7 +255,8 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> FlowResidual[Array]:
-    """Compute the residual of a flow, averaged over cells, as `ops.flow.dense_flow`.
+    """Compute the residual of a flow, what displacement and illumination leave of the difference of two images,
+    averaged over cells, as `ops.flow.dense_flow`.
 
     `coefficients`, `value`, `inside` (B, 1, H, W) and `gradient` (B, 2, H, W) are those of images; `flow` and `known`
     (B, ., h, w) lie on cells.

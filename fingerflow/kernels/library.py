@@ -137,7 +137,9 @@ def entry(name: str) -> Entry:
 
 @contextmanager
 def shapes_only() -> Iterator[None]:
-    """Let the kernels of this thread check arguments and allocate results but compute nothing, for tracing."""
+    """Return a context in which the kernels of this thread check arguments and allocate results but compute nothing, so
+    that a compiler can trace shapes.
+    """
     before, _here.shapes_only = _here.shapes_only, True
     try:
         yield
@@ -161,7 +163,8 @@ def limit_instruction_set(most: int) -> int:
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
-    """Make parts of the kernels' work fail, for tests; `fault` 0 restores normal operation.
+    """Make a kernel fail, for tests, when a thread of the kind `thread` begins piece number `piece` of the parallel
+    work (any piece if negative); `fault` is the kind of failure, 0 for normal operation.
 
     Faults are numbered as in kernels/parallel.h.
     """

@@ -11,7 +11,8 @@ SEARCHED = 1.0  # px of the full image, accuracy of a search
 
 
 def sizes_of(window: int, radius: int) -> tuple[int, int]:
-    """Return the side (odd) of the search template and the search radius, in px at half resolution.
+    """Return the side (odd) of the template of an exhaustive search and the search radius, in px at half resolution,
+    from the tracking window and the search radius at full resolution.
 
     `window` is the side of the tracking window and `radius` that of the search in x and y, px at full resolution.
     """

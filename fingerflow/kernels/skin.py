@@ -1,4 +1,6 @@
-"""Kernel of the skin chain, the model of a fingertip's skin in `fingerflow.models`."""
+"""Kernel of the skin chain, the model of a fingertip's skin as a chain of elements joined by springs
+(`fingerflow.models`).
+"""
 
 from fingerflow.kernels.arrays import Array, in_one_piece, may_be_written, zeros
 from fingerflow.kernels.checks import check_like
@@ -22,7 +24,8 @@ def press_skin(
     tolerance: float,
     duration: float,
 ) -> tuple[Array, Array]:
-    """Advance B skin chains of N elements in time, as `models.skin_implicit.advance` up to rounding; float64, SI units.
+    """Advance B skin chains of N elements in time by up to `duration` s under a load, and change their state in place,
+    as `models.skin_implicit.advance` up to rounding; float64, SI units.
 
     Inputs are `reference` (B, N, 2), `numbers` (B, 10) in the order of `models.skin_forces.Chain`, `friction` (B, N),
     `load` (B, 2, 2), first and last, and `rest` (B,). The state `place` (B, N, 2), `bone` (B, 2), `rubbed` (B, N) and

@@ -41,7 +41,9 @@ class NeighbourLists(NamedTuple):
 
 
 class OutlierFlags(NamedTuple):
-    """Masks (K, N) of outliers, as in `ops.tracking.outliers.Outliers`."""
+    """Masks (K, N) of outliers among N points in K frames: those that deviate from their neighbours in displacement,
+    and those far more uncertain than their neighbours.
+    """
 
     off_neighbours: Array
     uncertain: Array
@@ -82,7 +84,8 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
 
 
 def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std: Array) -> OutlierFlags:
-    """Find points that deviate from their neighbours in displacement or uncertainty, as `ops.find_outliers`.
+    """Find, in K frames, the points that deviate from their neighbours in displacement and those that are far more
+    uncertain than their neighbours, as `ops.find_outliers`.
 
     A point at a limit, to the rounding of float32, may have another result than there.
 
@@ -140,7 +143,8 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search for windows around guessed positions, and verify each match by a backward search.
+    """Search an image for the windows around points of another image, near guessed positions, and verify each match by
+    a search back from there.
 
     The method is that of `ops.tracking.search.search_and_return`.
 

@@ -32,7 +32,8 @@ def prepare_templates(
     gain_offset: bool,
     rounding: float,
 ) -> tuple[Array, Array, Array]:
-    """Prepare templates of points: return reference positions, samples and statistics.
+    """Prepare the templates by which points (B, N, 2) px of an image are tracked: return their reference positions, the
+    samples of their windows (grey levels and gradients) and statistics.
 
     They are defined as in `ops.tracking.templates.Templates`. The image is (B, 1, H, W) of FRAME_KINDS, H and W at
     least 4. `points` (B, N, 2), `inverse_warp` (B, N, 2, 2) and `variance` (B,) are float32.
@@ -154,7 +155,8 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Results (B, N, ...) of registering points in image pairs, as `ops.tracking.templates.Found`, and `numbers`.
+    """Positions, errors, covariances and statuses (B, N, ...) of points registered in image pairs, as
+    `ops.tracking.templates.Found`, and the statistics `numbers` of their templates.
 
     `numbers` are the template statistics of `Templates`.
     """
@@ -181,7 +183,8 @@ def find_pairs(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FoundPairs[Array]:
-    """Prepare templates of points in image `previous`, and register them in image `current` near `place` (B, N, 2).
+    """Register points (B, N, 2) px of the images `previous` in the images `current`, near `place` (B, N, 2), by
+    templates prepared and used in one call.
 
     This is `prepare_templates` and `find_templates` without writing samples to memory. Images are (B, 1, H, W) of one
     of FRAME_KINDS; `variance` (B,) is that of both.
@@ -254,7 +257,8 @@ def halve(frames: Array) -> Array:
 
 
 def mean_response(frames: Array) -> Array:
-    """Return the mean absolute response (B,) float64 of frames to the noise mask of `ops.filters.noise`.
+    """Return the mean absolute value (B,) float64 of frames (B, 1, H, W) convolved with the mask [1 -2 1]^T [1 -2 1] of
+    `ops.filters.noise`.
 
     The noise estimate is proportional to it. Frames are of FRAME_KINDS, at least 3 x 3 px.
 
@@ -292,7 +296,8 @@ def _kernel_frames(frames: Array) -> Array:
 def search_windows(
     templates: Array, images: Array, image_index: Array, points: Array, guess: Array, size: int, reach: int
 ) -> Array:
-    """Search for windows in images (B, 1, h, w) of half resolution, as `ops.tracking.search`; return positions (P, 2).
+    """Search in `images` for the windows around `points` of the images `templates`, both (B, 1, h, w) of half
+    resolution, near `guess`; return the positions (P, 2) of highest correlation, as `ops.tracking.search`.
 
     All are float32 but `image_index` (P,) int64. `points` and `guess` are (P, 2). Templates are `size` px wide and
     searched for up to `reach` px away.
@@ -330,7 +335,8 @@ def search_windows(
 
 
 def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
-    """Sample grey levels in deformed windows (N, m), as `ops.tracking.window_correlation` up to rounding of positions.
+    """Sample the grey levels (N, m) of images in windows around `places`, each deformed by its matrix in `warp`, as
+    `ops.tracking.window_correlation` up to rounding of positions.
 
     Images are (n, 1, H, W) of FRAME_KINDS, at least 4 x 4 px; `image_index` (N,) is int64, `places` (N, 2) and `warp`
     (N, 2, 2) are float32.
@@ -380,7 +386,8 @@ def corners(
     window: int,
     border: int,
 ) -> CornerPlaces[Array]:
-    """Detect corners in uint8 frames (B, 1, H, W), as `ops.tracking.corners`.
+    """Detect up to `count` corners in each of B uint8 frames (B, 1, H, W), inside a mask and with responses above
+    `floors`, as `ops.tracking.corners`.
 
     Only responses above `floors` (B,) float32 count.
 

@@ -22,7 +22,9 @@ _SAMPLES = (128, 160)  # lines, and pixels of a line, that are read; up to twice
 
 
 class BlockMeans(NamedTuple):
-    """Block means (n, rows, columns) and line means (n, lines) of n frames, float32."""
+    """Means of n frames, float32: over the rectangular blocks of a grid (n, rows, columns), and over sampled lines of
+    pixels (n, lines).
+    """
 
     blocks: Array
     lines: Array
@@ -53,7 +55,9 @@ def block_means(frames: Array) -> BlockMeans:
 
 @functools.cache
 def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the sampling steps between lines and between pixels, and the numbers of rows and columns of blocks."""
+    """Return, for frames of `height` x `width` px, the steps at which lines and the pixels of a line are sampled, and
+    the numbers of rows and columns of blocks into which a frame is divided.
+    """
     sides = height, width
     down, along = (max(1, side // samples) for side, samples in zip(sides, _SAMPLES, strict=True))
     read = (len(range(step // 2, side, step)) for side, step in zip(sides, (down, along), strict=True))
@@ -62,7 +66,8 @@ def _grid(height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _sums(values: Array, axis: int, pieces: int) -> tuple[Array, Array]:
-    """Split an axis into `pieces` parts; return the sum of the values in each part, and the number of values in each.
+    """Split an axis of `values` into `pieces` parts of equal length; return the sums over each part, by which the axis
+    shrinks to `pieces`, and the number of values in each part.
 
     Neighbouring pieces share a value where the axis is no multiple of their number.
     """

@@ -28,11 +28,12 @@ class Border(NamedTuple):
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """Select the border ellipses of the given frames."""
+        """Return the border ellipses of the given frames, a slice or indices."""
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the depth (frames, P) in mm of positions (frames, P, 2) inside the border ellipses; negative outside.
+        """Return the distance (frames, P), mm, of positions (frames, P, 2) from the border ellipse of their frame,
+        positive inside the ellipse and negative outside.
 
         It is accurate to first order, and exact on the border.
         """

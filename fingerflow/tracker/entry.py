@@ -43,7 +43,8 @@ class FrameValues(Protocol):
 def advected(
     position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (N,) of points that moved into the contact (advected); other points were reached by its growth.
+    """Return a mask (N,) of the points that the motion of the skin carried over the border into the contact (advected);
+    the other points were reached as the contact area grew over them.
 
     A point was advected if its onset is not the first of all and if, before it, the point moved over the glass by more
     than half the distance by which border and point approached each other. Neighbours enter one after the other as the
@@ -77,7 +78,8 @@ def advected(
 def _by_own_motion(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
-    """Return a mask (E,) of points that approached the contact border mainly by their own motion.
+    """Return a mask (E,) of the points that came into the contact mainly by their own motion over the glass: before
+    their onset of contact they moved by more than half the distance by which point and border approached each other.
 
     `here` (E,) are the indices of these points in `position`.
     """
@@ -100,7 +102,8 @@ def _by_own_motion(
 
 
 def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """Extend a mask `found` (N,) by points of `among` of whose nearest three points at least two are marked.
+    """Extend a mask `found` (N,) to each point of the mask `among` (N,) of whose three nearest points in `among` at
+    least two are marked; positions are `places` (N, 2) mm.
 
     Only neighbours within `reach_mm` count.
     """
@@ -117,7 +120,8 @@ def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) 
 
 
 class SinceEntry(NamedTuple):
-    """Displacement gradients of E advected points in n frames, since the entry of each point into the contact.
+    """Displacement gradients, in n frames, of E advected points (skin carried over the border into the contact), each
+    relative to its state when it entered the contact.
 
     They are NaN before the entry and where too little is known.
     """
@@ -127,13 +131,15 @@ class SinceEntry(NamedTuple):
 
 
 class EntryGradients:
-    """Computation of displacement gradients since the entry of each point into the contact.
+    """Computation, frame by frame, of the displacement gradients of advected points, each relative to its state when it
+    entered the contact.
 
     Frames are given in order of time.
     """
 
     def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
-        """Select the points within half a gauge length of the advected points, whose indices are `entered` (E,).
+        """Select the points whose motion is fitted: those within half a gauge length (the diameter of a fit) of the
+        advected points, whose indices are `entered` (E,).
 
         Other arguments are those of `advected`.
         """
@@ -148,7 +154,8 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
-        """Compute displacement gradients since entry into the contact in n frames, from positions (n, N, 2) mm.
+        """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
+        numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
 
         `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
         seeded. Half of it belongs to that frame and is the same at all times.
@@ -165,7 +172,8 @@ class EntryGradients:
 
 
 class Entries:
-    """Detection of advected points in a stream, and their displacement gradients since entry into the contact.
+    """Detection, frame by frame in a stream, of points that the skin's motion carries into the contact (advected), and
+    computation of their displacement gradients since that entry.
 
     The methods are those of `advected` and `EntryGradients`, applied to the frames so far. Positions of the
     points and borders of the contact are kept for the last `KEPT` frames.
@@ -193,7 +201,8 @@ class Entries:
         self._at_entry = np.full((len(places), 2, 2), np.nan)
 
     def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
-        """Add the next frame, and return the displacement gradients (N, 2, 2) of points since entry into the contact.
+        """Add the next frame, and return the displacement gradients (N, 2, 2) of the advected points in it, each
+        relative to the frame in which the point entered the contact.
 
         The result is None if no point has entered. Gradients are NaN for lost points, and to be used for points that
         have `entered` only.
@@ -228,7 +237,9 @@ class Entries:
         return since if self.entered.any() else None
 
     def _mark_advected(self, begins: Array) -> None:
-        """Decide which points were advected, by their own motion and by their neighbours; update the mask `entered`."""
+        """Update the mask `entered` (N,) of advected points: test which of the points whose touch begins in this frame,
+        `begins` (N,) bool, came into the contact by their own motion, and add those most of whose neighbours did.
+        """
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
         onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)

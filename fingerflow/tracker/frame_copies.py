@@ -17,7 +17,8 @@ def key_of(blocks: Sequence[NDArray[Any]]) -> bytes:
 
 
 def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask (F,) of frames that are exact copies of another frame.
+    """Return the mask (F,) of frames that are exact copies of another frame, found by equal hashes; where equal frames
+    lie apart, their distances from the frames around them tell which is the copy.
 
     Of frames that repeat the one before, the first counts. Frames that equal others further away belong to one of both
     places: those that are further from the frames around them are the copies, and both where neither fits better.
@@ -48,5 +49,7 @@ def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArra
 
 
 def _distance_around(distances: NDArray[np.float32], frames: slice) -> float:
-    """Return the larger squared distance of consecutive frames to the frame before them and the one after them."""
+    """Return the larger of two squared image distances of a run of consecutive frames: that of its first frame from the
+    frame before the run, and that of its last frame from the frame after it.
+    """
     return float(np.nanmax(distances[[k for k in (frames.start, frames.stop) if 0 < k < len(distances)], 0], initial=1))

@@ -21,7 +21,8 @@ _TINY = np.finfo(np.float32).tiny
 
 
 class PixelSamples(NamedTuple):
-    """Sampled pixels (n, lines, pixels) of n frames, divided by the mean of their frame, and the log (n,) of that mean.
+    """Grey levels of sampled pixels (n, lines, pixels) of n frames, divided by their mean in each frame, and the
+    logarithm (n,) of that mean.
 
     The division removes the flicker of a lamp.
     """
@@ -45,17 +46,20 @@ class PixelSamples(NamedTuple):
         return PixelSamples(self.pattern[some], self.light[some])
 
     def last(self, frames: int, before: PixelSamples | None) -> PixelSamples:
-        """Return the samples of the last `frames` frames of a sequence: the frames `before`, followed by these."""
+        """Return the samples of the last `frames` frames of a sequence that consists of the frames of `before` (None
+        for none) followed by those of this object.
+        """
         every = self if before is None or len(self.light) >= frames else self.after(before)
         return PixelSamples(*(one[-frames:].copy() for one in every))
 
     def after(self, before: PixelSamples) -> PixelSamples:
-        """Return the samples of the frames `before`, followed by these."""
+        """Return the samples of a sequence that consists of the frames of `before` followed by those of this object."""
         return PixelSamples(*map(np.concatenate, zip(before, self, strict=True)))
 
 
 def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
-    """Return squared distances (n, bands + 2) between n pairs of frames, in image pattern and in brightness.
+    """Return squared distances (n, bands + 2) between n pairs of frames: the squares of the mean absolute difference of
+    their image patterns, in each band of lines and in the whole view, and of the difference of their log brightness.
 
     The unit is the least distance that counts, 0.01 in pattern and 0.15 in the logarithm of the light.
 
@@ -79,7 +83,8 @@ def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
 
 
 def squared_distances_before(samples: PixelSamples, before: PixelSamples | None) -> Array:
-    """Return the squared distances (n, LONGEST + 1, rows) of n frames from each of the `LONGEST` + 1 preceding frames.
+    """Return the squared image distances (n, LONGEST + 1, rows) of n frames from each of the `LONGEST` + 1 frames that
+    precede them, nearest first; a row is a band of lines, the whole view or the brightness.
 
     Rows are those of `squared_distances`. They are NaN where there is no such frame. `before` has the samples of the
     frames before, as far as there are any.

@@ -44,7 +44,8 @@ class Seeding(NamedTuple):
 
 
 class FrameResults:
-    """Computation of the results of a stream, frame by frame; after a seeding, values since contact onset start again.
+    """Computation of the results of a stream (contact areas, slip, strain: `RESULTS`), frame by frame; after a seeding
+    of new points, quantities that count from the onset of contact start again.
 
     Tracking does not depend on this state: results may be computed in a thread of their own.
 
@@ -70,7 +71,9 @@ class FrameResults:
         return self._slip.slipping
 
     def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
-        """Compute the results of the next frame from contact and tracked points, by the names in `RESULTS`."""
+        """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
+        `found` and the seeding to which these points belong.
+        """
         if seeding is not self._seeding:
             self._begin(seeding)
         self._frames += 1
@@ -116,7 +119,9 @@ class FrameResults:
         return result
 
     def _covariance(self, now: Array, touch: Touching) -> Array:
-        """Return the covariance (1, N, 2, 2) mm^2 of displacements since the onset, from that of positions, px^2."""
+        """Return the covariance (1, N, 2, 2) mm^2, due to image noise, of the displacements since the onset of contact,
+        from the variance `now` (1, N) px^2 of the present positions and that at the onset, in `touch`.
+        """
         variance = touch.displacement_variance(now) * np.float32(self._per_px**2)
         result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
         return result
@@ -124,7 +129,9 @@ class FrameResults:
     def _smoothing_variance(
         self, place: Array, moved: Array, around: FrameEllipse, median: float, of_points: float
     ) -> float:
-        """Return the variance of the median divergence by gauge length and border, as `MedianBias` of a recording.
+        """Return the variance of the median divergence due to the finite gauge length and the uncertain contact border:
+        the squared changes of `median` with twice the gauge length and with a smaller ellipse, less the noise variance
+        `of_points`.
 
         In a space of half the size the gauge length counts twice.
         """
@@ -137,7 +144,9 @@ class FrameResults:
         return sum(max(float(other - median) ** 2 - of_points, 0.0) for other in others)
 
     def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
-        """Compute divergence, curl and strain of the displacement since each point's onset of contact."""
+        """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
+        of contact, and the median divergence over the contact ellipse; return them by result name.
+        """
         position = self._on_glass(found.points)
         border = Border(*ellipse)
         touch = self._touches.add_frames(np.array([self._frames]), covered, position, found.variance, border)
@@ -173,7 +182,8 @@ class FrameResults:
 
 
 def _rank_variance(fields: FrameFields) -> float:
-    """Return the variance of the median divergence that skin with unknown fields causes, whose ranks are not known.
+    """Return the variance of the median divergence due to the part of the contact where divergence is unknown, whose
+    values may all lie above or all below the median.
 
     The median of all lies anywhere between the quantiles 1/2 +- (1 - share) / (2 share) of the known values.
     """

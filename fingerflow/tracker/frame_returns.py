@@ -23,7 +23,8 @@ SquaredDistances = NDArray[Any]
 
 
 class JumpDistances(NamedTuple):
-    """Squared image distances (..., rows) between the frames of a possible jump and the frames around it.
+    """Squared image distances (..., rows) between the frames of a possible jump and the frames around it; a row is a
+    band of lines, the whole view or the brightness.
 
     Attributes:
         into: of the first of these frames from the frame before them.
@@ -41,7 +42,8 @@ class JumpDistances(NamedTuple):
 
 
 class Ordinary(NamedTuple):
-    """Squared distances (rows,) of ordinary frames in a recording or stream so far: noise and limit of the excess.
+    """Ordinary values (rows,) in a recording or stream so far, for each row of squared image distances: the noise in a
+    distance, and the relative excess over usual distances above which a frame jumps.
 
     Attributes:
         noise: that of frames without motion, or of the slowest.
@@ -53,14 +55,17 @@ class Ordinary(NamedTuple):
 
     @classmethod
     def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
-        """Estimate noise and limit from squared distances (n, rows) of consecutive frames and excesses (m, rows)."""
+        """Estimate noise and excess limit of ordinary frames from the squared distances `steps` (n, rows) between
+        consecutive frames, and from their relative excesses (m, rows) over usual distances (`excess`).
+        """
         usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
         limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
         return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
 
 
 def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
-    """Return True if the image jumps and returns in any row of the distances (a band of lines, the view or the light).
+    """Return True if the image jumps away in some frames and returns behind them, in any row of the distances (a band
+    of lines, the whole view or the brightness); `known` says what is ordinary.
 
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
       jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
@@ -77,7 +82,8 @@ def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
 
 
 def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
-    """Return True if the image may jump with a frame: in some row, its step is much longer than usual steps nearby.
+    """Return True if the image may jump with a frame: in some row (a band of lines, the whole view or the brightness)
+    its squared distance `step` from the frame before is much larger than the `usual` one nearby.
 
     Without what is `known` of other frames, by the least excess that may count.
     """
@@ -86,23 +92,25 @@ def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | No
 
 
 def _excess_limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
-    """Return the limits (..., rows) above which the `excess` of a distance over usual steps counts as a jump."""
+    """Return the limits (..., rows) above which the relative `excess` of a squared distance over the `usual` ones
+    counts as a jump: higher for moving skin, whose usual distances exceed the noise, as it may jerk.
+    """
     moving = 1 - np.clip(known.noise, 1, usual) / usual
     result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
     return result
 
 
 def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
-    """Return by what fraction (..., rows) the smaller of two squared distances exceeds usual steps.
-
-    The two are the distances into and out of some frames. The fraction is 0 for a usual distance, 1 for twice as much.
+    """Return the relative excess (..., rows) of the smaller of two squared distances, those into and out of some
+    frames, over the usual one between consecutive frames: 0 for a usual distance, 1 for twice as much.
     """
     result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
     return result
 
 
 def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
-    """Return the upper limit of ordinary squared distances, from `NEARBY` consecutive ones along an axis.
+    """Return the upper limit of ordinary squared distances between consecutive frames, estimated from `NEARBY` of them
+    along an axis of `steps`.
 
     It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
     for smooth motion, more the more it jerks.
@@ -158,7 +166,8 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
 
 
 class _Steps(NamedTuple):
-    """Usual squared distances (F, rows) between consecutive frames, before each frame and after it.
+    """Usual squared distances (F, rows) between consecutive frames near each frame: among those before it, among those
+    after it, and next to it.
 
     Attributes:
         around: (F - 2, rows), the longer of the steps nearest to the frames before and behind each frame.
@@ -177,9 +186,8 @@ def _length_of_jump(
     usable: NDArray[np.bool_],
     known: Ordinary,
 ) -> int:
-    """Return how many frames a jump lasts that begins in `frame` and ends with the image of `last`; 0 if none.
-
-    A jump ends when the image of frame `last` is back.
+    """Return for how many frames the image jumps away, from `frame` on, until the image of `last`, the usable frame
+    before, is back; 0 if there is no such jump.
     """
     latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump, longest step between its frames
     for length in range(1, LONGEST + 1):
@@ -202,7 +210,8 @@ def _length_of_jump(
 
 
 def _steps(distances: SquaredDistances) -> _Steps:
-    """Return the usual squared distances between consecutive frames, before each frame and after it.
+    """Return the usual squared distances between consecutive frames near each of F frames, from the distances (F, gaps,
+    rows) of each frame from those that precede it.
 
     A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
     is the longer of the nearest step and what is `ordinary` for the next eight, or the median over the recording where
@@ -220,7 +229,8 @@ def _steps(distances: SquaredDistances) -> _Steps:
 
 
 def _ordinary(steps: SquaredDistances) -> SquaredDistances:
-    """Return for each frame (F, rows) the limit `ordinary` of the last `NEARBY` squared steps.
+    """Return for each frame (F, rows) the upper limit of ordinary squared distances (`ordinary`), estimated from the
+    last `NEARBY` distances between consecutive frames in `steps` (F, rows).
 
     The first frames, which have fewer steps before them, have the limit of the first `NEARBY` steps.
     """
@@ -233,7 +243,8 @@ def _ordinary(steps: SquaredDistances) -> SquaredDistances:
 def _far_at_end(
     distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Ordinary
 ) -> NDArray[np.bool_]:
-    """Return the mask (F,) of frames at the end that follow a far longer step than usual, up to `LONGEST` frames.
+    """Return the mask (F,) of frames at the end of a recording, `LONGEST` at most, from the first on whose squared
+    distance from the frame before is far larger than usual.
 
     Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
@@ -253,7 +264,9 @@ def _far_at_end(
 
 
 def _reversed(distances: SquaredDistances) -> SquaredDistances:
-    """Return the squared distances of the same frames in reversed order."""
+    """Return the squared distances (F, gaps, rows) of each frame from those that precede it, after the order of the
+    frames is reversed.
+    """
     frames, gaps, _ = distances.shape
     result = np.full_like(distances, np.nan)
     for gap in range(1, min(gaps, frames - 1) + 1):

@@ -112,7 +112,8 @@ class Event(NamedTuple):
 
 
 class FrameOutcome(NamedTuple):
-    """Outcome of a frame: status, tracked points, and the contact threshold and key frame used.
+    """Final outcome of a frame: its status, its tracked points, and the contact threshold and key frame that apply to
+    it.
 
     Attributes:
         work: of the frame.
@@ -136,7 +137,7 @@ class FrameOutcome(NamedTuple):
 
 
 class _KnownMotion(NamedTuple):
-    """Known motion of the points after a frame, and the number of that frame."""
+    """Position and speed of the points as known after a frame, and the number of that frame."""
 
     motion: PointMotion
     number: int
@@ -160,7 +161,9 @@ class _Change(NamedTuple):
 
 
 class _Sparse(NamedTuple):
-    """Contact with too few tracked points: their number, the contact (H, W), and where others are to be seeded."""
+    """Contact with too few tracked points: their number, the mask (H, W) of the contact in the topography view, and the
+    mask of the wider region in which others are to be seeded.
+    """
 
     points: int
     contact: Array
@@ -168,7 +171,8 @@ class _Sparse(NamedTuple):
 
 
 class _PendingContact(NamedTuple):
-    """Frame whose contact has not been taken into account yet: its threshold, and how many points lie in it.
+    """Frame whose contact has still to be evaluated: its area tells when to measure the contact threshold anew, and the
+    tracked points in it are counted.
 
     `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
     `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
@@ -258,7 +262,9 @@ class StreamTracker:
         return self._begun - self._finished
 
     def must_wait(self, frame: Frame) -> bool:
-        """Return whether a frame may begin only after all earlier frames are finished."""
+        """Return whether a frame may begin only after all earlier frames are finished, because a seeding, a new key
+        frame, new templates or a new contact threshold are due before it.
+        """
         return bool(
             self._search.due(self._begun) is not None
             or self._due_change() is not None
@@ -267,7 +273,8 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Begin to process a frame: return the `Work` of the frame, and the events due before it.
+        """Begin to process a frame: predict its points and convert its images; return its `Work` (intermediate data),
+        and the events due before it.
 
         Events are a seeding or a new key frame. They wait until no frame is deferred.
         """
@@ -318,13 +325,17 @@ class StreamTracker:
         return passed
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
-        """Track the points of a frame that counts, and return its outcome; `newest` is the index of the latest one."""
+        """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
+        templates, another is skipped; `newest` is the index of the latest frame.
+        """
         outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
         self._known[work.index] = self._latest
         return outcome
 
     def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
-        """Return the outcomes of the deferred frames with these statuses."""
+        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes;
+        `newest` is the index of the latest frame.
+        """
         return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
 
     def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
@@ -345,11 +356,13 @@ class StreamTracker:
         return self._results.slipping
 
     def settle(self) -> list[FrameOutcome]:
-        """Return the outcomes of the frames that are deferred at the end of the stream."""
+        """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
         return self._decided(self._check.finish(), self._begun - 1)
 
     def _guess(self, index: int, number: int) -> Array | None:
-        """Predict point positions from the motion known `lag` frames ago, even if later frames are finished."""
+        """Predict the point positions (N, 2) px in the frame with this index and number, from the motion known `lag`
+        frames before it even if later frames are finished; return None before any motion is known.
+        """
         known = self._known.get(index - self.lag, self._latest)
         return None if known is None else known.motion.expect(max(1, number - known.number))
 
@@ -407,7 +420,9 @@ class StreamTracker:
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
-        """Start to track newly seeded points (N, 2) px; values counted from contact onset restart."""
+        """Start to track newly seeded points (N, 2) px with the image `view` of frame `number` as key frame; values
+        counted from contact onset restart. Return the event.
+        """
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
@@ -420,7 +435,9 @@ class StreamTracker:
         return Event("restart", number, {"cause": cause, "points": self.found})
 
     def _rekey(self, change: _Change) -> Event:
-        """Replace the key frame of the tracked points by a newer frame, in which they lie at `change.points`."""
+        """Take a newer frame, in which the tracked points lie at `change.points`, as their key frame, the frame with
+        which later ones are compared; return the event.
+        """
         assert self._points is not None
         known, motion = known_of(change.points), self._points.motion
         kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
@@ -435,12 +452,15 @@ class StreamTracker:
     # Outcome of a frame.
 
     def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
-        """Return the outcome of a frame that is not usable; no contact threshold is taken from it."""
+        """Return the outcome of a frame that is not usable, which has no points and gives no contact threshold;
+        `newest` is the index of the latest frame.
+        """
         self._unlearnt.append(_PendingContact(newest, work.frame.number, work, None, None))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, newest: int) -> FrameOutcome:
-        """Recover lost points of a usable frame, update points and templates, and return the outcome.
+        """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
+        key frame is due, and return the frame's outcome.
 
         A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`: later ones may
         have begun, and their inputs must not depend on how far they have got.
@@ -473,7 +493,8 @@ class StreamTracker:
         return self._outcome(work, USABLE, found, tracked)
 
     def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
-        """Return the positions (N, 2) predicted in a frame, and the points found near them.
+        """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
+        tracked once more if the prediction has changed since the frame began.
 
         The motion, and new templates, were not known when a frame began behind a deferred one: its points are tracked
         once more.
@@ -493,7 +514,9 @@ class StreamTracker:
         return FrameOutcome(work, status, found, *of_points)
 
     def _contact_of(self, work: Work) -> FrameContact:
-        """Return the contact of a frame, computed at the first call, in whichever thread that happens."""
+        """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
+        happens.
+        """
         with work.computing:
             if work.contact is None:
                 threshold = np.array([work.threshold], np.float32)
@@ -518,7 +541,8 @@ class StreamTracker:
         return []
 
     def _sparse_contact(self, work: Work, found: FoundPoints) -> _Sparse | None:
-        """Return the contact of a frame if it has fewer tracked points than fits need; None otherwise.
+        """Return the contact of a frame and the region for new points if fewer tracked points lie in this contact than
+        local fits need; None otherwise.
 
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
@@ -540,7 +564,9 @@ class StreamTracker:
         return _Sparse(points, inside, around)
 
     def _in_ellipse(self, contact: FrameContact, semi_axes: Array) -> Array:
-        """Return the mask (H, W) of the topography view inside the ellipse of a contact with other semi-axes, px."""
+        """Return the mask (H, W) of the topography view inside the ellipse that has centre and angle of a contact's
+        ellipse and the given `semi_axes` (2,), px of the contact view.
+        """
         rows, columns = np.indices(self._settings.region.shape, dtype=np.float32)
         right, down = (
             by_x * columns + by_y * rows + shift - middle

@@ -35,7 +35,8 @@ class Touching(NamedTuple):
     begins: Array
 
     def displacement_variance(self, now: Array) -> Array:
-        """Return the variance (F, N) px^2 of displacement components by image noise, given that of positions, `now`.
+        """Return the variance (F, N) px^2, due to image noise, of a component of each point's displacement since its
+        touch began, given the variance `now` (F, N) of the present positions.
 
         The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
         of them is the position `now` itself. Half of a position's variance is noise of the key frame's template, the
@@ -80,7 +81,8 @@ class Touches:
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
     def add_frames(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
-        """Add F frames in order of time, and return for each of them where and when each point's touch began.
+        """Add F frames in order of time, and return for each frame and point whether the point touches the glass, and
+        where and when its present touch began.
 
         Args:
             frames: (F,) numbers of the frames.
@@ -134,7 +136,8 @@ class Touches:
 
 
 def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """Interpolate where (mm) and when, between two frames, the contact border passed each point that begins to touch.
+    """Interpolate, for each point whose touch begins in a frame (`begins`, (F, N) bool), where (mm) and when, since the
+    frame before, the contact border passed it.
 
     Return positions (F, N, 2) mm and shares (F, N). The first of the positions (F + 1, N, 2) and of the borders belongs
     to the frame before. A share is the fraction of the step from the previous frame at which the border passed the

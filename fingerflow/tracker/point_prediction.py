@@ -63,7 +63,8 @@ class PointMotion(NamedTuple):
     def see(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
     ) -> PointMotion:
-        """Return the motion updated by the positions measured in a later frame.
+        """Return the motion updated by the positions of the points measured in a later frame; a lost point takes the
+        position predicted from its neighbours, else one extrapolated from its speed.
 
         Args:
             points: (N, 2) px, NaN where lost.
@@ -94,7 +95,8 @@ class PointMotion(NamedTuple):
         return PointMotion(points, change, missing, known, jolted)
 
     def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
-        """Return the motion after frames tracked in one engine call, given the final positions and speeds (N, 2).
+        """Return the motion after `frames` frames tracked in one engine call, which gave the final positions `place`
+        and speeds `speed` (N, 2).
 
         Points lost in the last frame (`points`) take the position predicted from their neighbours where there is one.
         Other arguments are those of `see`.

@@ -57,7 +57,8 @@ STREAM = Knowledge(ahead=False, searched=ROWS, patience=TRUSTED)
 
 
 class _Pending(NamedTuple):
-    """Pending update of the templates with indices `rows` (L,), due before frame number `due`.
+    """Pending update of the templates with indices `rows` (L,), which is to be carried out before frame number `due` is
+    tracked.
 
     `warp` (L, 2, 2) is the deformation of the new templates.
     """
@@ -69,7 +70,8 @@ class _Pending(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Tracked points of a frame after recovery and correction, before motion and templates are updated.
+    """Tracked points of a frame after lost ones were recovered and positions corrected for the deformation of the skin,
+    but before motion and templates are updated.
 
     Attributes:
         corrected: (1, N) points.
@@ -141,7 +143,9 @@ class Points:
 
     @property
     def correlation(self) -> Array:
-        """Return the correlation (N,) of each window with the one in the key frame at the last verification."""
+        """Return the correlation coefficient (N,) between the window around each point and its window in the key frame,
+        as of the last verification.
+        """
         return self._verification.correlation
 
     def __len__(self) -> int:
@@ -203,7 +207,8 @@ class Points:
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
-        """Update motion and templates from a usable frame, verify the points (1, N), and return them.
+        """Update motion and templates from a usable frame, `frames` after the last, verify the points (1, N) by their
+        windows in the image, and return them.
 
         `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
         begun.
@@ -245,7 +250,7 @@ class Points:
             self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
     def _prepared(self, pending: _Pending, rows: int) -> Steps[None]:
-        """Prepare up to `rows` more templates of a planned update."""
+        """Prepare up to `rows` more of the templates that a pending update will replace."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
         some = slice(done, done + rows)
         if done < len(pending.rows):
@@ -279,7 +284,9 @@ class Points:
         return Resolved((yield from self._corrected(found, around)), jolted)
 
     def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
-        """Finish several images tracked in one call: recover lost points, correct positions, update the motion."""
+        """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
+        skin, update the motion, and return the tracked points.
+        """
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
             followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
@@ -290,7 +297,9 @@ class Points:
         return (yield from self._checked_templates(corrected, before.place, len(images)))
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
-        """Recover points that were lost in any of several images: track them again frame by frame, with searches."""
+        """Recover points, with indices `rows`, that were lost in any of several images: track them again image by
+        image, and search for them where tracking fails.
+        """
         motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
@@ -392,7 +401,8 @@ class Points:
         return found
 
     def _template_data(self, others: int) -> tuple[Array, Array]:
-        """Return the statistics and inverse deformations of all templates, with default values for surrounding points.
+        """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
+        by default values for `others` surrounding points, which have no templates.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """
@@ -407,7 +417,8 @@ class Points:
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
     ) -> Steps[FoundPoints]:
-        """Check after tracked frames whether templates need an update, and return the tracked points.
+        """Check after `frames` tracked frames whether templates need an update, plan it if so, and return the tracked
+        points; `before` (N, 2) px are their positions before these frames.
 
         Their estimates are the last known positions. With template "previous" new templates are prepared from the last
         image.
@@ -425,7 +436,8 @@ class Points:
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _plan_template_update(self, warp: Array, shift: Array) -> None:
-        """Plan an update of the templates whose window edges have shifted by more than `UPDATE_PX`.
+        """Plan new templates for the points whose window edges the deformation `warp` (N, 2, 2) has moved by more than
+        `UPDATE_PX` since the template was made; `shift` (N,) px is this motion.
 
         An update is due `MOST_FRAMES` frames later, so that a stream has time to prepare it. Where the skin deforms so
         fast that the update interval is shorter, it is due as soon as possible.
@@ -446,7 +458,8 @@ class Points:
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
-        """Reject points whose window differs from that in the key frame, or holds them back; return all points.
+        """Reject points whose window no longer resembles that in the key frame, or which dust on the glass holds back;
+        return all points (n, N).
 
         Covariances count from the key frame. Points that fail are NaN, with status WINDOW_DIFFERS or DUST_IN_WINDOW.
         """
@@ -473,13 +486,17 @@ class Points:
         return found
 
     def _last_warp(self) -> Array:
-        """Return the deformation gradients (N, 2, 2) of the skin in the last frame; NaN where unknown."""
+        """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the
+        key frame; NaN where unknown.
+        """
         assert self._last is not None
         warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
         return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
-        """Return the position variance (n, N) since the points were seeded: the sum over all frame-to-frame steps."""
+        """Return the position variance (n, N) px^2 accumulated since the points were seeded: the sum over all
+        frame-to-frame steps, of which `variance` (n, N) are the latest.
+        """
         walked = self._walked + np.nan_to_num(variance).cumsum(0)
         self._walked = walked[-1:]
         result: Array = walked + 0 * variance
@@ -493,7 +510,8 @@ def beside(parts: list[FoundPoints]) -> FoundPoints:
 
 
 def _last_seen(points: Array, before: Array) -> Array:
-    """Replace the positions of lost points (n, N, 2) by the last known position of each point.
+    """Return positions (n, N, 2) in n frames with those of lost points, NaN, replaced by the last known position of
+    each point.
 
     In the first frame it is that of `before` (N, 2).
     """
@@ -507,8 +525,7 @@ def _last_seen(points: Array, before: Array) -> Array:
 
 
 def _update_interval(fastest: float) -> int:
-    """Return the number of frames until the next check of templates, a power of 2 from 1 to `MOST_FRAMES`.
-
-    Within it, window edges that shift by `fastest` px a frame shift by `FASTEST_PX` at most, if 1 frame allows it.
+    """Return the number of frames until the next check of templates, a power of 2 from 1 to `MOST_FRAMES`: the largest
+    in which window edges that shift by `fastest` px a frame shift by at most `FASTEST_PX`, or 1.
     """
     return 1 << int(math.log2(min(max(FASTEST_PX / max(fastest, 1e-9), 1), MOST_FRAMES)))

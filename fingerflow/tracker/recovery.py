@@ -36,7 +36,9 @@ class Recovered(NamedTuple):
 
 
 def lost_points(status: Array) -> Array:
-    """Return a mask (...) of the points to search for: textured and inside the frame, but not found or rejected."""
+    """Return a mask (...) of the points to search for, by their tracking status: textured and inside the frame, but
+    either not found or found and rejected.
+    """
     lost: Array = status >= TrackStatus.NOT_CONVERGED
     return lost
 
@@ -104,7 +106,9 @@ def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> Foun
 
 
 def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Reject the points marked in `which` (n, N): remove their positions, and set the given status."""
+    """Return the tracking results with the points marked in `which` (n, N) rejected: their positions and covariances
+    are NaN, their status is `status`.
+    """
     points, covariance = found.points.copy(), found.covariance.copy()
     points[which] = covariance[which] = np.nan
     changed = np.where(which, np.uint8(status), found.status)
@@ -112,7 +116,9 @@ def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoin
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Replace the tracking results (n, N) of the points `rows` by the results `again`."""
+    """Return the tracking results `found` (n, N) with those of the L points of indices `rows` replaced by `again` (n,
+    L).
+    """
     result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part

@@ -17,7 +17,7 @@ _FRAMES = 3  # in a row, before the flag is raised or withdrawn
 
 
 class SlipState(NamedTuple):
-    """Slip residual and slip flag of a frame.
+    """Slip residual of a frame, the RMS deviation of the contact's displacement from a rigid motion, and the slip flag.
 
     Attributes:
         residual: px, RMS deviation per component from a rigid motion; NaN where fewer than 12 points are in contact.
@@ -59,7 +59,8 @@ class SlipFlag:
         self.slipping = False
 
     def follow_others(self, before: Array, points: Array) -> None:
-        """Transfer displacements since contact onset from the previous points to newly seeded points (N, 2) px.
+        """Give newly seeded points (N, 2) px displacements since contact onset, interpolated from those of the nearest
+        previous points.
 
         In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
@@ -115,7 +116,8 @@ class SlipFlag:
 
 
 def rim_motion(before: Array, after: Array) -> tuple[float, float]:
-    """Return how far the rim has moved past the middle, and how far it has moved outward or sheared, in px.
+    """Return, in px, how far the rim of the contact has moved ahead of its middle along the mean displacement, and how
+    far it has moved outward or sheared, from positions (N,) before and after.
 
     The displacement is fitted by u = c + a z + b z* + e |z|^2 + d |z|^2 z, with z the position about the mean of the
     points, 1 at the rim of a uniformly covered disc. The first result is the component of e along the mean

@@ -29,7 +29,9 @@ _LIT = 0.3  # of the mean light: lines of the empty glass with less are not chec
 
 
 class Picture(NamedTuple):
-    """Samples of each view of a frame, the contact view first, and the key of `frame_copies.key_of`."""
+    """Sampled pixels of each view of a frame, the contact view first, and the hash by which exact copies are recognised
+    (`frame_copies.key_of`).
+    """
 
     samples: tuple[PixelSamples, ...]
     key: bytes
@@ -86,7 +88,8 @@ class FrameCheck:
         return picture, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
     def see(self, number: int, picture: Picture, status: int) -> tuple[list[int], int | None]:
-        """Determine the status of a frame by comparison with earlier frames.
+        """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
+        that are thereby decided, and that of this frame.
 
         Args:
             number: of the frame.
@@ -135,7 +138,9 @@ class FrameCheck:
         return [*decided, *before], status
 
     def settle(self) -> list[int]:
-        """End the deferral of all frames, which do not count, and return their statuses."""
+        """Decide that none of the deferred frames is usable, and return their statuses: their own fault, or else a jump
+        of the image.
+        """
         result = [_JUMPS if one.status == USABLE else one.status for one in self._deferred]
         self._deferred = []
         return result
@@ -172,7 +177,9 @@ class FrameCheck:
         return is_far(step, usual) and is_far(step, usual, self._known())
 
     def _comes_back(self, frame: _Seen) -> bool:
-        """Return whether the image has jumped with the deferred frames, and returns with this one."""
+        """Return whether the image has jumped away in the deferred frames and returns, with this frame, to that of the
+        last usable one.
+        """
         assert self._last is not None
         if frame.number - self._last.number > LONGEST + 1:
             return False
@@ -184,7 +191,9 @@ class FrameCheck:
         return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._known())
 
     def _usual(self) -> Array:
-        """Return the squared distance of consecutive frames so far: the longer of the latest and what is `ordinary`."""
+        """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
+        the latest one and the limit `ordinary` of recent ones.
+        """
         steps = np.stack([*self._steps][-NEARBY:])
         most = ordinary(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
         result: Array = np.maximum(most, steps[-1])
@@ -196,19 +205,25 @@ class FrameCheck:
 
 
 class _Seen(NamedTuple):
-    """Frame number, picture, and the status of the frame by itself."""
+    """Frame under comparison: its number, its sampled pixels and hash, and its status as determined from the frame
+    alone, without others.
+    """
 
     number: int
     picture: Picture
     status: int
 
     def squared_distance(self, before: _Seen) -> Array:
-        """Return the squared distances (rows,) of all views from an earlier frame."""
+        """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
+        sequence.
+        """
         pairs = zip(self.picture.samples, before.picture.samples, strict=True)
         return np.concatenate([squared_distances(one, other)[0] for one, other in pairs])
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:
-    """Return the block means (rows, columns) of a view (H, W), and the means of the sampled lines."""
+    """Return the means of a view (H, W) over the blocks of a grid (rows, columns), and over sampled lines of pixels
+    (lines,).
+    """
     blocks, lines = block_means(view[None])
     return blocks[0], lines[0]

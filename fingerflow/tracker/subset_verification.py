@@ -27,7 +27,8 @@ _HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
 
 
 class Verified(NamedTuple):
-    """Points that do not follow their skin, by their windows.
+    """Result of comparing the windows of N points with the key frame: which points no longer follow their skin, and
+    what variance dust adds to the positions of the others.
 
     Attributes:
         differs: (N,) bool, windows that are no longer those of the key frame.
@@ -123,7 +124,8 @@ class Verification:
     def _shifts(
         self, images: Images, number: Array, places: Array, warp: Array, now: Array, noise: float
     ) -> Steps[Shifted]:
-        """Return the shifts of N windows, where residuals stand out; they are 0 for other windows.
+        """Return the shifts by which N windows match those of the key frame best, where single residuals stand out, as
+        those of dust do; they are 0 for other windows.
 
         `now` (N, m) are the windows minus their means.
         """
@@ -149,7 +151,9 @@ class Verification:
         return found
 
     def _dissimilarity(self, now: Array, rows: Array | None = None) -> Array:
-        """Return the dissimilarity, 1 - correlation, of present windows and those of the key frame, all or `rows`."""
+        """Return the dissimilarity (N,), 1 - correlation, between the present windows `now` (N, m) and those of the key
+        frame, of all points or of those with indices `rows`.
+        """
         then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
         result: Array = 1 - correlation_of(then, Centred.of(now))
         return result

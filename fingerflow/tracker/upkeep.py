@@ -51,7 +51,8 @@ class ThresholdSearch:
             self._asked = None
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
-        """Add a frame with its contact area; return whether the threshold measured in this frame is to be used.
+        """Add a frame with its contact area, px; return whether the contact threshold measured in this frame is to be
+        used.
 
         `measured` is the threshold found in it, NaN for none, None if it was not measured.
         """
@@ -89,7 +90,9 @@ class Upkeep:
         self._found = self._keyed = self._few = self._lost = self._tried = self._sparse = self._looks = 0
 
     def restarted(self, index: int, key_frame: int, found: int) -> None:
-        """Record a reseeding before frame `index`, which found `found` points in frame number `key_frame`."""
+        """Record that, before frame `index`, new points were seeded: `found` points in the image of frame number
+        `key_frame`.
+        """
         self.keyed(key_frame, found)
         self._found, self._tried, self._lost, self._sparse = found, index, 0, 0
 
@@ -102,12 +105,15 @@ class Upkeep:
         self._tried = index
 
     def see_contact(self, touching: bool, sparse: bool) -> None:
-        """Add a look at the contact: whether there is one, and whether it has too few tracked points."""
+        """Record an evaluation of the contact in one frame: whether there is contact, and whether too few tracked
+        points lie in it.
+        """
         self._looks = self._looks + 1 if touching else 0
         self._sparse = self._sparse + 1 if sparse and self._looks <= self._YOUNG else 0
 
     def see(self, index: int, number: int, tracked: int) -> str:
-        """Add a frame with a number of tracked points; return the cause of a change, "" for none.
+        """Record that `tracked` points were tracked in a frame; return the cause of the reseeding or new key frame that
+        is now due, "" for none.
 
         Causes are "lost", `CONTACT` and `REKEY`.
         """

@@ -53,7 +53,8 @@ def correlation_of(first: Centred, second: Centred) -> Array:
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
 ) -> Steps[Array]:
-    """Fit the deformations (N, 2, 2), starting from `warp`, for which windows correlate best with earlier windows.
+    """Fit the deformation gradients (N, 2, 2), starting from `warp`, with which windows in present images correlate
+    best with the earlier windows `first` (N, m).
 
     Centres stay fixed. Gauss-Newton for a T + b = I(place + F w) in gain a, offset b and the four components of F. As
     the centre is fixed, a window with a wrong centre keeps a residual.
@@ -87,7 +88,8 @@ def deformed_alike(
 
 
 class Shifted(NamedTuple):
-    """Shifts of windows by which most of their samples match best.
+    """Shifts by which most samples of N windows match those of earlier windows best, with their significance and the
+    share of samples that do not match.
 
     Attributes:
         shift: (N, 2) px; 0 where it cannot be found.
@@ -103,7 +105,8 @@ class Shifted(NamedTuple):
 def shifted_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float
 ) -> Steps[Shifted]:
-    """Fit the shifts by which most samples of windows match earlier windows, and exclude the samples that do not.
+    """Fit the shifts by which most samples of windows in present images match the earlier windows `first` (N, m), with
+    robust weights that exclude the samples that do not match.
 
     Gauss-Newton for a T + b = I(place + shift + F w) in the shift, gain a and offset b, with Tukey's biweight of the
     residual: what covers a small part of a window and does not move with it, as dust on the glass, has no weight.
@@ -138,7 +141,8 @@ def shifted_alike(
 
 
 def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Return weighted least-squares solutions (N, 4), residuals (N, m) and inverse normal matrices of N systems.
+    """Solve N linear systems of m equations in 4 unknowns by weighted least squares; return the solutions (N, 4), the
+    residuals (N, m) and the inverse normal matrices (N, 4, 4).
 
     `unknown` is (N, m, 4), `given` and `weight` are (N, m).
     """

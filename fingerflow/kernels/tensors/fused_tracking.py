@@ -84,7 +84,9 @@ def _spline(x):
 
 @triton.jit
 def _weights(x):
-    """Weight of a pixel at the distance x, px: that of the spline, after the smoothing that gives its coefficients."""
+    """Return the weight of a pixel at the distance x, px, from a sampled position: that of cubic B-spline
+    interpolation, convolved with the smoothing mask (1, 2, 1) / 4 that gives the spline coefficients.
+    """
     return (_spline(x - 1.0) + 2.0 * _spline(x) + _spline(x + 1.0)) / 4.0
 
 

@@ -54,7 +54,8 @@ def is_recorded() -> bool:
 
 
 def fused_serves(samples: Tensor, *tensors: Tensor) -> bool:
-    """Return whether `fused_tracking` can be used for the samples of templates and other tensors.
+    """Return whether the GPU kernel of `fused_tracking` can be used for the `samples` of templates and the other
+    tensors.
 
     It needs Triton and a GPU of CUDA, and gives no derivatives. Compilers and exporters see the portable form.
     """

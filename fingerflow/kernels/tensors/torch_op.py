@@ -68,7 +68,9 @@ def torch_op(
         op = getattr(torch.ops.fingerflow, name).default
 
         def folded(info: Any, dims: tuple[int | None, ...], *args: Any) -> Any:
-            """Compute the op of a mapped axis of size V and a batch of B as one of a batch of V B."""
+            """Compute the op under `torch.func.vmap`: merge the mapped axis, of size V, with the batch, of size B, into
+            one batch of V B, call the op once, and split its results again.
+            """
             size = info.batch_size
             result = op(*(_into_batch(one, dim, size) for one, dim in zip(args, dims, strict=True)))
             if kind is Tensor:
@@ -83,7 +85,9 @@ def torch_op(
             torch.library.register_vmap(f"fingerflow::{name}", folded, lib=_OPS)
 
         def is_opaque(args: tuple[Any, ...]) -> bool:
-            """Return whether to call the op in place of the function."""
+            """Return whether a call with these arguments is to go to the registered op, which torch does not trace, in
+            place of the Python function.
+            """
             if torch.compiler.is_compiling():
                 return not (torch.compiler.is_exporting() and shapes is None) and not requires_gradient(*args)
             if shapes is None or not any(_is_mapped(one) for one in args):
@@ -121,7 +125,9 @@ def _is_mapped(argument: Any) -> bool:
 
 
 def _levels(tensor: Tensor) -> list[Tensor]:
-    """Return a tensor and those that it wraps, one for each transform of `torch.func` around its function."""
+    """Return a tensor and, in turn, those that it wraps, one for each transform of `torch.func` (such as vmap or grad)
+    around its function.
+    """
     levels = [tensor]
     if not torch.compiler.is_compiling() and torch._C._are_functorch_transforms_active():
         while torch._C._functorch.is_functorch_wrapped_tensor(levels[-1]):
@@ -130,7 +136,9 @@ def _levels(tensor: Tensor) -> list[Tensor]:
 
 
 def _into_batch(argument: Any, dim: int | None, size: int) -> Any:
-    """Return a tensor (B, ...), mapped over `dim` or the same for all, as a batch (`size` B, ...)."""
+    """Return a tensor (B, ...) whose axis `dim` is mapped by `torch.func.vmap` (None: the same tensor for all) as a
+    batch (`size` B, ...).
+    """
     if not isinstance(argument, Tensor):
         return argument
     mapped = argument.expand(size, *argument.shape) if dim is None else argument.movedim(dim, 0)
@@ -144,7 +152,7 @@ def _parts(kind: Any) -> tuple[Any, ...]:
 
 
 def _named(kind: Any) -> Any:
-    """Return an annotation if it is a class of named tuples, else None."""
+    """Return the class of named tuples that a return annotation stands for, or None if it stands for none."""
     named = get_origin(kind) or kind
     return named if hasattr(named, "_fields") else None
 
