@@ -31,6 +31,8 @@ RESULTS = (
     *("slip_residual", "slip_flag"),
 )
 _EVERY = 8  # frames between two evaluations of what gauge length and border do to the median
+#: Share of the points in contact that may have touched when they were seeded again; with more, no deviation is stated.
+_WITHOUT_ONSET = 0.15
 
 
 class Seeding(NamedTuple):
@@ -63,6 +65,8 @@ class FrameResults:
         self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
+        self._late = False  # whether the points were seeded after the first frame
+        self._begun_in_contact: Array | None = None  # (N,) those of them that touched in their first frame
         self._frames = 0
 
     @property
@@ -82,6 +86,8 @@ class FrameResults:
         deviation = np.sqrt(found.variance)
         center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
+        if self._begun_in_contact is None:
+            self._begun_in_contact = covered[0] & self._late
         slip = self._slip.see(found.points[0], deviation[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
@@ -107,6 +113,7 @@ class FrameResults:
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+        self._late, self._begun_in_contact = self._frames > 0, None
         self._of_smoothing = math.nan  # variance of the median by gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
@@ -166,7 +173,10 @@ class FrameResults:
             covariance = self._covariance(found.variance, touch)
         fields = self._engine.fields(place, moved, around, covariance, entered)
         deviation = math.nan
-        if fields.median_std is not None:
+        # What skin had gone through before points were seeded again on it is not known.
+        assert self._begun_in_contact is not None
+        without_onset = (self._begun_in_contact & touch.touching[0]).sum()
+        if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2
             if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
                 self._of_smoothing = self._smoothing_variance(place, moved, around, fields.median[0, 0], of_points)

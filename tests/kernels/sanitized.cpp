@@ -230,7 +230,7 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
     std::vector<double> bone(2 * size), rubbed(mu.size()), step(size, 1e-6), time(size);
     std::vector<std::int64_t> counts(2 * size);
     const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
-                                      rubbed.data(), step.data(), time.data(), counts.data(), batch, count, 0, 0, 100000, 1e-6, 5e-4};
+                                      rubbed.data(), step.data(), time.data(), counts.data(), batch, count, 100000, 1e-6, 5e-4};
     fingerflow_press_skin(&given, threads);
     expect(time[0] == 5e-4, "skin chain, to its end");
 }
