@@ -48,8 +48,8 @@ class Chains:
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
-        """Return chains of ``count`` elements for each of a batch (...) of parameter sets, to whose shape the
-        parameters of a skin broadcast.
+        """Return a batch of chains of ``count`` elements each; the parameters of ``skin`` are broadcast to the batch
+        shape ``shape``.
         """
         parameters = skin.for_elements(count)
 

@@ -1,4 +1,6 @@
-"""Parameter sets of the skin chain in SI units: from the paper, from the lab's code, and for the printed area."""
+"""Parameter sets of the skin chain in SI units: the paper's, those of the lab's code, and one fitted to the contact
+area that the paper states.
+"""
 
 import math
 from dataclasses import dataclass, fields, replace

@@ -82,10 +82,11 @@ def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
 
 
 def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
-    """Return True if the image may jump with a frame: in some row (a band of lines, the whole view or the brightness)
-    its squared distance `step` from the frame before is much larger than the `usual` one nearby.
+    """Return True if a frame differs much more from the frame before than neighbouring frames usually do, so that the
+    image may have jumped, in any of the compared parts: bands of image lines, the whole view, or the brightness.
 
-    Without what is `known` of other frames, by the least excess that may count.
+    `step` and `usual` are squared distances (parts,). The limit follows from `known`, the excesses of other frames;
+    without these it is the smallest limit.
     """
     usual = np.fmax(usual, 1)
     return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _excess_limit(usual, known))).any())

@@ -154,10 +154,10 @@ def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, suppor
 
 
 def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:
-    """Reduce position covariances (K, N, 2, 2), which follow from the residuals of the windows, by the share of the
-    residual that skin deformation (`unknown`) causes instead of noise.
+    """Return position covariances (K, N, 2, 2) without the part of the window residuals that comes from deformation of
+    the skin and not from image noise.
 
-    The deformation E is (K, 4, N). `of` (K, 32, N) are the template statistics.
+    `unknown` is that deformation E (K, 4, N), `window` the side of a window, px. `of` (K, 32, N) are the template statistics.
     """
     pairs = torch.cat([unknown[:, k : k + 1] * unknown[:, k:] for k in range(4)], dim=1)
     bending = sum_rows(of[:, Number.BENDING :] * pairs)

@@ -87,7 +87,7 @@ class Synthetic:
 
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
         """Return the true contact areas in mm², ellipse semi-axes in mm and median divergence in frame `number`, by
-        name; `restart` is the number of times that points have been seeded until then.
+        name; `restart` counts the seedings of points up to this frame, as divergence is relative to the last one.
 
         The divergence is included only for points seeded at the first restart, in frame 0.
         """
