@@ -176,7 +176,7 @@ def _variables(_: object) -> dict[str, dict[str, object]]:
 
 
 def _switch_unit(_: object) -> dict[str, dict[str, object]]:
-    """Switch the unit in which the page and all that it writes show deformation between µm/mm and %; return the
+    """Switch the unit in which the page and all that it writes show deformation between its own unit and %; return the
     variables with their units as shown.
     """
     os.environ[IN_PERCENT] = "0" if os.environ.get(IN_PERCENT) == "1" else "1"

@@ -29,6 +29,7 @@ def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], 
     return [str(python), "-m", "fingerflow.player", *options, *arguments], variables()
 
 
+@pytest.mark.long
 def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> None:
     command, environment = _command(
         python, stream, "--source", "synthetic", "--rate", "100"
@@ -70,6 +71,7 @@ def test_an_interrupt_ends_it_cleanly(python: Path, stream: Stream) -> None:
     assert len(records)
 
 
+@pytest.mark.long
 def test_the_command_line_of_the_package_is_the_same_player(stream: Stream) -> None:
     """`fingerflow stream`, which imports no torch either, and `fingerflow export-table` of its results."""
     code = "import sys; from fingerflow.cli import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"

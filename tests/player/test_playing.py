@@ -66,6 +66,7 @@ def test_wrong_options_are_errors_not_exits(source: dict[str, Any], options: dic
         assert said in str(refused.value)
 
 
+@pytest.mark.long
 def test_the_benchmark_says_a_rate_and_its_latency(stream: Stream, capsys: pytest.CaptureFixture[str]) -> None:
     said = benchmark(stream.bundle, 0.1, 0.1).splitlines()
     assert said[0].startswith("as fast as possible: ")

@@ -144,6 +144,7 @@ def test_settings_are_sentences() -> None:
     assert transform_rows("[[1, 0, 0], [0, 1, 0]]") == []
 
 
+@pytest.mark.long
 def test_a_calibration_is_shown_by_its_picture(trial: Trial, page: Path, tmp_path: Path) -> None:
     scene, result = trial
     file = scene.path.parent / "calibration.toml"
@@ -175,6 +176,7 @@ def test_strain_that_no_skin_has_is_said(trial: Trial) -> None:
     assert said.startswith("In frame 9 and later")
 
 
+@pytest.mark.long
 def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
     """Nothing is asked of a network, no line is wider than a phone, and the cursor reads out the result."""
     _, result = trial
@@ -214,6 +216,7 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
     assert {one.split(":")[0] for one in asked} <= {"file", "data"}
 
 
+@pytest.mark.long
 def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Trial, tmp_path: Path) -> None:
     scene, result = trial
     text = told(write_report(result, scene, tmp_path, video=False, figure_files=FigureFiles(("svg",), 120.0)))

@@ -144,6 +144,7 @@ def test_what_is_left_out_is_counted() -> None:
         sample_of(frame)
 
 
+@pytest.mark.long
 def test_figures_of_a_table(tmp_path: Path) -> None:
     frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
     curves = pd.DataFrame(
@@ -165,6 +166,7 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
     assert [one.name for one in without if not one.file] == ["S11", "S12"]
 
 
+@pytest.mark.long
 def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_path: Path) -> None:
     frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
     frame["reference"] = ""

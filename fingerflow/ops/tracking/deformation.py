@@ -157,7 +157,8 @@ def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tenso
     """Return position covariances (K, N, 2, 2) without the part of the window residuals that comes from deformation of
     the skin and not from image noise.
 
-    `unknown` is that deformation E (K, 4, N), `window` the side of a window, px. `of` (K, 32, N) are the template statistics.
+    `unknown` is that deformation E (K, 4, N), `window` the side of a window, px. `of` (K, 32, N) are the template
+    statistics.
     """
     pairs = torch.cat([unknown[:, k : k + 1] * unknown[:, k:] for k in range(4)], dim=1)
     bending = sum_rows(of[:, Number.BENDING :] * pairs)

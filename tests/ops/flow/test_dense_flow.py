@@ -245,6 +245,7 @@ def test_wrong_input_is_named(change: dict, said: str) -> None:
         dense_flow(**given)
 
 
+@pytest.mark.long
 @CONSTANCIES
 @PENALTIES
 def test_the_portable_form_has_no_branch_on_data(

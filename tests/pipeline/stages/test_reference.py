@@ -124,6 +124,7 @@ def test_a_frame_that_tells_nothing_is_no_reference(scene: Scene, tmp_path: Path
         counted_from(dark, 20)
 
 
+@pytest.mark.long
 def test_the_report_says_from_when_displacement_counts(scene: Scene, tmp_path: Path) -> None:
     page = write_report(counted_from(scene, "first_frame"), None, tmp_path).read_text(encoding="utf-8")
     assert "Displacement counts from frame 0, -0.05 s from the trigger" in page

@@ -351,6 +351,7 @@ def by_dense_flow(slip_trials: Path) -> xr.Dataset:
     return process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), names)
 
 
+@pytest.mark.long
 def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
     """As close as by points: within 0.05 in every frame."""
     error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))

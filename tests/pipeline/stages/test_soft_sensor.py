@@ -130,6 +130,7 @@ def test_the_command_line_writes_its_scene_and_streams_refuse_it(gel_recording: 
         read_scene(path, "stream")
 
 
+@pytest.mark.long
 def test_the_report_shows_markers_and_slip(result: xr.Dataset, gel_recording: Path, tmp_path: Path) -> None:
     page = write_report(result, load_scene(gel_recording), tmp_path).read_text(encoding="utf-8")
     assert "Slip of what touches the gel" in page
