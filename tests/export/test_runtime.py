@@ -55,6 +55,7 @@ def runtime(tmp_path: Path) -> OnnxRuntime:
     return OnnxRuntime(1, tmp_path / "graphs")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("second", [False, True])
 def test_a_module_gives_the_same(runtime: OnnxRuntime, second: bool) -> None:
     """By the same graphs for one recording and for several."""

@@ -51,6 +51,7 @@ def test_truth_by_integration_is_that_of_a_million_trials() -> None:
     assert truth.share_correct == pytest.approx(table["answer"].mean(), abs=2e-3)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """Of 20 studies an interval of 95 % misses 1 on average; that it misses 5 or more happens once in 400. And two
     groups of skin are found in each.
