@@ -65,8 +65,6 @@ class FrameResults:
         self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
-        self._late = False  # whether the points were seeded after the first frame
-        self._begun_in_contact: Array | None = None  # (N,) those of them that touched in their first frame
         self._frames = 0
 
     @property
@@ -78,16 +76,14 @@ class FrameResults:
         """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
         `found` and the seeding to which these points belong.
         """
+        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)
         if seeding is not self._seeding:
-            self._begin(seeding)
+            self._begin(seeding, covered[0])
         self._frames += 1
         size = self._size
-        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)
         deviation = np.sqrt(found.variance)
         center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        if self._begun_in_contact is None:
-            self._begun_in_contact = covered[0] & self._late
         slip = self._slip.see(found.points[0], deviation[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
@@ -106,14 +102,15 @@ class FrameResults:
             "slip_flag": slip.slipping,
         }
 
-    def _begin(self, seeding: Seeding) -> None:
+    def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding = seeding
+        # Points (N,) seeded again on skin that touched already: their onset is not known.
+        self._seeded_in_contact = covered & (self._frames > 0)
         if seeding.before is not None:
             self._slip.follow_others(seeding.before, seeding.points)
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
-        self._late, self._begun_in_contact = self._frames > 0, None
         self._of_smoothing = math.nan  # variance of the median by gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
@@ -174,8 +171,7 @@ class FrameResults:
         fields = self._engine.fields(place, moved, around, covariance, entered)
         deviation = math.nan
         # What skin had gone through before points were seeded again on it is not known.
-        assert self._begun_in_contact is not None
-        without_onset = (self._begun_in_contact & touch.touching[0]).sum()
+        without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
         if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2
             if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
