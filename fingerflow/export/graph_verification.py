@@ -44,6 +44,9 @@ _TOLERANCES = {
     **dict.fromkeys(("center", "semi_axes"), (1e-3, 0.1)),
     "angle": (1e-4, 2e-2),  # 0.1 px turns an axis that is 5 px longer than the other by this angle
     **dict.fromkeys(("threshold", "covariance"), (1e-4, 1e-3)),  # covariance as standard deviations in px
+    # 1 - r^2 is a sum of terms up to the square of half an image in radii, 2,000: their rounding in float32 is 1e-4.
+    # It moves a fitted plane by 1e-4 of the residuals.
+    **dict.fromkeys(("support_weights", "inner_weights"), (1e-3, 1e-3)),
 }
 _RELATIVE = (1e-4, 1e-3)
 _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may change

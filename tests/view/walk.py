@@ -34,10 +34,12 @@ def fill(page: Any, key: str, value: str) -> None:
 
 
 def browse(page: Any, key: str, file: str) -> None:
-    """A file beside the scene, in the dialog of its key, from the folder above."""
+    """Choose a file for a key in its dialog: go up one folder, back into the folder of the scene, and click the file."""
     field = page.locator(f'[data-key="{key}"]')
     page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
     page.click(f'[aria-label="browse {key}"]')
+    # The dialog opens empty and names its folder when the server has answered.
+    page.wait_for_selector(f"dialog button:text-is('{file}')")
     folder = page.text_content("dialog p").rpartition("/")[2]
     page.click("dialog button:has-text('folder above')")
     page.click(f"dialog button:text-is('{folder}/')")
