@@ -268,8 +268,7 @@ def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> 
 
 
 def _spoiled(request: Any) -> str:
-    """Return the body of a request in which the key `contact.median_px` is replaced by `kind = "x"`, which is refused.
-    """
+    """Return the body of a request with the key `contact.median_px` replaced by `kind = "x"`, which is refused."""
     given = request.post_data_json["set"]
     return json.dumps({"set": [["kind", "x"] if key == "contact.median_px" else [key, value] for key, value in given]})
 
