@@ -21,7 +21,7 @@ from fingerflow.synthetic.marker_gel import write_gel_recording
 from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
 
 if not torch.cuda.is_available():
-    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported, whose kernels then run in Python
+    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported: its kernels then run in Python
 
 #: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
 #: long before those that play it, which would wait.

@@ -23,7 +23,7 @@ _TABLE = {
     "tensors": "kernels",  # the kernels as ops of torch, in fingerflow/kernels/tensors
     "ops": "kernels tensors",
     "graphs": "kernels ops",
-    "engines": "errors kernels schema",  # of NumPy arrays
+    "engines": "errors kernels schema",  # works on NumPy arrays
     "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py, capture.py
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",

@@ -1,4 +1,4 @@
-"""`torch.func.vmap` of every public op gives what a loop over the mapped axis gives."""
+"""Tests that `torch.func.vmap` of every public op gives the results of a loop over the mapped axis."""
 
 import pytest
 import torch

@@ -17,7 +17,7 @@ Array = np.ndarray[Any, Any]
 Many = list[tuple[Any, ...]]
 
 PRESS = TRIALS["press"]
-FIRST = (58, 50, 40)  # frame of each recording
+FIRST = (58, 50, 40)  # first frame of each recording
 COUNTS, FRAMES = (30, 45, 18), (4, 2, 3)
 # px and grey levels: matrix products are summed in another order when calls are joined.
 CLOSE = {"rtol": 1e-4, "atol": 1e-4, "equal_nan": True}

@@ -49,13 +49,13 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _play(bundle: Path, file: Path, *absent: str) -> subprocess.CompletedProcess[str]:
-    """Play a recording as the bundle does; its frames are saved as played.npy beside it."""
+    """Play a recording as the bundle does, and save its frames as played.npy beside it; return the ended process."""
     command = [sys.executable, "-c", _IN_A_BUNDLE, str(file), str(file.with_name("played.npy")), *absent]
     return subprocess.run(command, cwd=bundle, capture_output=True, text=True)
 
 
 def _sample(kind: str, folder: Path, chosen: int = 0) -> Path:
-    """Write a sample of a format; return the file to open."""
+    """Write a sample of a format; return the path of the file to open."""
     (folder / "made").mkdir()
     sample = samples(kind, folder / "made")[chosen]
     for name, data in sample.files.items():

@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     for reader, number, outcome, said in _run(asked.seed, jobs):
         counts[reader][outcome] += 1
         kind = (reader, outcome, said.partition(":")[0])
-        if outcome not in GOOD and kind not in shown:  # one of a kind
+        if outcome not in GOOD and kind not in shown:  # print one of each kind
             shown.add(kind)
             print(f"  {reader} {number}: {outcome}: {said}", flush=True)
         if (reader, number + 1) in {(name, end) for name, _, end in jobs}:

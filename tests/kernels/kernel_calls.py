@@ -55,7 +55,7 @@ def kernel_calls() -> dict[str, Call]:
     corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
-    wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are larger
+    wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
     cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
 
     return {

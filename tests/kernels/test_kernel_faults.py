@@ -17,7 +17,7 @@ from tests.kernels.kernel_calls import kernel_calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-NO_MEMORY, ERROR, UNKNOWN, NO_THREAD = 1, 2, 3, 4  # of kernels/parallel.h
+NO_MEMORY, ERROR, UNKNOWN, NO_THREAD = 1, 2, 3, 4  # as in kernels/parallel.h
 ANY, CALLER, POOL = 0, 1, 2
 
 FRAMES = torch.arange(2 * 200 * 64, dtype=torch.int64).remainder(251).to(torch.uint8).reshape(2, 1, 200, 64)

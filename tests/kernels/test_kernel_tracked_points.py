@@ -183,7 +183,7 @@ def test_the_same_points_are_chosen(name: str, instruction_set: int, torch_threa
             number = len(chosen(points))
             assert np.isnan(found.points[number:]).all()
             assert (np.diff(found.response[:number]) <= 0).all()
-    assert not number  # without a mask
+    assert not number  # the last mask is empty
 
 
 def test_points_of_views_and_of_equal_strength() -> None:

@@ -48,7 +48,8 @@ class Twin(NamedTuple):
         calls: yields the calls that are compared; the last has work for several threads.
         tolerance: of floating-point results; bit for bit by default.
         by_name: tolerances of single fields of the result.
-        in_double: whether the portable form computes in float64 from the same numbers, if both forms round sums.
+        in_double: whether the portable form computes in float64 from the same numbers, because sums round in both
+            forms.
     """
 
     calls: Callable[[], Iterator[Call]]
@@ -273,7 +274,7 @@ WARPS = (
     [[0.6, 0.2], [0.1, 1.5]],
     [[-1.0, 0.05], [0.02, 1.0]],  # mirrored
     [[0.0, -1.0], [1.0, 0.0]],  # a quarter turn
-    [[0.0, 0.0], [0.0, 0.0]],  # none
+    [[0.0, 0.0], [0.0, 0.0]],  # zero
     [[1.0, 1.0], [1.0, 1.0]],
     [[torch.nan, 0.0], [0.0, 1.0]],
 )

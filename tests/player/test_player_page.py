@@ -26,7 +26,7 @@ from fingerflow.schema.variables import VARIABLES
 
 pytestmark = pytest.mark.long
 
-DARK_EACH = 40  # frames of the source
+DARK_EACH = 40  # one frame of the source in so many is dark
 TOKEN = "token-of-the-test"
 
 

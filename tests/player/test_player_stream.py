@@ -227,7 +227,7 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     with pytest.raises(RuntimeError, match="broken engine"):
         stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", *stream.parallel(3))
     results = stream.folder / "results"
-    assert results.is_dir() == (failing > 0)  # an empty folder is not left
+    assert results.is_dir() == (failing > 0)  # no empty folder is left
     if failing:
         np.testing.assert_array_equal(player.read_results(results).records["frame"], np.arange(failing))
 

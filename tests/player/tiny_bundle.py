@@ -18,7 +18,7 @@ GLASS, TOUCHED, GROUND = 200, 20, 90  # grey levels
 SPOTS = np.array([(12 + 18 * (k % 5), 18 + 28 * (k // 5)) for k in range(POINTS)], float)  # (x, y) px
 PLACES = SPOTS + np.array([2, -1])  # (x, y) px of the points seeded on the spots
 _BUMPS = ((-1.8, -1.2, 1.0), (2.0, -0.9, -1.5), (0.4, 2.1, 0.5))  # x, y (px) and height of bumps of a spot
-_WIDTH = 1.3  # px, of a bump
+_WIDTH = 1.3  # px, width of a bump
 
 
 def recipe_of(bit_depth: int = 8) -> Recipe:

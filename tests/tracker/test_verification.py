@@ -191,11 +191,11 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
 
 
 def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
-    """Points held back by specks at rest, while the skin moves by 3 px, are found: a point 0.6 px back is held, and the
-    shift of a point 0.2 px back is in its variance.
+    """Points held back by specks at rest, while the skin moves by 3 px, are found: a point 0.6 px back is marked as
+    held, and the shift of a point 0.2 px back is in its variance.
 
-    At most one in twenty of all other points, whose windows contain specks too, may be lost: points lie on a grid here,
-    and the skin hardly changes along some ridges.
+    At most one in twenty of all other points, whose windows contain specks too, may be marked: points lie on a grid
+    here, and the skin hardly changes along some ridges.
     """
     engine = make_engine(SETTINGS)
     then, now = points(UNMOVED, (3.0, 0.0))

@@ -391,7 +391,7 @@ def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:
 }""",
                 home,
             )
-            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, and not to be read
+            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, but unreadable
             assert statuses
             assert set(statuses.values()) == {403}
             assert page.evaluate("async () => (await (await fetch('api/setup')).json()).values.contact.median_px") == 3

@@ -35,7 +35,7 @@ def test_contact_is_that_of_process(processed: Path, old: str, new: str) -> None
     for frame in (0, 5, 11, 6):
         found = preview.contact(frame)
         for name in CONTACT:
-            # Equal with the compiled kernels; portable sums in float32 round by how many frames come at a time.
+            # Equal with the compiled kernels; portable float32 sums depend on the number of frames at a time.
             np.testing.assert_allclose(found.numbers[name], result[name].values[frame], rtol=1e-6, err_msg=name)
         area = found.mask.sum() * scene.calibration.mm_per_px**2
         assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-12)
