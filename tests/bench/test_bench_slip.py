@@ -10,8 +10,8 @@ pytestmark = pytest.mark.long
 
 
 def test_a_trial_of_each_law_and_curve() -> None:
-    """All verdicts are right and d² is known in every frame; the fitted power follows the law, and the stated deviation
-    of d² is that of its errors.
+    """All verdicts are right and d² is known in every frame; the fitted power follows the law, and the errors of d² are
+    as large as stated.
     """
     rows = slip.run(quick=True)
     groups, trials = {str(row["trial"]): row for row in rows[:8]}, rows[8:]

@@ -264,8 +264,8 @@ def test_pipeline() -> None:
 
 
 def test_dense() -> None:
-    """Every dense flow finds the point when it is read at the point's own pixel; uniform motion lets some be better
-    than the bound.
+    """Every dense flow finds the point when the flow is read at the point's own pixel; with uniform motion some errors
+    fall below the bound.
     """
     rows = dense.run(quick=True)
     assert {(row["motion"], row["way"]) for row in rows} >= {("5 px", "opencv DIS, medium"), ("wave", "fingerflow")}
@@ -323,7 +323,7 @@ def test_stated() -> None:
 
 
 def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the processor the suite gives the same results; without CUDA it states what it would run."""
+    """On the processor the suite gives the same results; without CUDA its rows state the work that would run."""
     rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
     works = ("contact", "key", "tracking", "outliers", "deformation", "fields")
     assert {(row["work"], row["recordings"]) for row in rows} == {(work, batch) for work in works for batch in (1, 3)}
@@ -348,7 +348,7 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two recordings together need little more calls of an accelerator than one, for the same positions."""
+    """Two recordings together call an accelerator little more often than one, for the same positions."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = process_together.run(quick=True)
     assert [(row["recordings"], row["way"]) for row in rows] == [

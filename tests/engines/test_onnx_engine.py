@@ -379,8 +379,8 @@ def test_a_provider_that_is_not_there_is_named(bundle: Bundle) -> None:
 def test_a_provider_with_other_numbers_is_passed_over(
     bundle: Bundle, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A provider that cannot be loaded or gives other numbers than the bundle is skipped with a warning, unless it is
-    asked for: then it is an error.
+    """A provider that cannot be loaded or gives other numbers than the bundle is skipped with a warning; if the
+    provider was asked for by name, this is an error.
     """
     full = installed_providers()["cpu"]
     monkeypatch.setattr(

@@ -76,7 +76,9 @@ def test_threshold_lies_half_way_between_ridge_and_valley(share: float, noise: f
 
 
 def test_otsu_alone_would_lie_lower() -> None:
-    """The mean of Otsu's classes is too low, because empty glass is brighter than skin between ridges."""
+    """The midpoint between the means of Otsu's classes is too low a threshold, because empty glass is brighter than
+    skin between ridges.
+    """
     light, real_area = drawn((120, 95))
     reference = torch.full_like(light, 180.0)
     frames = (180 * light).round().to(torch.uint8)
@@ -100,8 +102,8 @@ def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
 @pytest.mark.parametrize(("semi_axes", "each", "mean"), [((170, 140), 0.01, 0.004), ((60, 50), 0.04, 0.012)])
 def test_gross_area_and_axes_are_unbiased(semi_axes: tuple[float, float], each: float, mean: float) -> None:
     """Gross contact area and axes have an error that averages out over the phases of the ridges. Where the border runs
-    along a ridge or valley, a picture does not show how far it reaches in: half a period at two places, 7 px of 60 or
-    170 px, over a small part of the circumference.
+    along a ridge or valley, a picture does not show how far into the ridge or valley the contact reaches: half a period
+    at two places, 7 px of 60 or 170 px, over a small part of the circumference.
     """
     areas, axes = [], []
     for angle in (0.0, 0.8):

@@ -44,8 +44,9 @@ def compiled(sources: Sequence[Path], command: tuple[str, ...], folder: Path) ->
 
 
 def run(program: Path) -> None:
-    """Run a program and assert that it has no failures; the thread sanitizer may not end it for threads of a child
-    after a fork, which the program tests.
+    """Run a program and assert that it has no failures.
+
+    The thread sanitizer must not end the program for threads of a forked child, which the program tests.
     """
     environment = {**os.environ, "TSAN_OPTIONS": "die_after_fork=0"}
     ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=300, env=environment)

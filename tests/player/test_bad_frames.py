@@ -195,7 +195,7 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_frames_of_another_moment_count_in_no_number(small: Small, count: int) -> None:
-    """Frames of 15 frames earlier, one to three in a row, count in no number, with other noise or as exact copies.
+    """One to three copies in a row of frames from 15 frames earlier count in no number, exact or with other noise.
     Their points are found, because the skin has hardly moved; the next usable frame shows that the stream has returned.
     """
     for noise, status in ((other_noise, "jumps_and_returns"), (lambda frame, _: frame, "repeated")):
@@ -270,8 +270,8 @@ def test_a_stream_begins_with_its_first_picture(small: Small, kind: str) -> None
 
 def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     """The threshold is not measured in a bad frame, black or with a dim contact view, but in a later frame. In contacts
-    of more than 4 mm² it is the clean run's to 0.004 of the light, the scatter between contacts of different size, and
-    the real contact area to 2 %.
+    of more than 4 mm² the threshold is that of the clean run to 0.004 of the light, the scatter between contacts of
+    different size, and the real contact area to 2 %.
     """
     scene_file = small.folder / "trial" / "scene.toml"
     text = scene_file.read_text()

@@ -34,8 +34,8 @@ def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
 
 
 def test_a_clock_follows_the_drift_of_two_clocks() -> None:
-    """A drift of 100 ppm between two clocks adds at most 1 ms to the latency: it is 6 ms over the minute of the test,
-    but the offset is measured within a window of 5 to 10 s.
+    """A drift of 100 ppm between two clocks adds at most 1 ms to the latency: over the minute of the test the drift is
+    6 ms, but the offset is measured within a window of 5 to 10 s.
     """
     clock = CameraClock()
     stamps = np.arange(0, 60, 0.02)

@@ -247,8 +247,8 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
     """The threshold is measured in the first frame with contact among every fourth frame: 0.4, half of the loss of
     intensity.
 
-    It applies from that frame on, whether or not frames are computed side by side; later, darker frames do not change
-    it.
+    The threshold applies from that frame on, whether or not frames are computed side by side; later, darker frames do
+    not change the threshold.
     """
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
     levels = (200, 200, 40, 40, 40, 40, 40, 10, 130, 10)

@@ -119,11 +119,12 @@ def test_a_constant_is_one_for_both(
 def test_a_stream_equals_the_recording_bit_for_bit(
     trials: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """A stream equals a recording bit for bit as long as it has its first key frame; a recording has no other one. The
-    key frame itself is left out for the values of points that a stream tracks and a recording knows.
+    """A stream equals a recording bit for bit as long as it has its first key frame; a recording has no other one.
+    Standard deviations and errors of points are not compared in the key frame itself, in which a stream tracks the
+    points and a recording knows their positions.
 
-    The median divergence is compared in frames without a passing touch, of which a recording knows the end and counts
-    from the last touch.
+    The median divergence is compared in frames without a passing touch: a recording knows the end of such a touch and
+    counts from the last touch.
     """
     made = Inputs.__post_init__
 
@@ -153,7 +154,7 @@ def test_a_stream_equals_the_recording_bit_for_bit(
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:
-    """Return the frames (F,) in which the reference position of each point in contact is its last one."""
+    """Return for each frame (F,) whether every point in contact has its final reference position."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
     border = Border.of({name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")})

@@ -49,7 +49,7 @@ def test_a_frame_that_loses_nothing_costs_one_look() -> None:
 
 
 def test_few_points_that_are_gone_cost_a_search() -> None:
-    """A tenth of the points that are gone are searched for once and looked at once more; their loss is not taken for a
+    """A tenth of the points, if gone, are searched for once and looked at once more; their loss is not taken for a
     jump.
     """
     place = START.copy()
@@ -118,7 +118,9 @@ def test_a_frame_of_another_moment_costs_one_search() -> None:
 
 
 def test_what_is_gone_costs_nothing() -> None:
-    """Points that are gone cost no search after `TRUSTED` frames, as long as their speed is trusted."""
+    """Points that are gone cost one search in each of the first `TRUSTED` frames, while their speed is trusted, and
+    none later.
+    """
     engine = KnownSkin(START + 100)
     points, searches = _points(engine), []
     for _ in range(7):
