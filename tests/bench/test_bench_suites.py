@@ -140,8 +140,8 @@ def test_drift() -> None:
 
 
 def test_curved() -> None:
-    """The error is less than 0.55 times that of OpenCV where displacement is a wave of 100 px, twice the stated
-    deviation. Where displacement is uniform, the error is that stated.
+    """On a wave of 100 px the error is less than 0.55 times OpenCV's, and twice the stated deviation; in uniform
+    displacement the error is that stated.
     """
     rows = curved.run(quick=True)
     ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))

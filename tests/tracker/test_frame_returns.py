@@ -102,8 +102,8 @@ def test_skin_that_vibrates_is_none(skin: Frames, period: int) -> None:
 
 
 def test_frames_that_are_known_not_to_be_pictures_measure_none(skin: Frames) -> None:
-    """Frames known to be bad are not compared with: a good frame between two black frames, which resemble each other,
-    is not a jump.
+    """No frame is compared with frames known to be bad: a good frame between two black frames, which resemble each
+    other, is not a jump.
     """
     frames = skin.copy()
     frames[[20, 22]] = 1 + 0.1 * frames[[20, 22]]
