@@ -19,7 +19,7 @@ from fingerflow.models.skin_parameters import parameter_set
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
-_POINTS = 4001  # of the integrals, over eight deviations beyond the means
+_POINTS = 4001  # points of the integrals, which extend eight deviations beyond the means
 
 
 @dataclass(frozen=True)
