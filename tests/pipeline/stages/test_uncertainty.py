@@ -155,7 +155,7 @@ NAMES = {
 
 # The deviation of a median assumes independent errors of the points: noise shared by overlapping windows makes its
 # error half as large again, and so do large errors of onset, which differ between points. Here the ellipse of the
-# border is exact, so errors of onset are half of the stated ones, and twice their expected energy is subtracted.
+# border is exact, so errors of onset are half of the stated ones, and the energy subtracted for them is too large.
 MOST = {"noise": {"median": 1.5}, "onset": {"median": 1.5, "energy": 3.0}}
 LEAST = {"noise": 0.8, "onset": 0.55}
 
