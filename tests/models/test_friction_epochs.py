@@ -73,8 +73,8 @@ def test_the_coefficient_falls_with_the_amplitude(found: FrictionEpochs) -> None
 
 
 def test_the_sinusoid_does_not_bias_the_bins() -> None:
-    """The sinusoidal envelope does not bias the bins: it dwells at its ends, where the value at the middle phase of a
-    bin is 0.024 off.
+    """The sinusoidal envelope does not bias the bins: the envelope dwells at its ends, where the value at the middle
+    phase of a bin is 0.024 off.
     """
     edges = torch.linspace(0, 3.0001e-6, 7, dtype=torch.float64)
     middles = 1e6 * (edges[1:] + edges[:-1]) / 2

@@ -46,7 +46,7 @@ def test_the_largest_area_in_the_corridor_is_the_papers_number() -> None:
 
 @pytest.mark.parametrize("mu_k", [0.8, 0.9, 1.2])
 def test_an_area_that_fades_is_not_taken_for_one_that_vanishes(mu_k: float) -> None:
-    """A fading area diminishes. The printed limit of 0.05 belongs to a misprinted curve, and with it trials with mu_k <
+    """A fading area diminishes. With the printed limit of 0.05, which belongs to a misprinted curve, trials with mu_k <
     1 vanish abruptly.
     """
     verdict = judged(simulate_trial(0.8, mu_k, seed=4))
@@ -66,7 +66,7 @@ def test_where_the_limits_come_from() -> None:
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
 @pytest.mark.parametrize("loading", [1.5, 3.0])
 def test_the_papers_own_fading_line_diminishes(rate: float, noise: float, loading: float) -> None:
-    """The paper's line d^2 = 1 - T/(mu N), which is 0.05 where it enters the corridor, diminishes by every rule."""
+    """The paper's line d^2 = 1 - T/(mu N), which enters the corridor at 0.05, diminishes by every rule."""
     draw = np.random.default_rng(1)
     time = np.arange(0, loading + 1, 1 / rate)
     load = np.minimum(time / loading, 1)

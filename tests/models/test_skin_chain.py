@@ -57,8 +57,8 @@ def test_more_friction_less_divergence(pressed: PressedChain) -> None:
 
 
 def test_friction_points_against_the_motion(pressed: PressedChain) -> None:
-    """Friction opposes the motion; in the published script it acts along the motion, so the edge of the contact moves
-    further.
+    """Friction opposes the motion; friction in the published script acts along the motion, so the edge of the contact
+    moves further.
     """
     away = pressed.displacement[1:, :, 0]
     force = pressed.friction_force[1:]

@@ -116,8 +116,8 @@ def test_axes_and_pixel_centres_by_a_mirror(name: str, axis: int) -> None:
 @pytest.mark.parametrize("mixed", [False, True], ids=["alike", "mixed"])
 @pytest.mark.parametrize("name", ops.__all__)
 def test_dtype(name: str, mixed: bool, dtype: torch.dtype) -> None:
-    """The result has the stated dtype, both if all inputs have one dtype and if only the last (such as the points) has
-    it and the others are float32.
+    """The result has the stated dtype, both if all inputs have one dtype and if only the last input (such as the
+    points) has another dtype than float32.
     """
     inputs = list(inputs_of(name))
     values = ("image", "field", "gradient", "places", "vectors")

@@ -287,7 +287,7 @@ def test_swapped_views_are_named(scene: Scene) -> None:
 
 
 def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -> None:
-    """A scene with a single view gives the same results as two equal views with the identity between them."""
+    """A scene with a single view gives the same results as two equal views related by the identity."""
     text = (press / "scene.toml").read_text(encoding="utf-8")
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         text = text.replace(f'"{name}"', f'"{(press / name).as_posix()}"')

@@ -75,7 +75,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 
 def _every_stage() -> set[type[Stage]]:
-    """Return all stage classes, with those that a kind of scene or a setting uses instead of others."""
+    """Return all stage classes, including the alternatives used by a kind of scene or a setting."""
     by_setting = ("dense_flow_slip",)
     return {one for instead in ((), KINDS["soft_sensor"].instead, by_setting) for one in all_stages(instead)}
 
@@ -251,7 +251,9 @@ def test_the_scene_of_a_result(folder: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: set[str]) -> None:
-    """The command prints which results it reused. Without a scene it uses that of the result, which may be replaced."""
+    """The command prints which results are reused. Without a scene the command uses the scene of the result, which may
+    be replaced.
+    """
     shutil.copytree(folder, tmp_path / "press")
     result, scene = tmp_path / "press" / "result.h5", tmp_path / "press" / "scene.toml"
     arguments = ["process", str(scene), "--from", str(result)]
@@ -375,7 +377,7 @@ def _gel(folder: Path) -> tuple[Path, list[str] | None]:
 def test_stages_look_at_no_setting_that_they_do_not_name(
     make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
 ) -> None:
-    """A stage reads only settings that it or a stage before it declares; otherwise a change of a setting would go
+    """A stage reads only settings declared by this stage or a stage before; otherwise a change of a setting would go
     unnoticed.
     """
     path, outputs = make(tmp_path / "trial")

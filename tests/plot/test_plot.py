@@ -147,8 +147,8 @@ def test_what_varies_is_the_axis() -> None:
 
 
 def test_no_spike_at_the_frame_that_points_are_chosen_in(trials: list[Trial]) -> None:
-    """The frame in which points are seeded is NaN in these curves: it is compared with itself, so its distance and
-    deviation of 0 are not measured.
+    """The frame in which points are seeded is NaN in these curves: this frame is compared with itself, so its distance
+    and deviation of 0 are not measured.
     """
     _, result = trials[0]
     assert float(result["forward_backward_median"][0]) == 0

@@ -24,7 +24,7 @@ def scene(tiny_press: Path) -> Scene:
 
 
 def test_the_size_is_that_of_what_comes_out(scene: Scene) -> None:
-    """The expected size is up to 1.25 times that of the result: it counts two triangles per point, also
+    """The expected size is up to 1.25 times that of the result, because the estimate has two triangles per point, also
     at the border.
     """
     result = process(scene)

@@ -1,8 +1,8 @@
 """Cases of bad frames of a slide, a few in a row, in a recording with default settings and in a stream.
 
 Each case spoils frames at several positions of a slide. The number is how many of these are excluded, and the largest
-difference of the other frames from the clean run in stated deviations. It is taken over energy, median divergence and
-the median displacement of the points (recording), or median divergence and the median position (stream). Frames that
+difference of the other frames from the clean run in stated deviations. A recording is compared by energy, median
+divergence and the median displacement of the points, a stream by median divergence and the median position. Frames that
 are not excluded are wrong without a warning unless they, too, stay within three deviations. A copy that fits at its
 position is excluded together with its original, as neither is recognised as the copy. Clean recordings follow, of which
 no frame may be excluded.

@@ -115,8 +115,8 @@ def _cells(folder: Path) -> Case:
 
 
 def _graphs(folder: Path) -> Case:
-    """Judge the folder of cached graphs, which are executed: it must belong to this user and be writable by nobody
-    else.
+    """Judge the folder of cached graphs, which are executed: the folder must belong to this user and be writable by
+    nobody else.
     """
     user, used = os.getuid(), 0
     with mock.patch("tempfile.gettempdir", return_value=str(folder)), mock.patch("tempfile.tempdir", str(folder)):

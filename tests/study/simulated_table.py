@@ -105,7 +105,7 @@ def simulate_table(design: TableDesign) -> dict[str, Any]:
     """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
 
     Strain and its energy follow the divergence with added noise, so they predict the answer less well. Global
-    displacement, force angle, areas, curl, rates and force are independent of it.
+    displacement, force angle, areas, curl, rates and force are independent of the divergence.
     """
     draw = np.random.default_rng(design.seed)
     who, condition, trial = (

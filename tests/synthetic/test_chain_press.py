@@ -23,7 +23,7 @@ FRICTIONS = (0.2, 1.0)
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[ChainPress, xr.Dataset]]:
-    """Return for each friction a press and the result of processing it with default settings."""
+    """Return the press and its result with default settings, for each friction."""
     folder: Path = tmp_path_factory.mktemp("loop")
     found = []
     for friction in FRICTIONS:

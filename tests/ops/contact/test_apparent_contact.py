@@ -72,8 +72,8 @@ def test_full_disc_keeps_its_area() -> None:
 
 @pytest.mark.parametrize(("cell", "each", "mean"), [(None, 0.04, 0.008), (8, 0.04, 0.008)])
 def test_spans_stripes_and_their_gaps(cell: int | None, each: float, mean: float) -> None:
-    """The region of a striped disc has the area of the disc; the area varies by 4 % at most with the direction of the
-    stripes, as straight stripes along the border cover more or less of it depending on their phase.
+    """The region of a striped disc has the area of the disc, to 4 % for any direction of the stripes: a straight stripe
+    along the border covers more or less of the border depending on its phase.
     """
     areas = [float(apparent_contact(disc(260, 100, 14, angle), 8, cell).area_px) for angle in np.arange(6) / 4]
     assert np.mean(areas) == pytest.approx(math.pi * 100**2, rel=mean)

@@ -58,8 +58,8 @@ def test_a_uniform_gradient_by_reference_positions(measure: str, origin: tuple[f
 
 @pytest.mark.parametrize("stretch", [0.0, 0.2, -0.2])
 def test_the_median_is_that_of_the_current_area(stretch: float) -> None:
-    """The median is weighted by current area: with du/dx = s + k X^2 on skin stretched by s along x it is at 0.40397 R
-    / (1 + s).
+    """The median is weighted by current area: with du/dx = s + k X^2 on skin stretched by s along x, the median is the
+    value at X = 0.40397 R / (1 + s).
 
     Half of a disc of radius R lies within 0.40397 R of a diameter. A median over reference positions would lack the
     factor 1 / (1 + s). The fit smooths and adds k r^2 / 10 for its radius r, 5 % of the term sought; the finite number

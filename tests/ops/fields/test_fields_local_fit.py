@@ -74,8 +74,8 @@ def test_the_same_as_least_squares_done_one_by_one() -> None:
 
 
 def test_a_permuted_list_of_points_gives_the_same_field() -> None:
-    """The order of the points does not matter; the lab's script differentiates along the list of points and depends on
-    it.
+    """The order of the points does not matter; the lab's script, which differentiates along the list of points, depends
+    on the order.
     """
     points = cloud()
     values = torch.stack((points[..., 0].sin(), (points[..., 0] * points[..., 1]).cos()), dim=-1)

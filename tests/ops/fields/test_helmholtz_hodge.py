@@ -65,8 +65,8 @@ def test_parts_of_a_sum() -> None:
 
 @pytest.mark.parametrize("name", ["translation", "saddle", "higher"])
 def test_a_harmonic_field_is_harmonic(name: str) -> None:
-    """Divergence-free and curl-free polynomials are entirely harmonic. Central differences are exact for them inside;
-    one-sided differences at the border leave an error of first order for "higher".
+    """Fields without divergence and curl are entirely harmonic. Central differences are exact inside for these
+    polynomials; one-sided differences at the border leave an error of first order for "higher".
     """
     x, y, size = grid(48)
     fields = {

@@ -136,8 +136,8 @@ def test_nothing_outside_the_mask_counts() -> None:
 
 
 def test_large_motion_from_where_it_is_expected() -> None:
-    """A motion of 16 px is found from a prediction that is 1 px off in x and y; without it, halving the images fails on
-    ridges.
+    """A motion of 16 px is found from a prediction that is 1 px off in x and y; without a prediction, halving the
+    images fails on ridges.
     """
     first, current, truth = pair(lambda x, y: (0 * x + 13.0, 0 * y - 9.0), noise=2.0)
     flow = dense_flow(photograph(first), photograph(current), initial=truth.float() + 1.0, warps=4)

@@ -42,8 +42,8 @@ def errors(found: Tensor, places: Tensor) -> Tensor:
 @pytest.mark.parametrize("contrast", [-80.0, 80.0])
 @pytest.mark.parametrize("radius", [3.0, 5.0, 7.0])
 def test_markers_are_found_as_exactly_as_they_say(radius: float, contrast: float) -> None:
-    """Markers are found to 0.06 px RMS: noise moves them by 0.01 px, the slope of the light and peaks of the noise by
-    the rest.
+    """Markers are found to 0.06 px RMS: noise contributes 0.01 px, the slope of the light and peaks of the noise the
+    rest.
     """
     places = lattice()
     frame = picture(places, radius, contrast=contrast)
@@ -116,7 +116,7 @@ def test_a_fold_beside_a_marker_shows_in_the_disagreement() -> None:
 
 def test_a_jump_of_nearly_a_spacing_is_read_right() -> None:
     """Markers are matched although part of the gel moves by up to 0.9 spacings, where the nearest marker is the wrong
-    one for at least three of them.
+    one for at least three markers.
     """
     reference = lattice()
     ties = tie_neighbours(reference)

@@ -78,8 +78,8 @@ def test_fast_skin_is_known(result: xr.Dataset) -> None:
 def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
     """The median divergence is within two stated deviations in 85 % of the frames, and within four in all.
 
-    A tenth of the contact has no fields. In the last frames half of the skin is new and the median lies where fields
-    are few: it errs by 7 um/mm or more, by 0.9 um/mm if that tenth is left out of the truth.
+    A tenth of the contact has no fields. In the last frames half of the skin is new, and the median lies where fields
+    are few: the error is 7 um/mm or more, and 0.9 um/mm if the truth leaves out that tenth.
     """
     frames = range(3, LAST + 1)
     true = [

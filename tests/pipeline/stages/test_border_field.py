@@ -36,7 +36,7 @@ def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, 
     ("numbers", "noise", "size"), [(500, 1e-3, 1.0), (60, 1e-3, 3.0), (30, 1e-2, 0.3), (500, 0.1, 0.1)]
 )
 def test_fit_is_that_of_the_most_likely_scale(numbers: int, noise: float, size: float) -> None:
-    """Coefficients and covariance equal to 1e-8 those from an eigendecomposition at each scale, with the functions
+    """Coefficients and covariance agree to 1e-8 with a solution by eigenvalues at each scale, with the functions
     evaluated at the points.
 
     Sums of monomials of degree 16 are multiplied by the square of the inverse Gram matrix, which limits the agreement.

@@ -35,7 +35,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, xr.Dataset]:
 
 def test_both_directions_agree(results: dict[str, xr.Dataset]) -> None:
     """The medians of both directions agree to 6 % and the energies to 10 %. Measured: 5.3 and 7.3 %; 400 instead of 700
-    points change them by 4 to 8 % and 0.5 %.
+    points change the medians by 4 to 8 % and the energies by 0.5 %.
     """
     for name, limit in (("median_divergence", 0.06), ("strain_energy", 0.1)):
         forward, backward = (float(results[direction][name][-1]) for direction in DIRECTIONS)

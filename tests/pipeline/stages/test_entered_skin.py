@@ -137,7 +137,7 @@ def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material
     to errors of the entry time, and an RMS error below 20 um/mm against the truth.
 
     Smoothing contributes 3 um/mm, where divergence changes by 100 um/mm per mm. Most of the rest is one point that the
-    border seems to reach 15 frames early, as it is known to 0.06 mm: its error is 88 um/mm.
+    border seems to reach 15 frames early, as the border is known to 0.06 mm: its error is 88 um/mm.
     """
     truth = SLIDE.truth
     entered = np.flatnonzero((result["entry"].values == MOVED_IN) & (truth.onset_frame(material) >= 0))

@@ -51,8 +51,8 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
 
 
 def test_energy_is_of_the_skin_in_contact(result: xr.Dataset) -> None:
-    """The energy agrees to 10 % with that of the skin in contact; triangles at the border count as a whole. With skin
-    that has left on the other side it would be 1.6 times that.
+    """The energy agrees to 10 % with the energy of the skin in contact; triangles at the border count as a whole. With
+    skin that has left on the other side the energy would be 1.6 times as large.
     """
     gradient = ROLLING.truth.entry_gradient(skin_in_contact(ROLLING, ROLLING.n_frames - 1, 0.1), ROLLING.n_frames - 1)
     true = energies(gradient, 0.1).sum()

@@ -46,8 +46,8 @@ def drawn(changed: Callable[..., Scene]) -> Callable[..., Scene]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_polygon_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
-    """A polygon contains the pixels whose centres lie inside by matplotlib; its corners are no whole numbers, so no
-    centre lies on a side.
+    """A polygon contains the same pixel centres as by matplotlib; its corners are not integers, so no centre lies on a
+    side.
     """
     random = np.random.default_rng(seed)
     turn = np.sort(random.uniform(0, 2 * np.pi, 9))

@@ -44,7 +44,7 @@ def by(scene: Scene, criterion: str) -> Scene:
 @functools.cache
 def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
     """Return the true stuck ratio d² (F,): the share of the contact that has not slipped or, with a limit, has moved by
-    less than it.
+    less than the limit.
     """
     trial = rebuild_scene(folder)
     assert isinstance(trial, PartialSlip)
@@ -75,8 +75,8 @@ def test_stuck_ratio_of_a_small_contact(
     shift of the border.
 
     A window of 15 px is a fifth of this contact's semi-axis and hides the length over which slip turns from a square
-    into a line. The fading contact shows the shift in more frames, as it sticks for longer. The printed d² errs by less
-    than 0.03, as the criterion of a length does.
+    into a line. The fading contact shows the shift in more frames, as this contact sticks for longer. The printed d²
+    errs by less than 0.03, as with the criterion of a length.
     """
     found = results[name]
     error = known(np.abs(found["stuck_ratio"].values - shares(slip_trials / name)))
@@ -262,7 +262,7 @@ def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
 
 @pytest.mark.long
 def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
-    """If skin rests in two regions, the larger one is the stick region, as far as it is in contact."""
+    """If skin rests in two regions, the part of the larger region in contact is the stick region."""
     inputs = open_inputs(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None), "cpu")
     x, y = np.meshgrid(np.arange(8.0, 236, 4), np.arange(8.0, 168, 4))  # one cell beyond the contact
     rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
@@ -315,8 +315,8 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     leave no point on another ridge, with noise and drift in the forces.
 
     Ridges are 14 px apart. Points err by 2.5 px at most, where skin was stretched by a third. d² errs by less than
-    0.08, and 0.1 at 300 frames/s (measured: 0.088): by points it is NaN in many frames, so the border is fitted to
-    fewer. By dense flow it is known in nearly all frames.
+    0.08, and 0.1 at 300 frames/s (measured: 0.088). By points d² is NaN in many frames, so the border is fitted to
+    fewer frames; by dense flow d² is known in nearly all frames.
     """
     frames, jumps = round(0.8 * rate), ({60.0: 0.495, 300.0: 0.52}[rate], 0.7)
     folder = small(
@@ -375,8 +375,8 @@ def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path)
 def test_skin_that_rests_all_sticks(
     way: str, results: dict[str, xr.Dataset], by_dense_flow: xr.Dataset, slip_trials: Path
 ) -> None:
-    """Resting skin sticks: noise within the contact is not taken for slip. At the rim it cannot be told from slip,
-    which costs up to 2.5 % by points.
+    """Resting skin sticks: noise within the contact is not taken for slip. At the rim noise cannot be told from slip,
+    which costs up to 2.5 % of d² by points.
     """
     found = by_dense_flow if way == "dense flow" else results[way]
     rests = slice(0, 6)
@@ -448,7 +448,7 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
 
 
 def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
-    """A contact that slides out of the view has no d² from the frame on in which it reaches the edge.
+    """A contact that slides out of the view has no d² from the frame on in which the contact reaches the edge.
 
     Before, d² is within two stated deviations and within 0.09: the shift of a small contact's border, which slip with a
     rounded onset leaves undetermined.

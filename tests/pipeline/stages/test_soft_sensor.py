@@ -58,9 +58,7 @@ def test_no_marker_is_accepted_while_wrong(result: xr.Dataset, truth: NDArray[np
 
 
 def test_every_marker_in_view_is_followed(result: xr.Dataset) -> None:
-    """In every frame 99 % of the markers that are entirely in view are tracked; the status states why
-    others are not.
-    """
+    """In every frame 99 % of the markers that are entirely in view are tracked; lost markers have another status."""
     found, height, width = result["position_px"].values, *GEL.frame_shape
     for frame in range(GEL.n_frames):
         places = GEL.positions(frame)

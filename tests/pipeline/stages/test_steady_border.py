@@ -18,8 +18,8 @@ def growing(frames: int = 60) -> Border:
 
 
 def test_an_evenly_growing_contact_is_kept() -> None:
-    """Even growth is reproduced exactly up to 0.1 s before its end; there 13 frames have half the curvature of those
-    before, an error of 3 um.
+    """Even growth is reproduced exactly up to 0.1 s before growth ends; there the fit over 13 frames sees half of the
+    curvature, an error of 3 um.
     """
     given = growing()
     found = steady_border(given, TIMES)

@@ -46,8 +46,8 @@ def test_a_touch_begins_where_the_border_passes() -> None:
     """A touch begins where the border passes the point: here a circle of 1, 2 and 3 mm over points that move by 0.1 mm
     per frame.
 
-    A point that was lost before begins where it is seen. If the ellipse passes before or after the frames that show the
-    contact, the touch begins at the nearer of both positions.
+    The touch of a point that was lost before begins where the point is found again. If the ellipse passes before or
+    after the frames that show the contact, the touch begins at the nearer of both positions.
     """
     radius = np.arange(1.0, 4)
     border = Border(np.zeros((3, 2)), np.stack((radius, radius), 1), np.zeros(3))

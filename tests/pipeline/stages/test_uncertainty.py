@@ -251,8 +251,8 @@ def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
 
 
 def test_there_is_no_energy_only_where_nothing_touches() -> None:
-    """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest it is
-    below its deviation.
+    """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest the
+    energy is below its deviation.
     """
     motion, points = Motion((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), 0.05), material()
     energies = []
@@ -274,7 +274,8 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
     """The deviation of a median includes the unknown share of the contact.
 
     Fields are evenly spread from 0 to 100. If a fifth is unknown, the median is off by up to 1/8 of the rest, 12.5: a
-    deviation of 12.5 / sqrt(3). It refers to the median of the area, not of the points. Advected points add to it.
+    deviation of 12.5 / sqrt(3). The median is that of the area, not of the points. Advected points increase the
+    deviation.
     """
     values = torch.arange(101.0)[None]
     every = values[..., None].expand(-1, -1, 3)

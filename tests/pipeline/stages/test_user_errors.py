@@ -137,7 +137,7 @@ def test_a_frame_that_is_no_picture_has_no_contact(changed: Change, frames: Arra
 
 
 def test_a_hole_in_a_frame_takes_the_frame(changed: Change, frames: Array) -> None:
-    """A patch of NaN makes the whole frame unusable, as it would distort areas and points unnoticed."""
+    """A patch of NaN makes the whole frame unusable, as the patch would distort areas and points unnoticed."""
     damaged = frames.astype(np.float32)
     damaged[5, 40:50, 175:185] = np.nan  # contact view
     damaged[6, 40:50, 40:50] = np.nan  # topography view
