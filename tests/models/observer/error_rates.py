@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fingerflow.models.observer import mixed_model, one_way_anova, pearson, repeated_anova, spearman
+from fingerflow.models.observer import (
+    auc,
+    criterion_for_hits,
+    d_prime,
+    mixed_model,
+    one_way_anova,
+    pearson,
+    repeated_anova,
+    spearman,
+)
 
 Values = NDArray[np.float64]
 AMPLITUDES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
@@ -80,6 +89,52 @@ def counted(seed: int, guess: float | None, people: int = 8, trials: int = 14) -
     return blocks, 1.3 + float(np.hypot(0.4, 0.5) * stats.norm.ppf((0.75 - lowest) / height))
 
 
+def compared(seed: int, people: int = 8, trials: int = 1) -> dict[str, Any]:
+    """Return trials at 7 amplitudes: a metric (µm/mm) that rises with them, and whether an observer with a noise of 8
+    answers that it is larger than in a reference press. Participants differ by a factor of it (SD 20 %), presses by
+    another (SD 30 %): few answers are wrong, most of them at small amplitudes.
+    """
+    draw = np.random.default_rng(seed)
+    levels = np.array([1.5, 3.0, 6.0, 12.0, 20.0, 25.0, 29.0])
+    who = np.repeat(np.arange(people), trials * levels.size)
+    factor = np.exp(0.2 * draw.standard_normal(people))[who]
+    metric, reference = (
+        level * factor * np.exp(0.3 * draw.standard_normal(who.size))
+        for level in (np.tile(np.repeat(levels, trials), people), levels[0])
+    )
+    answer = metric - reference + 8 * draw.standard_normal(who.size) > 0
+    return {"metric": metric, "answer": answer, "participants": who}
+
+
+def classes(table: dict[str, Any]) -> tuple[Values, Values, tuple[NDArray[Any], NDArray[Any]]]:
+    """Return the metric of right and of wrong answers in a table of `compared`, and the participants of both."""
+    metric, answer, who = table["metric"], table["answer"], table["participants"]
+    return metric[answer], metric[~answer], (who[answer], who[~answer])
+
+
+def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
+    """Return the share of intervals that hold the true d', area under the ROC and criterion of studies of `compared`,
+    one a seed; `options` are those of the bootstrap. The truth is that of 560,000 trials.
+    """
+    right, wrong, _ = classes(compared(10**6, people=20_000, trials=4))
+    truths = {
+        "d'": (right.mean() - wrong.mean()) / np.sqrt((right.var() + wrong.var()) / 2),
+        "area": np.searchsorted(np.sort(wrong), right).mean() / wrong.size,
+        "criterion": np.quantile(right, 0.25),
+    }
+    held = dict.fromkeys(truths, 0)
+    for seed in range(studies):
+        correct, incorrect, who = classes(compared(seed))
+        found = (
+            d_prime(correct, incorrect, participants=who, **options),
+            auc(correct, incorrect, participants=who, **options),
+            criterion_for_hits(correct, participants=who[0], **options),
+        )
+        for (name, truth), one in zip(truths.items(), found, strict=True):
+            held[name] += one.interval[0] <= truth <= one.interval[1]
+    return {name: count / studies for name, count in held.items()}
+
+
 def share(p_of: Callable[[int], float], studies: int) -> float:
     """Return the share of studies, one per seed, whose p is below 0.05."""
     return float(np.mean([p_of(seed) < ALPHA for seed in range(studies)]))
@@ -136,6 +191,8 @@ def main(studies: int) -> None:
                 alone = np.mean([kind(x, y).p < ALPHA for x, y, _ in pairs])
                 found = f"{own_p:.3f}, pairs as independent {alone:.3f}"
                 print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
+    intervals = hold_the_truth(studies)
+    print(", ".join(f"{name} {found:.3f}" for name, found in intervals.items()), "of intervals of 8 participants hold")
     for own in (0.0, 0.3):
         several = [of_statsmodels(answered(seed, 16, own_slope=own)) for seed in range(min(studies, 120))]
         for name in several[0]:

@@ -88,13 +88,30 @@ def test_the_criterion_is_numpys_quantile() -> None:
 
 def test_the_same_seed_gives_the_same_interval_and_stands_in_the_result() -> None:
     first, second, who = drawn(4, 1.0)
-    one, again, other = (d_prime(first, second, participants=who, resamples=300, seed=seed) for seed in (7, 7, 8))
+    one, again, other = (auc(first, second, participants=who, resamples=300, seed=seed) for seed in (7, 7, 8))
     assert one == again
     assert one.interval != other.interval
     assert (one.seed, one.resamples, one.level) == (7, 300, 0.95)
     assert one.trials == (first.size, second.size)
-    wide = d_prime(first, second, participants=who, level=0.99).interval
+    wide = auc(first, second, participants=who, level=0.99).interval
     assert wide[0] < one.interval[0] < one.interval[1] < wide[1]
+
+
+def test_the_interval_of_d_prime_is_that_of_the_jackknife() -> None:
+    """With p of P participants left out, s^2 = (P - 1) / P sum (d_p - mean)^2, and 2.776 s for 4 degrees of freedom."""
+    first, second, who = drawn(4, 1.0, participants=5)
+    found = d_prime(first, second, participants=who)
+    without = np.array([d_prime(first[who[0] != p], second[who[1] != p], resamples=100).value for p in range(5)])
+    reach = 2.7764451 * math.sqrt(4 / 5 * np.square(without - without.mean()).sum())
+    assert found.interval == pytest.approx((found.value - reach, found.value + reach), rel=1e-6)
+
+
+def test_one_participant_with_all_wrong_answers_leaves_no_interval() -> None:
+    first, second, who = drawn(4, 1.0, participants=5)
+    found = d_prime(first, second, participants=(who[0], 0 * who[1]))
+    assert math.isfinite(found.value)
+    assert math.isnan(found.interval[0])
+    assert "unknown, without any one participant" in found.reason
 
 
 def test_d_prime_of_nothing_contains_zero() -> None:

@@ -25,7 +25,7 @@ from fingerflow.models.observer import (
     repeated_anova,
     spearman,
 )
-from tests.models.observer.error_rates import ALPHA, answered, counted, measured, related, share
+from tests.models.observer.error_rates import ALPHA, answered, counted, hold_the_truth, measured, related, share
 
 pytestmark = pytest.mark.long
 
@@ -136,6 +136,14 @@ def test_d_prime_has_the_sign_of_the_area() -> None:
     assert down.value == -up.value < -0.7
     assert down.interval[1] < 0 < up.interval[0]
     assert auc(low, high, resamples=100).value < 0.5
+
+
+def test_intervals_of_few_participants_with_few_wrong_answers_hold_the_truth() -> None:
+    """95 % are asked, and 0.9 % is the error of 600 studies. Those of d' by the bootstrap hold it in 90 %."""
+    held = hold_the_truth(600, resamples=400)
+    assert 0.92 <= held["d'"] <= 0.98
+    assert 0.91 <= held["area"] <= 0.98
+    assert 0.91 <= held["criterion"] <= 0.98
 
 
 @pytest.mark.long
