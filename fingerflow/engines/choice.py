@@ -15,9 +15,11 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
-#: Engines of a recording: "auto" takes native where it can be used and torch elsewhere; then the engines by name.
+#: Engines of a recording: "auto" chooses native where it is available and torch elsewhere; the others are chosen by
+#: name.
 ENGINES = ("auto", "native", "torch", "onnx")
-#: Engines of a stream: the compiled library, and the graphs of a bundle by ONNX Runtime. Default: the first that works.
+#: Engines of a stream: the compiled library ("native"), and the graphs of a bundle run by ONNX Runtime ("onnx"). By
+#: default the first that works is used.
 STREAM_ENGINES = ("native", "onnx")
 log = logging.getLogger("fingerflow.player")
 

@@ -12,9 +12,9 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.variables import by_name
 
-#: All variables by name.
+#: All variables that stages give, by name.
 VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))
-#: Names of all outputs.
+#: Names of all outputs that may be requested, sorted.
 OUTPUTS = tuple(sorted(VARIABLES))
 _REMEDIES = {
     "forces": "needs forces, and the scene has no [forces] table",
