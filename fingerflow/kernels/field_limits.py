@@ -28,7 +28,8 @@ LEAST_SHARE = 0.85
 LEAST_RATIO = 0.1
 # Distance from the median, in standard deviations of a fit, up to which a position contributes to the median's error.
 REACH = 2.0
-SAME_PLACE = 0.5  # distance, in radii of the support, below which two fits count as made at the same position
+# Largest distance, in radii of the support, of a position from the nearest point if it takes the fields given there.
+SAME_PLACE = 0.5
 EVEN = 0.4  # ratio of sum w^2 d d' to sum w d d' over a disc, for fit weights w and offsets d
 
 

@@ -18,12 +18,13 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
 
+# Median length of a vector whose two components have a standard deviation of 1.
+_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
 # Least difference of flow and points that gives a warning, in their standard deviations; smoothing, which these do not
 # contain, makes up to 2 on the synthetic trials.
-_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
-_DISAGREE = 4.0  # least share of the skin in which the flow must be accepted in a frame
-_LEAST = 0.5  # px, margin of skin around the cells with tracked points, for the flow at the border of these cells
-_BESIDE_PX = 12  # margin of skin around the cells known by points, for the flow at their border
+_DISAGREE = 4.0
+_LEAST = 0.5  # least share of the skin in which the flow must be accepted in a frame
+_BESIDE_PX = 12  # px, margin of skin around the cells with tracked points, for the flow at the border of these cells
 
 
 class DenseFlowSlipStage(SlipStage):

@@ -37,7 +37,7 @@ class FlowResponse:
     def __init__(self, template: FlowTemplate, image: Tensor, mask: NDArray[np.bool_], mm_per_px: float) -> None:
         depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
-        beyond = (border - depth).astype(np.float32)  # px beyond the border
+        beyond = (border - depth).astype(np.float32)  # px, distance beyond the border
         growth = _LARGEST_PX / border
         length = (growth * np.maximum(beyond, 0)).astype(np.float32)
         distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)

@@ -92,8 +92,9 @@ class SlipStage(Stage):
         *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
     )
-    # Argument of `StuckBorder`. A contour above the noise of points, moved inside, is no better: where slip begins as
-    # x^2, so that the level at the border is that noise, it left d^2 too large by 0.025 on rendered trials.
+    # Multiple of the noise for `StuckBorder`, 0 to follow the fitted level. A contour above the noise of points that is
+    # then moved inside is no better: where slip begins as x^2 and the level at the border equals the noise, it gave a
+    # d^2 that was too large by 0.025 on rendered trials.
     clear = 0.0
 
     def __init__(self, trial: RunContext) -> None:
