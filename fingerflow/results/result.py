@@ -21,7 +21,7 @@ _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
     *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
 }
-MARK = "fingerflow_version"  # attribute that identifies a result
+MARK = "fingerflow_version"  # attribute that identifies a result file
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:

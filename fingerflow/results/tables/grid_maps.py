@@ -14,8 +14,8 @@ from fingerflow.results.tables.columns import Table
 from fingerflow.schema.variable_record import LABELS, ShownUnit
 from fingerflow.schema.variables import shown_unit
 
-ORIGIN = "the first pixel is at"  # identifies a file of maps
-_MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
+ORIGIN = "the first pixel is at"  # phrase that identifies a file of maps
+_MOST_CELLS = 4_000_000  # largest number of grid positions per frame; with more, the step is probably a mistake
 
 
 class Maps(NamedTuple):
@@ -129,7 +129,7 @@ def _interpolate_points(
         return found
     try:
         between = LinearNDInterpolator(Delaunay(points[usable]), values[usable].astype(np.float64))
-    except QhullError:  # all on one line
+    except QhullError:  # all points lie on one line
         return found
     near = cKDTree(points[usable]).query(places, distance_upper_bound=reach)[0] <= reach
     found[near] = between(places[near])
