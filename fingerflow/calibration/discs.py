@@ -11,7 +11,8 @@ from fingerflow.errors import FingerflowError
 # 0.045 to 0.06, its ring has 0.156.
 DISC_RADII = (0.015, 0.15)
 HOLE_RADII = (0.05, 0.45)
-# One octave of rings in pixels; larger ones are the same rings on a reduced image.
+# Radii in px of the rings that are searched on each reduced image: one octave, as a larger ring is one of these on an
+# image reduced further.
 RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
 # Least mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
 LEAST_AGREEMENT = 0.4

@@ -112,8 +112,8 @@ class _UnwrappedImage:
         y = middle[1] + circle[:, 1:] * self.factors
         height, width = image.shape
         self.inside_image = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-        # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after 12
-        # px.
+        # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after
+        # 12 px.
         left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
         patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
         self.levels: Array = map_coordinates(patch, [y - top, x - left], order=3, mode="nearest")

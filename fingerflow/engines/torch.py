@@ -287,7 +287,7 @@ class TorchEngine:
         """Track the templates of several recordings through all frames of each in one GPU kernel launch (Triton), from
         the positions `places` and `speeds` of the points before the first frame.
         """
-        from fingerflow.kernels.tensors.fused_tracking import find_templates  # needs Triton
+        from fingerflow.kernels.tensors.fused_tracking import find_templates  # imported here, as it needs Triton
 
         views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b has the index k B + b
         lengths = self._tensor(np.array([len(one) for one in images], np.int32))

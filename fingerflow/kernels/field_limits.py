@@ -14,8 +14,8 @@ MINIMUM_POINTS = 5
 # cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points have less.
 MINIMUM_SPREAD = 0.1
 
-# Sampling positions in the contact ellipse, whatever its size; 8,000 change the median divergence of a press by 0.3
-# um/mm RMS.
+# Sampling positions in the contact ellipse, whatever its size; 8,000 change the median divergence of a press by
+# 0.3 um/mm RMS.
 POSITIONS = 800
 # Largest distance of the points' centroid from the position of a fit. At a straight border of a dense cloud it is 0.15
 # gauge lengths; a fit with a centroid farther away would extrapolate.

@@ -46,10 +46,10 @@ class FlowResidual(NamedTuple, Generic[Array]):
     illumination do not explain.
     """
 
-    data: Array  # (B, 2, h, w)
-    squares: Array  # (B, 1, h, w)
-    seen: Array  # (B, 1, h, w)
-    gain: Array  # (B, 1, 1, 1)
+    data: Array  # (B, 2, h, w) products of residual and slopes
+    squares: Array  # (B, 1, h, w) squared residuals
+    seen: Array  # (B, 1, h, w) share of the cell's pixels with a residual
+    gain: Array  # (B, 1, 1, 1) illumination gain
 
 
 def _run_kernel(

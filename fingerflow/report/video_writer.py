@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.results.atomic_write import MARK
 
-RATE = 30  # frames a second of a video
+RATE = 30  # frames per second
 
 
 def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import struct
 
-MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
+MOST_NPY_HEADER = 1 << 16  # bytes, largest header of a NumPy file; NumPy itself reads no more than 10,000
 MOST_PIXELS = 1 << 28  # 16384 x 16384 pixels; the largest cameras have 250 million
 # Largest number of bytes to which one compressed byte can expand: the limit of deflate (zlib's technical notes). Image
 # codecs stay below it.

@@ -28,7 +28,7 @@ _RATE_PRIOR = (1.0, 10.0)  # Beta distribution (Schuett et al. 2016), under whic
 _SPREADS: Values = ((np.arange(24) + 0.5) / 30) ** 2
 # Bounds, in ranges of the stimuli: a threshold beyond the first counts as infinite; the second bounds the slope.
 _FURTHEST, _STEEPEST = 50.0, 200.0
-_STARTS = 4  # grid points from which the search starts
+_STARTS = 4  # number of grid points from which the search starts
 _LOGIT = 15.0  # bound of the logits of the rates, which is a rate of 3e-7
 
 

@@ -50,7 +50,7 @@ def _window_places(side: int, size: int, step: int, device: torch.device) -> Ten
 def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
     if len(pixels) == 1:
         return pixels
-    half = 1 << (len(pixels) - 1).bit_length() - 1  # the largest power of two that is smaller
+    half = 1 << (len(pixels) - 1).bit_length() - 1  # largest power of two below the number of pixels
     first, second = _sort(pixels[:half], size), _sort(pixels[half:], size)
     return _join(first, half, second, len(pixels) - half, size)
 

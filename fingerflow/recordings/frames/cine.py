@@ -265,7 +265,8 @@ def _times(
             f"{int(np.sum(~regular))} gaps in the time stamps, the first of {steps[gap] * measured - 1:.0f} frames "
             f"after frame {gap}"
         )
-    tolerance = 0.01 + 2e-6 / float(np.sum(steps[regular]))  # the clock ticks in microseconds
+    # Largest relative difference of the rates; the clock ticks in microseconds.
+    tolerance = 0.01 + 2e-6 / float(np.sum(steps[regular]))
     if rate is None or abs(measured / rate - 1) > tolerance:
         if rate is not None:
             warnings.append(

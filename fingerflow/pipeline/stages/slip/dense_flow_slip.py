@@ -52,7 +52,8 @@ class DenseFlowSlipStage(SlipStage):
     instead = True
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
-    clear = 3.0  # argument of `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um
+    # Multiple of the noise for `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um.
+    clear = 3.0
 
     def begin(self) -> None:
         # (2, 2) matrix from px of the topographic view to mm.
