@@ -128,7 +128,7 @@ def _batch_key(call: Call) -> object:
     """Return a key of an engine call, from the method's name and the kind of engine: calls with equal keys are computed
     in one batch.
     """
-    engine = call.method.__self__  # type: ignore[attr-defined]  # engine of the bound method
+    engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
     return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 

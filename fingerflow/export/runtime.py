@@ -26,7 +26,7 @@ from fingerflow.export.standard_model import need_packages, standard_model
 M = TypeVar("M", bound=nn.Module)
 # Packages with the code of the graphs; a change in them invalidates cached graphs.
 _SOURCES = ("export", "graphs", "ops")
-_PATIENCE = 60.0  # s of export after which a message explains the delay
+_PATIENCE = 60.0  # s of export after which a warning explains the delay
 # Smallest number of points to which inputs are padded, so that the small groups of points where skin enters share one
 # graph.
 _LEAST_POINTS = 256

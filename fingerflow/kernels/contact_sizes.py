@@ -6,10 +6,9 @@ The radius is half the ridge distance or a little more.
 # Quantile of a reference image that counts as its full light: the brightest hundredth may be reflections and hot
 # pixels.
 FULL_LIGHT = 0.99
-LEAST_LIGHT = 0.05  # share of the full light below which glass counts as unlit
-# Sampled pixels along the shorter side: some 10,000 pixels suffice for the quantile of smooth light.
-PIXELS_OF_LIGHT = 128
-_LEAST_BLOCK = 16  # px, least side of a block: a ridge and the skin beside it fit into it
+LEAST_LIGHT = 0.05  # of full light, below which glass counts as not lit
+PIXELS_OF_LIGHT = 128  # along the shorter side: some 10,000 pixels suffice for the quantile of smooth light
+_LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 
 
 def cell_of(radius: int) -> int:

@@ -18,8 +18,7 @@ _BANDS = 8  # number of groups of lines that are compared separately: a tear, or
 # Units of the distances of image pattern and log brightness: the least distances that count. Noise lies below the
 # first, and `illumination_gain` handles changes of light smaller than the second.
 _LEAST, _LEAST_LIGHT = 1e-2, 0.15
-# Largest difference of a pixel, relative to the mean, that is counted: it limits the effect of salt and pepper.
-_MOST = 0.3
+_MOST = 0.3  # difference of a pixel, in units of the mean, beyond which it counts as this: salt and pepper
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -71,7 +70,7 @@ def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
     """
     apart = samples.pattern - before.pattern
     np.abs(apart, out=apart)
-    # NumPy clips in a third of the time of `minimum`, and multiplies by a vector in a quarter of the time of `mean`.
+    # NumPy clips in a third of the time of a minimum, and multiplies by a vector in a quarter of that of a mean.
     share = np.full(apart.shape[2], 1 / apart.shape[2], np.float32)
     apart = np.clip(apart, 0, np.float32(_MOST), out=apart) @ share
     lines = apart.shape[1]

@@ -20,13 +20,11 @@ Sampler = Callable[[Array, Array, Array], Steps[Array]]
 
 _LEAST_VARIANCE = 1e-12
 _ROUNDS = 4
-_BESIDE = 0.5  # px, half the step of central differences
-_FARTHEST = 0.15  # largest change of a component of the deformation gradient in one iteration
-_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 2, 4  # number of samplings of the windows, and of reweightings after each
-# Tukey's limit in standard deviations beyond which a sample has no weight; standard deviation over the median of
-# |residual|.
-_TUKEY, _MAD = 4.685, 1.4826
-_EXCLUDED = 0.05  # weight below which a sample counts as excluded
+_BESIDE = 0.5  # px, half the step of the central differences
+_FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
+_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 2, 4  # samplings of the windows, and reweightings after each
+_TUKEY, _MAD = 4.685, 1.4826  # deviations beyond which a sample has no weight; deviation over the median of |residual|
+_EXCLUDED = 0.05  # weight of a sample below which it counts as excluded
 
 
 class Centred(NamedTuple):

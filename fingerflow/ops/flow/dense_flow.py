@@ -193,7 +193,7 @@ def whole_flow(
     if not len(chosen):
         return flow
     some = [None if one is None else one[chosen] for one in (first, current, initial, mask, noise)]
-    again, left = _flow_with_edges(*some)  # type: ignore[arg-type]  # the two images are never None
+    again, left = _flow_with_edges(*some)  # type: ignore[arg-type]  # images are given
     better = left < _BETTER * share[chosen]
     return Flow(*(one.index_copy(0, chosen[better], new[better]) for one, new in zip(flow, again, strict=True)))
 

@@ -144,9 +144,9 @@ class DisplacementStage(Stage):
         moved = self._since_touch(self._touch, batch.indices)
         moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
         self.results["displacement"][batch.indices] = moved.displacement
-        # Combine the variances of the present position and of the position at onset.
+        # Root mean square error of a component.
         self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
-        # Take the median of each component (the lab's script takes that of x twice).
+        # Component by component (the lab's script takes the x median twice).
         self._vector[batch.indices] = nanmedian(moved.displacement)
         return moved
 
@@ -276,7 +276,7 @@ class DisplacementStage(Stage):
         rough = BORDER_MM * frames_per_mm
         variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
-        # Read both sides of the onset at once: each call of `_positions_in` reads all frames.
+        # Both sides at once: each call of `_positions_in` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
         place = self._positions_in(every)
         unknown = ~np.isfinite(place).all(-1)
