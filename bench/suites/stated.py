@@ -193,10 +193,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     with saved_axes(path, 0.25 * len(rows) + 1, 2, width=9, sharey=True) as (left, right):
         left.axvline(1, color="0.65", linewidth=0.8, zorder=0)
         draw_dots(left, names, {"z": [number(row, "z_rms") for row in rows]}, {"z": Mark(RED)})
-        left.set(xlabel="RMS of error / stated deviation", xlim=(0, None))
+        left.set(xlabel="RMS of error / deviation", xlim=(0, None))
         shares = {f"{k} x deviation": [100 * number(row, f"within_{k}") for row in rows] for k in (1, 2)}
         draw_dots(right, names, shares, dict(zip(shares, (Mark(RED, filled=False), Mark(RED)), strict=True)))
         for percent in (68, 95):
             right.axvline(percent, color="0.65", linewidth=0.8, zorder=0)
-        right.set(xlabel="frames (%) within the stated deviation", xlim=(None, 101))
+        right.set(xlabel="frames within (%)", xlim=(None, 101))
         right.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
