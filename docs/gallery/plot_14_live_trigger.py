@@ -43,6 +43,7 @@ frames: list[tuple[float, float, float]] = []  # camera time, area, latency
 
 
 def take(stamp: FrameStamp, values: dict[str, float]) -> None:
+    """Keep the camera's time, the area and the latency of a frame."""
     frames.append((stamp.camera_time, values["gross_contact_area"], stamp.written - stamp.camera_time))
 
 
@@ -65,8 +66,8 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stimulator:
     triggers = [json.loads(stimulator.recv(4096)) for _ in range(sent)]
 
 # %%
-# A press takes 118 frames, and so does the way from one trigger to the next. Latency runs from the camera's frame to the
-# call of the function, and to the sending of the trigger; on a busy computer it is longer, and no frame is lost.
+# A press takes 118 frames, and so does the way from one trigger to the next. Latency runs from the camera's frame to
+# the call of the function, and to the sending of the trigger; on a busy computer it is longer, and no frame is lost.
 
 print(summary["latency_ms"])
 print([(one["frame"], round(one["gross_contact_area"], 2)) for one in triggers])

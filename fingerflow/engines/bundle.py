@@ -104,9 +104,7 @@ def load_bundle(folder: Path) -> Bundle:
             engine_settings=bundle_settings(recipe),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise PlayerError(
-            f"{path}: has no proper entry {error}; {again}"
-        ) from None
+        raise PlayerError(f"{path}: has no proper entry {error}; {again}") from None
     for name, file in bundle.files.items():
         try:
             digest = hashlib.sha256(file.read_bytes()).hexdigest()

@@ -98,7 +98,7 @@ def _factor(variable: Variable, unit: str) -> float:
     factors = {_plain(name): factor for name, factor in known.items()}
     if _plain(unit) not in factors:
         units = " or ".join(repr(one or "no unit") for one in known)
-        given = f"not in {unit!r}" if unit else "and the condition gives no unit"
+        given = f"not in {unit!r}" if unit else "and the condition gives no unit behind the number"
         raise PlayerError(f"{variable.name} is measured in {units}, {given}")
     return factors[_plain(unit)]
 

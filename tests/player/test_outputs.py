@@ -324,7 +324,7 @@ def test_a_condition_is_read_by_the_record_of_the_variable(text: str, name: str,
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit"),
+        ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit behind the number"),
         ("gross_contact_area > 20 cm2", "is measured in 'mm2' or 'mm²', not in 'cm2'"),
         ("slip_flag > 1 mm", "is measured in 'no unit', not in 'mm'"),
         ("area > 20 mm2", "'area' may be any of real_contact_area, gross_contact_area"),

@@ -11,21 +11,23 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
 
 from fingerflow import cli, process
 from fingerflow.export.recipe import Recipe, TrackingRecipe, ViewRecipe
-from fingerflow.schema.scene_template import scene_text
 from fingerflow.study.init import init_study
 from fingerflow.synthetic import write_recording
 from fingerflow.view.draft import Draft
 from tests.silent.case import Case
 from tests.small_trials import TINY_PRESS, edit, write_library_bundle
 
+#: What stands before errors and warnings.
+MARKS = ("fingerflow: ", "Error: ", "error: ", "warning: ")
 PROCESS = ("process", "scene.toml")
 STREAM = ("stream", "bundle", "--page", "off")
 
@@ -68,82 +70,136 @@ def _negative(lines: str) -> str:
     return "\n".join(",".join([row[0], str(-float(row[1])), *row[2:]]) for row in rows)
 
 
+def _second_tangential(path: Path) -> None:
+    """Write the tangential force as two columns, Fx and Fy."""
+    _, *lines = path.read_text().splitlines()
+    heading = "time (s),normal_force (N),Fx (N),Fy (N),trigger (V)"
+    rows = (line.split(",") for line in lines)
+    path.write_text("\n".join([heading, *(",".join([*row[:3], "0", row[3]]) for row in rows)]) + "\n")
+
+
 def _table(old: str, new: str) -> Callable[[Path], None]:
     return lambda folder: edit(folder / "study" / "trials.csv", (old, new))
 
 
-def _array(name: str, change: Callable[[Any], Any]) -> Callable[[Path], None]:
-    return lambda folder: np.save(folder / name, change(np.load(folder / name)))
-
-
+DRY_RUN = ("study", "run", "study", "--dry-run")
+SYNTHETIC = (*STREAM, "--source", "synthetic")
+AREA = "gross_contact_area > 20"
 MISTAKES = (
-    Mistake("command line", "a command misspelt", ("proces", "scene.toml"), ()),
-    Mistake("command line", "a recording in place of the scene", ("process", "frames.npy"), ()),
-    Mistake("command line", "a scene that is not there", ("process", "scen.toml"), ()),
-    Mistake("command line", "an output misspelt", ("process", "-v", "real_contact_aera", "scene.toml"), ()),
-    Mistake("command line", "a report before `process`", ("report", "scene.toml"), (), lambda folder: (folder / "result.h5").unlink()),
-    Mistake("command line", "a table for Excel", ("export-table", "result.h5", "table.xlsx"), ()),
-    Mistake("command line", "a map misspelt", ("export-map", "result.h5", "divergance", "map.tif"), ()),
-    Mistake("command line", "a folder without pictures", ("info", "empty"), (), lambda folder: (folder / "empty").mkdir()),
-    Mistake("command line", "`init` over a scene", ("init", "scene.toml"), ()),
-    Mistake("command line", "a recording in place of the result", ("export-table", "frames.npy", "table.csv"), ()),
-    Mistake("scene", "a key misspelt", PROCESS, (), _scene("frame_rate =", "frame_rat =")),
-    Mistake("scene", "frame rate left out", PROCESS, (), _scene("frame_rate = 8.0", "# frame_rate = 8.0")),
-    Mistake("scene", "a number in quotes", PROCESS, (), _scene("frame_rate = 8.0", 'frame_rate = "8.0"')),
-    Mistake("scene", "a decimal comma", PROCESS, (), _scene("mm_per_px = 0.0325", "mm_per_px = 0,0325")),
-    Mistake("scene", "backslashes of a Windows path", PROCESS, (), _scene('"frames.npy"', '"C:\\new\\frames.npy"')),
-    Mistake("scene", "a quotation mark left out", PROCESS, (), _scene('"frames.npy"', '"frames.npy')),
-    Mistake("scene", "scale in µm", PROCESS, (), _scene("mm_per_px = 0.0325", "mm_per_px = 32.5")),
-    Mistake("scene", "an even window", PROCESS, (), _scene("window_px = 25", "window_px = 24")),
-    Mistake("scene", "rows and columns exchanged", PROCESS, (), _scene("rows = [0, 96]                # rows of the frame that it covers, [first, last + 1)\ncolumns = [120, 240]", "rows = [120, 240]\ncolumns = [0, 96]")),
-    Mistake("scene", "views exchanged", PROCESS, (), lambda folder: edit(folder / "scene.toml", ("[views.contact]", "[views.x]"), ("[views.topography]", "[views.contact]"), ("[views.x]", "[views.topography]"))),
-    Mistake("scene", "last frame beyond the recording", PROCESS, (), _scene("# last_frame = 299", "last_frame = 299")),
-    Mistake("scene", "no picture of the empty glass", PROCESS, (), lambda folder: (folder / "empty.npy").unlink()),
-    Mistake("scene", "empty glass of another camera setting", PROCESS, (), _array("empty.npy", lambda one: one[..., :-8])),
-    Mistake("scene", "calibration file that was not made yet", PROCESS, (), _scene("# file = \"calibration.toml\"", "file = \"calibration.toml\"")),
-    Mistake("forces", "`Fx, Fy` for two columns", PROCESS, (), _scene('tangential = "tangential_force"', 'tangential = "Fx, Fy"')),
-    Mistake("forces", "a column that is not there", PROCESS, (), _scene('normal = "normal_force"', 'normal = "Fz"')),
-    Mistake("forces", "pressing is negative", PROCESS, (), _forces(_negative)),
-    Mistake("forces", "signs as text", PROCESS, (), _scene("# sign = 1 ", 'sign = "-1, 1" # ')),
-    Mistake("forces", "volts without a gain", PROCESS, (), _scene('# units = "N"', 'units = "V"')),
-    Mistake("forces", "a trigger that never comes", PROCESS, (), _scene("trigger_level = 2.5", "trigger_level = 25")),
-    Mistake("forces", "decimal commas and semicolons", PROCESS, (), lambda folder: (folder / "forces.csv").write_text((folder / "forces.csv").read_text().replace(",", ";").replace(".", ","))),
-    Mistake("forces", "recorded for too short", PROCESS, (), _forces(lambda lines: "\n".join(lines.splitlines()[: len(lines.splitlines()) // 2]))),
-    Mistake("forces", "tare in contact", PROCESS, (), _scene("# tare = [-0.5, -0.1]", "tare = [0.3, 0.6]")),
-    Mistake("page", "two columns in one field", ("forces.tangential", "Fx, Fy"), ()),
-    Mistake("page", "text for a number", ("recording.frame_rate", "fast"), ()),
-    Mistake("page", "an area of the empty glass that is not there", ("background.frames", "glass.tif"), ()),
-    Mistake("page", "gauge length in µm", ("fields.gauge_length_mm", "1600"), ()),
-    Mistake("calibration", "a picture without a ring", ("calibrate", "--ring", "empty.npy", "--background", "empty.npy"), ()),
-    Mistake("calibration", "a target without discs", ("calibrate", "--target", "empty.npy", "--ring", "empty.npy"), ()),
-    Mistake("study", "a recording that is not there", ("study", "run", "study"), (), _table("frames.npy", "frame.npy")),
-    Mistake("study", "a column misspelt", ("study", "run", "study"), (), _table("participant", "particpant")),
-    Mistake("study", "an answer in words", ("study", "run", "study"), (), _table("answer\n", "answer\n")),
-    Mistake("live", "a folder that is no bundle", ("stream", "."), ()),
-    Mistake("live", "`--when` without `--then`", (*STREAM, "--source", "synthetic", "--when", "gross_contact_area > 20 mm2"), ()),
-    Mistake("live", "a condition without a unit", (*STREAM, "--source", "synthetic", "--when", "gross_contact_area > 20", "--then", "udp:127.0.0.1:5005"), ()),
-    Mistake("live", "an address without a port", (*STREAM, "--source", "synthetic", "--send", "udp:127.0.0.1"), ()),
-    Mistake("live", "frames of another size", (*STREAM, "--scene", "scene.toml", "--source", "frames.npy"), (), _scene("columns = [120, 240]", "columns = [130, 240]")),
-    Mistake("live", "a rate of 0", (*STREAM, "--source", "synthetic", "--rate", "0"), ()),
-    Mistake("live", "results into a folder of results", (*STREAM, "--source", "synthetic", "--output", "study"), ()),
-)
+    Mistake("command line", "a command misspelt", ("proces", "scene.toml"), ("'proces'", "Did you mean 'process'")),
+    Mistake("command line", "a recording in place of the scene", ("process", "frames.npy"),
+        ("frames.npy", "`fingerflow init`")),
+    Mistake("command line", "a scene that is not there", ("process", "scen.toml"), ("scen.toml", "`fingerflow init`")),
+    Mistake("command line", "an output misspelt", ("process", "-v", "real_contact_aera", "scene.toml"),
+        ("'real_contact_aera'", "did you mean 'real_contact_area'?")),
+    Mistake("command line", "`report` before `process`", ("report", "scene.toml"), ("result.h5", "`fingerflow process`"),
+        lambda folder: (folder / "result.h5").unlink()),
+    Mistake("command line", "a table for Excel", ("export-table", "result.h5", "table.xlsx"), ("table.xlsx", ".csv")),
+    Mistake("command line", "a map misspelt", ("export-map", "result.h5", "divergance", "map.tif"),
+        ("divergance", "did you mean 'divergence'?")),
+    Mistake("command line", "a folder in place of a recording", ("info", "study"), ("study", "name a file in it")),
+    Mistake("command line", "`init` over a scene", ("init", "scene.toml"), ("scene.toml", "name another file")),
+    Mistake("command line", "a recording in place of the result", ("export-table", "frames.npy", "table.csv"),
+        ("frames.npy", "`fingerflow process`")),
+    Mistake("scene", "a key misspelt", PROCESS, ("line 6", "frame_rat", "did you mean 'frame_rate'?"),
+        _scene("frame_rate =", "frame_rat =")),
+    Mistake("scene", "frame rate left out", PROCESS, ("frames.npy", "frame_rate = 300.0"),
+        _scene("frame_rate = 8.0", "# frame_rate = 8.0")),
+    Mistake("scene", "a number in quotes", PROCESS, ("line 6", "'8.0'", "without quotes"),
+        _scene("frame_rate = 8.0", 'frame_rate = "8.0"')),
+    Mistake("scene", "a decimal comma", PROCESS, ("at line 33", "write a decimal point"),
+        _scene("mm_per_px = 0.0325", "mm_per_px = 0,0325")),
+    Mistake("scene", "backslashes in a path", PROCESS, ("line 5", "recording.frames", "write /"),
+        _scene('"frames.npy"', '"C:\\new\\frames.npy"')),
+    Mistake("scene", "more of them", PROCESS, ("at line 5", "write / in place of \\"),
+        _scene('"frames.npy"', '"C:\\Users\\me\\press.npy"')),
+    Mistake("scene", "a quotation mark left out", PROCESS, ("at line 5", "a quotation mark is missing"),
+        _scene('"frames.npy"', '"frames.npy')),
+    Mistake("scene", "scale in µm", PROCESS, ("calibration.mm_per_px", "32.5", "less than or equal to 1"),
+        _scene("mm_per_px = 0.0325", "mm_per_px = 32.5")),
+    Mistake("scene", "an even window", PROCESS, ("tracking.window_px", "24", "such as 25"),
+        _scene("window_px = 25", "window_px = 24")),
+    Mistake("scene", "rows and columns exchanged", PROCESS, ("views.contact", "[120, 240]", "at most 96 and 240"),
+        lambda folder: edit(folder / "scene.toml", ("rows = [0, 96]  ", "rows = [120, 240]  "),
+                            ("columns = [120, 240]", "columns = [0, 96]"))),
+    Mistake("scene", "views exchanged", PROCESS, ("frames.npy", "check [views.contact]"),
+        lambda folder: edit(folder / "scene.toml", ("[views.contact]", "[views.x]"),
+                            ("[views.topography]", "[views.contact]"), ("[views.x]", "[views.topography]"))),
+    Mistake("scene", "last frame beyond the recording", PROCESS, ("recording.last_frame", "299", "frame 7", "leave it out"),
+        _scene("# last_frame = 299", "last_frame = 299")),
+    Mistake("scene", "no picture of the empty glass", PROCESS, ("background.frames", "empty.npy", "paths are relative"),
+        lambda folder: (folder / "empty.npy").unlink()),
+    Mistake("scene", "empty glass of other camera settings", PROCESS, ("empty.npy", "232", "the same camera settings"),
+        lambda folder: np.save(folder / "empty.npy", np.load(folder / "empty.npy")[..., :-8])),
+    Mistake("scene", "a calibration file beside its numbers", PROCESS, ("calibration.file", "keep one of them"),
+        _scene('# file = "calibration.toml"', 'file = "calibration.toml"')),
+    Mistake("forces", "`Fx, Fy` for two columns", PROCESS, ("forces.csv", "'Fx, Fy'", 'tangential = ["Fx", "Fy"]'),
+        lambda folder: (_second_tangential(folder / "forces.csv"),
+                        edit(folder / "scene.toml", ('"tangential_force"', '"Fx, Fy"')))),
+    Mistake("forces", "a column that is not there", PROCESS, ("forces.csv", "'Fz'", "its columns are 'time'"),
+        _scene('normal = "normal_force"', 'normal = "Fz"')),
+    Mistake("forces", "pressing is negative", PROCESS, ("forces.csv", "sign = -1"), _forces(_negative)),
+    Mistake("forces", "signs as text", PROCESS, ("forces.sign", "'-1, 1'", "such as [-1, 1]"),
+        _scene("# sign = 1 ", 'sign = "-1, 1" # ')),
+    Mistake("forces", "volts without a gain", PROCESS, ("forces.csv", "in V", "gain = 2.5"),
+        _scene('# units = "N"', 'units = "V"')),
+    Mistake("forces", "a trigger that never comes", PROCESS, ("forces.csv", "25", "trigger_level"),
+        _scene("trigger_level = 2.5", "trigger_level = 25")),
+    Mistake("forces", "recorded for too short", PROCESS, ("4 of 8 frames", "is the trigger right?"),
+        _forces(lambda lines: "".join(lines.splitlines(True)[: lines.count("\n") // 2]))),
+    Mistake("forces", "tare in contact", PROCESS, ("normal force is -0.14 N", "Check", "tare"),
+        _scene("# tare = [-0.5, -0.1]", "tare = [0.3, 0.6]")),
+    Mistake("page", "text for a number", ("recording.frame_rate", "fast"), ("recording.frame_rate", "'fast'", "number")),
+    Mistake("page", "a recording that is not there", ("background.frames", "glass.tif"),
+        ("background.frames", "glass.tif", "paths are relative")),
+    Mistake("page", "two signs in one field", ("forces.sign", "-1, 1"), ("forces.sign", "such as [-1, 1]")),
+    Mistake("calibration", "a picture without a ring", ("calibrate", "--ring", "empty.npy"),
+        ("empty.npy", "no hole of a ring", "Check the frame")),
+    Mistake("study", "a trial that is there twice", DRY_RUN, ("trials.csv", "row 3", "number the trials"),
+        lambda folder: (folder / "study/trials.csv").open("a").write("p01/0um/t1/frames.npy,01,1,0,1\n")),
+    Mistake("study", "a column misspelt", DRY_RUN, ("trials.csv", "did you mean 'particpant'"),
+        _table("participant", "particpant")),
+    Mistake("study", "an answer in words", DRY_RUN, ("trials.csv", "'often'"), _table("0,1", "0,often")),
+    Mistake("live", "a folder that is no bundle", ("stream", "study"), ("bundle.json", "`fingerflow export`")),
+    Mistake("live", "`--when` without `--then`", (*SYNTHETIC, "--when", f"{AREA} mm2"), ("give one --then",)),
+    Mistake("live", "a condition without a unit", (*SYNTHETIC, "--when", AREA, "--then", "udp:127.0.0.1:5005"),
+        ("gross_contact_area", "'mm2'", "no unit")),
+    Mistake("live", "an address without a port", (*SYNTHETIC, "--send", "udp:127.0.0.1"), ("'127.0.0.1'", "udp:HOST:PORT")),
+    Mistake("live", "a scene of another camera", (*STREAM, "--scene", "scene.toml", "--source", "frames.npy"),
+        ("views.contact", "96 x 110 px", "correct rows and columns"), _scene("columns = [120, 240]", "columns = [130, 240]")),
+    Mistake("live", "a rate of 0", (*SYNTHETIC, "--rate", "0"), ("--rate", "0 is not above")),
+    Mistake("live", "results into a folder that exists", (*SYNTHETIC, "--output", "study"), ("study", "another name")),
+)  # fmt: skip
 
 
 def cases() -> Iterator[Case]:
-    """Yield the mistakes with what is said of each."""
+    """Yield the mistakes with what is said of each; the number counts words that the message lacks."""
+    for mistake, said in messages():
+        lacking = sum(word not in said for word in mistake.words)
+        verdict = "wrong in silence" if not said else "incomplete" if lacking else "told"
+        yield Case(f"{mistake.part}: {mistake.what}", str(lacking), "0", said, verdict)
+
+
+def messages() -> Iterator[tuple[Mistake, str]]:
+    """Yield each mistake with its message."""
     with tempfile.TemporaryDirectory() as folder:
         press = Path(folder) / "press"
         write_press(press)
-        for mistake in MISTAKES:
-            said = message_of(mistake, press)
-            named = [word for word in mistake.words if word not in said]
-            verdict = "wrong in silence" if not said else f"does not name {named}" if named else "told"
-            yield Case(f"{mistake.part}: {mistake.what}", "", "", said, verdict)
+        assert message_of(Mistake("scene", "none", PROCESS, ()), press) == ""
+        yield from ((mistake, message_of(mistake, press)) for mistake in MISTAKES)
+
+
+def row_of(mistake: Mistake, said: str) -> str:
+    """Return the row of a mistake in the table of docs/troubleshooting.md: its message, cut after the remedy."""
+    end = max([160, *(said.find(word) + len(word) for word in mistake.words)])
+    whole = end >= len(said) or " " not in said[end:]
+    return f"| {mistake.what} | ``{said if whole else said[: said.index(' ', end)] + ' ...'}`` |"
 
 
 def write_press(folder: Path) -> None:
     """Write a small press with its result, a study of it, and a bundle for frames of its size."""
-    write_recording(folder, TINY_PRESS, progress=False)
+    write_recording(folder, replace(TINY_PRESS, force=0.3), progress=False)
+    edit(folder / "scene.toml", ("points = 700", "points = 60"))
     process(folder / "scene.toml", to=folder / "result.h5").close()
     trial = folder / "study" / "p01" / "0um" / "t1"
     shutil.copytree(folder, trial, ignore=shutil.ignore_patterns("study", "result.h5"))
@@ -176,8 +232,14 @@ def _said_by_page(mistake: Mistake, folder: Path) -> str:
 
 
 def _said(command: tuple[str, ...]) -> str:
-    out, err = io.StringIO(), io.StringIO()
-    with mock.patch.object(sys, "argv", ["fingerflow", *command]), contextlib.redirect_stdout(out):
-        with contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
-            cli.main()
-    return f"OUT {out.getvalue()} ERR {err.getvalue()}"
+    """Return the error of a command, or its first warning without those of the press itself."""
+    said = io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", ["fingerflow", *command]),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        contextlib.suppress(SystemExit),
+    ):
+        cli.main()
+    found = [line.partition(mark)[2] for line in said.getvalue().splitlines() for mark in MARKS if mark in line]
+    return next(iter(found), "")

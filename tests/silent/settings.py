@@ -69,7 +69,7 @@ MISTAKES = (
     Mistake("N taken for mN", {UNITS: 'units = "mN"'}, "normal_force", "is a mean pressure of"),
     Mistake("gain 2.5 of a force in N", {"[forces]": "[forces]\ngain = 2.5"}, "normal_force", "is in N already"),
     Mistake("scale halved", {SCALE: "mm_per_px = 0.01625"}, "gross_contact_area", "the scale is wrong"),
-    Mistake("scale doubled", {SCALE: "mm_per_px = 0.065"}, "gross_contact_area", "the scale is wrong"),
+    Mistake("scale doubled, a diameter taken for the radius", {SCALE: "mm_per_px = 0.065"}, "gross_contact_area", "the scale is wrong"),
     Mistake("Young's modulus 1000", {"young_modulus_mpa = 1.0": "young_modulus_mpa = 1000.0"}, "strain_energy",
         "fields.young_modulus_mpa = 1000"),
     Mistake("frame rate 2000 for 300", {"frame_rate = 300.0": "frame_rate = 2000.0"}, "median_divergence_rate",
