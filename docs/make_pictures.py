@@ -113,7 +113,7 @@ def draw_live(browser: Any, folder: Path) -> None:
             if page.url == "about:blank":
                 page.goto(f"http://127.0.0.1:{port}/?token=token")
             if stamp.number > 130:
-                save(screenshot(page, 900), "live.png")
+                save(screenshot(page, 1130), "live.png")
                 break
     page.context.close()
 
