@@ -82,3 +82,13 @@ def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
         causes.append(upkeep.see(index, index, 100))
     assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
     assert {causes[14], causes[71]} == {CONTACT}
+
+
+def test_a_growing_contact_may_have_enough_points_between_two_evaluations_with_too_few() -> None:
+    upkeep = Upkeep(0.8, math.inf)
+    upkeep.restarted(0, 0, 100)
+    causes = []
+    for index in range(20):
+        upkeep.see_contact(True, index % 2 == 0)
+        causes.append(upkeep.see(index, index, 100))
+    assert [index for index, cause in enumerate(causes) if cause] == [2]

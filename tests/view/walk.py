@@ -34,7 +34,7 @@ def fill(page: Any, key: str, value: str) -> None:
 
 
 def browse(page: Any, key: str, file: str) -> None:
-    """Choose a file for a key in its dialog: go up one folder, back into the folder of the scene, and click the file."""
+    """Choose a file for a key in its dialog: go up one folder, back into the scene's folder, and click the file."""
     field = page.locator(f'[data-key="{key}"]')
     page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
     page.click(f'[aria-label="browse {key}"]')
