@@ -61,7 +61,7 @@ def scale_by_powers(axis: Any) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def cells(rows: Sequence[Row], column: str, by: str, names: Sequence[str], **wanted: object) -> list[float | None]:
+def cells(rows: Sequence[Row], column: str, by: str, names: Sequence[object], **wanted: object) -> list[float | None]:
     """Return a column of the rows that have the wanted cells, in the order of the names in the column `by`; None for a
     name without such a row.
     """

@@ -108,7 +108,7 @@ def draw_live(browser: Any, folder: Path) -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     page = browser.new_page(viewport={"width": 1280, "height": 900})
-    with mock.patch.object(page_token.secrets, "token_urlsafe", lambda _: "token"):
+    with mock.patch.object(page_token.secrets, "token_urlsafe", return_value="token"):
         for stamp, _ in live_frames(bundle, "synthetic", rate=60, page=port, output=folder / "live"):
             if page.url == "about:blank":
                 page.goto(f"http://127.0.0.1:{port}/?token=token")

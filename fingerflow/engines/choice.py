@@ -98,8 +98,8 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             raise FingerflowError(f"--engine native: {why}; leave the option out, or take --engine onnx")
     if absent := [one for one in GRAPHS if one not in bundle.files]:
         raise FingerflowError(
-            f"{bundle.folder}: without the graphs {', '.join(absent)} only the compiled library plays the bundle ({why}); "
-            "export the recipe without `graphs` in [export]"
+            f"{bundle.folder}: without the graphs {', '.join(absent)} only the compiled library plays the bundle "
+            f"({why}); export the recipe without `graphs` in [export]"
         )
     try:
         from fingerflow.engines.onnx import OnnxEngine

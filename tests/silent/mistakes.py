@@ -36,7 +36,7 @@ class Mistake(NamedTuple):
     """A mistake and the words by which its message must name the place, the value and the remedy.
 
     Attributes:
-        part: of the program, a heading of the table.
+        part: part of the program, a heading of the table.
         what: the mistake.
         command: arguments of the command line; for the page a key and the value typed into its field.
         words: parts of the message.
@@ -92,8 +92,8 @@ MISTAKES = (
     Mistake("command line", "a scene that is not there", ("process", "scen.toml"), ("scen.toml", "`fingerflow init`")),
     Mistake("command line", "an output misspelt", ("process", "-v", "real_contact_aera", "scene.toml"),
         ("'real_contact_aera'", "did you mean 'real_contact_area'?")),
-    Mistake("command line", "`report` before `process`", ("report", "scene.toml"), ("result.h5", "`fingerflow process`"),
-        lambda folder: (folder / "result.h5").unlink()),
+    Mistake("command line", "`report` before `process`", ("report", "scene.toml"),
+        ("result.h5", "`fingerflow process`"), lambda folder: (folder / "result.h5").unlink()),
     Mistake("command line", "a table for Excel", ("export-table", "result.h5", "table.xlsx"), ("table.xlsx", ".csv")),
     Mistake("command line", "a map misspelt", ("export-map", "result.h5", "divergance", "map.tif"),
         ("divergance", "did you mean 'divergence'?")),
@@ -125,8 +125,8 @@ MISTAKES = (
     Mistake("scene", "views exchanged", PROCESS, ("frames.npy", "check [views.contact]"),
         lambda folder: edit(folder / "scene.toml", ("[views.contact]", "[views.x]"),
                             ("[views.topography]", "[views.contact]"), ("[views.x]", "[views.topography]"))),
-    Mistake("scene", "last frame beyond the recording", PROCESS, ("recording.last_frame", "299", "frame 7", "leave it out"),
-        _scene("# last_frame = 299", "last_frame = 299")),
+    Mistake("scene", "last frame beyond the recording", PROCESS,
+        ("recording.last_frame", "299", "frame 7", "leave it out"), _scene("# last_frame = 299", "last_frame = 299")),
     Mistake("scene", "no picture of the empty glass", PROCESS, ("background.frames", "empty.npy", "paths are relative"),
         lambda folder: (folder / "empty.npy").unlink()),
     Mistake("scene", "empty glass of other camera settings", PROCESS, ("empty.npy", "232", "the same camera settings"),
@@ -149,7 +149,8 @@ MISTAKES = (
         _forces(lambda lines: "".join(lines.splitlines(True)[: lines.count("\n") // 2]))),
     Mistake("forces", "tare in contact", PROCESS, ("normal force is -0.14 N", "Check", "tare"),
         _scene("# tare = [-0.5, -0.1]", "tare = [0.3, 0.6]")),
-    Mistake("page", "text for a number", ("recording.frame_rate", "fast"), ("recording.frame_rate", "'fast'", "number")),
+    Mistake("page", "text for a number", ("recording.frame_rate", "fast"),
+        ("recording.frame_rate", "'fast'", "number")),
     Mistake("page", "a recording that is not there", ("background.frames", "glass.tif"),
         ("background.frames", "glass.tif", "paths are relative")),
     Mistake("page", "two signs in one field", ("forces.sign", "-1, 1"), ("forces.sign", "such as [-1, 1]")),
@@ -164,9 +165,11 @@ MISTAKES = (
     Mistake("live", "`--when` without `--then`", (*SYNTHETIC, "--when", f"{AREA} mm2"), ("give one --then",)),
     Mistake("live", "a condition without a unit", (*SYNTHETIC, "--when", AREA, "--then", "udp:127.0.0.1:5005"),
         ("gross_contact_area", "'mm2'", "no unit")),
-    Mistake("live", "an address without a port", (*SYNTHETIC, "--send", "udp:127.0.0.1"), ("'127.0.0.1'", "udp:HOST:PORT")),
+    Mistake("live", "an address without a port", (*SYNTHETIC, "--send", "udp:127.0.0.1"),
+        ("'127.0.0.1'", "udp:HOST:PORT")),
     Mistake("live", "a scene of another camera", (*STREAM, "--scene", "scene.toml", "--source", "frames.npy"),
-        ("views.contact", "96 x 110 px", "correct rows and columns"), _scene("columns = [120, 240]", "columns = [130, 240]")),
+        ("views.contact", "96 x 110 px", "correct rows and columns"),
+        _scene("columns = [120, 240]", "columns = [130, 240]")),
     Mistake("live", "a rate of 0", (*SYNTHETIC, "--rate", "0"), ("--rate", "0 is not above")),
     Mistake("live", "results into a folder that exists", (*SYNTHETIC, "--output", "study"), ("study", "another name")),
 )  # fmt: skip
