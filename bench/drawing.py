@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from bench.rows import Row
+from bench.rows import Cell, Row
 
 RED, BLUE, GREEN, VIOLET, GREY = "#b5402a", "#2b5c8a", "#3c7d3f", "#6f4a8e", "#777777"
 
@@ -61,7 +61,7 @@ def scale_by_powers(axis: Any) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def cells(rows: Sequence[Row], column: str, by: str, names: Sequence[object], **wanted: object) -> list[float | None]:
+def cells(rows: Sequence[Row], column: str, by: str, names: Sequence[Cell], **wanted: object) -> list[float | None]:
     """Return a column of the rows that have the wanted cells, in the order of the names in the column `by`; None for a
     name without such a row.
     """
