@@ -27,7 +27,7 @@ def time_in_turns(
     candidates: Mapping[str, Callable[[], object]],
     peer: str,
     rounds: int,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] | None = None,
 ) -> dict[str, Timing]:
     """Time candidates in turns: ``rounds`` rounds of all of them, after two rounds of warm-up.
 
@@ -37,8 +37,9 @@ def time_in_turns(
         candidates: calls by name.
         peer: the candidate that the ratios refer to.
         rounds: at least 2.
-        clock: in s; `time.process_time` for one thread on a processor that others use too.
+        clock: in s, default `time.perf_counter`; `time.process_time` for one thread on a processor that others use too.
     """
+    clock = clock or time.perf_counter
     seconds: dict[str, list[float]] = {name: [] for name in candidates}
     for number in range(-2, rounds):
         for name, call in candidates.items():
