@@ -1,4 +1,4 @@
-"""The shipped recipes as a user plays them: exported, and played from the bundle as a separate process."""
+"""Test of the shipped recipes: each is exported, and its bundle is played as a separate process."""
 
 from pathlib import Path
 
@@ -19,6 +19,6 @@ def test_a_shipped_recipe_measures_the_median_divergence_of_nearly_all_frames(na
         summary = play(bundle, frames=FRAMES, results=tmp_path / "results")
     assert summary["processed"] == FRAMES
     assert not summary["dropped"]
-    # Points are seeded in the contact once, after a few frames, which have no median.
+    # Points are seeded in the contact after a few frames, which have no median.
     median = open_stream(tmp_path / "results")["median_divergence"].to_numpy()
     assert np.isnan(median).mean() < 0.04
