@@ -50,7 +50,10 @@ def calibrate_files(
     halves = {"contact": View((0, rows), (half, columns))}
     if target is not None:
         halves["topography"] = View((0, rows), (0, half))
-    found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+    try:
+        found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+    except FingerflowError as error:
+        raise FingerflowError(f"{', '.join(str(one) for one in inputs if one)}: {error}") from None
     picture = output.with_suffix(".png")
     for path in (output, picture):
         spare(path, *inputs)

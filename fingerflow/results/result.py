@@ -62,6 +62,8 @@ def open_result(path: Path) -> xr.Dataset:
     """
     if path.suffix == ".zarr":
         return open_own(path)
+    if not path.exists():
+        raise FingerflowError(f"{path}: there is no such result; `fingerflow process` of a scene file writes it")
     check_file(path)
     check_in_child_process(path, "hdf5")
     return open_own(path)

@@ -156,6 +156,8 @@ class _Check:
     def _path(self, file: File, value: Any) -> Path:
         if not isinstance(value, str):
             raise WrongValue("that is no path of a file; it should be in quotes, relative to the scene file")
+        if not value.isprintable():
+            raise WrongValue(r"that is no path: it has control characters, which TOML makes of \ and a letter; write /")
         try:
             path = (self._folder / value).resolve()
             there = Path(str(path).split("::")[0]).exists()

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
@@ -298,6 +298,4 @@ def _refuse_unknown(path: Path, written: Mapping[str, Any], known: tuple[str, ..
 
 
 def _known_here(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}known here: {', '.join(known)}"
+    return f"{did_you_mean(name, known)}known here: {', '.join(known)}"

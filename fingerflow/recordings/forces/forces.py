@@ -74,7 +74,8 @@ class Forces:
         if rising.size == 0:
             raise FingerflowError(
                 f"{self.path}: trigger {self.trigger!r} never rises through {trigger_level:g}; it starts at "
-                f"{signal[0]:g} and lies between {np.nanmin(signal):g} and {np.nanmax(signal):g}"
+                f"{signal[0]:g} and lies between {np.nanmin(signal):g} and {np.nanmax(signal):g}; "
+                "correct [forces] trigger_level or trigger"
             )
         before = int(rising[0])
         part = (trigger_level - signal[before]) / (signal[before + 1] - signal[before])

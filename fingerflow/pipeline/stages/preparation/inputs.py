@@ -160,6 +160,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
     if settings.last_frame is not None and settings.last_frame >= len(recording):
         warnings.append(
             f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"
+            ": leave it out, or copy the recording again"
         )
     end = len(recording) if settings.last_frame is None else min(settings.last_frame + 1, len(recording))
     if recording.times is None:
