@@ -38,7 +38,7 @@ class PrintedContactStage(Stage):
     needs = ("views.contact", "background.frames")
     after = (ContactStage,)
     reads_frames = True
-    settings = ("views.contact", "background", "calibration.mm_per_px")
+    settings = ("contact.appears", "views.contact", "background", "calibration.mm_per_px")
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)

@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import frame_asked
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.views import View
+from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
 _REFERENCE_FRAMES = 64  # averaged background frames, at most: their noise is an eighth of that of one frame
@@ -80,21 +80,43 @@ class Inputs:
         """Return an array as a float32 tensor on the device of the run."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
+    def counts(self, frames: NDArray[Any], view: View) -> NDArray[Any]:
+        """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it.
+
+        All stages take their pictures from here, so contact is dark in all of them.
+        """
+        return self._with_dark_contact(view.crop(frames), view)
+
+    def _with_dark_contact(self, counts: Any, view: View) -> Any:
+        return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
+
+    def _is_bright(self, view: View) -> bool:
+        scene = self.scene
+        return not scene.soft_sensor and scene.contact.appears == "bright" and view == scene.views.contact
+
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
+        """Crop frames (n, H, W) to a view, as `counts`; return a read-only tensor (n, 1, h, w) on the device of the
+        run.
 
         8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
-        return images_on(self.device, view.crop(frames))
+        return images_on(self.device, self.counts(frames, view))
 
     def reference(self, view: View) -> Tensor:
-        """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32."""
+        """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
+        `counts`.
+        """
         assert self.scene.background.frames is not None
-        return self._still(self.scene.background.frames, view)
+        picture: Tensor = self._with_dark_contact(self._still(self.scene.background.frames, view), view)
+        return picture
 
     def dark(self, view: View) -> Tensor | None:
-        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32, or None if none was recorded."""
-        return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
+        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32; None if none was recorded, or if
+        contact appears bright: the dark level cancels in the difference of two negatives.
+        """
+        if self.scene.background.dark is None or self._is_bright(view):
+            return None
+        return self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
         if (path, view) not in self._stills:
