@@ -278,7 +278,7 @@ class ContactStage(Stage):
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
-        view = self.inputs.view(frame, self._view)
+        view = self.inputs.contact_view(frame)
         some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
         seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
         unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact

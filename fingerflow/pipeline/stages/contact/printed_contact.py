@@ -74,5 +74,5 @@ class PrintedContactStage(Stage):
             self.results.put(name, values)
 
     def _normalized(self, frames: np.ndarray) -> NormalizedFrames:
-        view: torch.Tensor = self.inputs.view(frames, self._view)
+        view: torch.Tensor = self.inputs.contact_view(frames)
         return normalize_illumination(view, self._reference, self._dark)

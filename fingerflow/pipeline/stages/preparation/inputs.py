@@ -81,9 +81,8 @@ class Inputs:
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
     def counts(self, frames: NDArray[Any], view: View) -> NDArray[Any]:
-        """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it.
-
-        All stages take their pictures from here, so contact is dark in all of them.
+        """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
+        so that contact is dark in every picture from which contact is measured.
         """
         return self._with_dark_contact(view.crop(frames), view)
 
@@ -91,16 +90,18 @@ class Inputs:
         return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
 
     def _is_bright(self, view: View) -> bool:
-        scene = self.scene
-        return not scene.soft_sensor and scene.contact.appears == "bright" and view == scene.views.contact
+        return self.scene.contact.appears == "bright" and view == self.scene.views.contact
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """Crop frames (n, H, W) to a view, as `counts`; return a read-only tensor (n, 1, h, w) on the device of the
-        run.
+        """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
 
         8-bit views on a processor share the memory of the frames. uint16 becomes int32, which torch can compute with.
         """
-        return images_on(self.device, self.counts(frames, view))
+        return images_on(self.device, view.crop(frames))
+
+    def contact_view(self, frames: NDArray[Any]) -> Tensor:
+        """Return the contact view of frames (n, H, W) as `view` does, and its negative if contact appears bright."""
+        return images_on(self.device, self.counts(frames, self.scene.views.contact))
 
     def reference(self, view: View) -> Tensor:
         """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
