@@ -53,8 +53,7 @@ class Views(Mapping[str, View]):
 
     @property
     def contact(self) -> View:
-        """Return the contact view, in which skin in contact with the glass appears dark, or bright (`contact.appears`).
-        """
+        """Return the contact view, in which skin in contact appears as `contact.appears` says, dark or bright."""
         return self["contact"]
 
     @property

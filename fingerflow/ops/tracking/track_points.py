@@ -15,8 +15,8 @@ from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
 from fingerflow.ops.tracking.deformation import correct_points
-from fingerflow.ops.tracking.short_waves import WIDE, correct_short_waves
 from fingerflow.ops.tracking.search import search_and_return
+from fingerflow.ops.tracking.short_waves import WIDE, correct_short_waves
 from fingerflow.ops.tracking.templates import (
     Found,
     check_points,

@@ -84,8 +84,9 @@ class ContactStage(Stage):
         self.warnings.extend(plausibility.of_background(self._changed(first, glass, black)[0], first + first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         changed = self._changed(self.reference_frame, glass, black)
-        self.warnings.extend(plausibility.of_contrast(*changed, appears, self.reference_frame + first_frame))
-        self._threshold = self._fixed_threshold()
+        reversed_contrast = plausibility.of_contrast(*changed, appears, self.reference_frame + first_frame)
+        self.warnings.extend(reversed_contrast)
+        self._threshold = self._fixed_threshold(reversed_contrast)
         self._largest = self._region_of(self.reference_frame)
         self.skin = self._skin(glass, black)
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
@@ -286,8 +287,11 @@ class ContactStage(Stage):
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
-    def _fixed_threshold(self) -> float | None:
-        """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame."""
+    def _fixed_threshold(self, reversed_contrast: list[str]) -> float | None:
+        """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
+
+        Raises FingerflowError if there is no contact; it contains the warning of a reversed contrast, if there is one.
+        """
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
             return None
@@ -296,6 +300,8 @@ class ContactStage(Stage):
         frame = self._counts(self.reference_frame)
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
+            if reversed_contrast:
+                raise FingerflowError(f"{self.inputs.recording.path}: no contact is found. {reversed_contrast[0]}")
             light, black = (
                 one[0, 0].cpu().numpy()
                 for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
@@ -305,7 +311,7 @@ class ContactStage(Stage):
                 f"{self.inputs.recording.path}: no contact is found. In frame {self.reference_frame}, where most "
                 f"contact was expected, "
                 + (seen if seen else "the contact view is that of the background")
-                + f"; check [views.contact], [background] and contact.appears in {self.inputs.scene.path}, or set "
-                f"[contact] threshold to a number."
+                + f"; check [views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold "
+                f"to a number."
             )
         return threshold

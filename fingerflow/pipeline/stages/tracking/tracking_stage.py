@@ -51,8 +51,9 @@ class TrackingStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (
-        *("tracking", "views.topography", "stream.region", "background", "contact.appears"),
-        *("contact.gross_radius_px", "calibration.mm_per_px", "calibration.topography_to_contact", "recording.first_frame"),
+        *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
+        *("contact.appears", "contact.gross_radius_px"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
     restored = True
 
