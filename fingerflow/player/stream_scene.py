@@ -25,9 +25,9 @@ class StreamScene:
     ``bright_contact`` tells whether skin in contact appears bright: the stream then takes the negative of the contact
     view. Frames are played from `first_frame` to `last_frame` of the recording. ``threshold`` is a number,
     "reference_frame" or "per_frame". ``region`` is the rectangle of the topography view in which points are seeded,
-    None for the whole view. ``drawn`` is a region of another shape, as `schema.region` takes it. ``has_forces`` tells whether the scene
-    names a file of forces; the package reads it for the page. ``asked`` holds by dotted key the settings [contact],
-    [tracking] and [fields] that the scene file states, for comparison with the recipe.
+    None for the whole view. ``drawn`` is a region of another shape, as `schema.region` takes it. ``has_forces`` tells
+    whether the scene names a file of forces; the package reads it for the page. ``asked`` holds by dotted key the
+    settings [contact], [tracking] and [fields] that the scene file states, for comparison with the recipe.
     """
 
     contact: View
