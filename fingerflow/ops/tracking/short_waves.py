@@ -7,8 +7,6 @@ noise alone gives it, that is 1 - 2 V / E, or 0 if this is negative. V follows f
 Hutchinson's (1990) estimator: noise of this size and random sign is corrected as the points are.
 """
 
-from functools import partial
-
 import torch
 from torch import Tensor
 
@@ -20,22 +18,27 @@ from fingerflow.ops.tracking.deformation import correct_points
 WIDE = 5.0  # windows, gauge length of the correction
 _NARROW = 2.0  # windows, gauge length of the second one
 _AROUND = 4.0  # windows, diameter over which mean squares are taken
-_PROBES = 4  # fields of random sign: with the neighbours a hundred values and more for each variance
+_PROBES = 2  # fields of random sign: with the neighbours about a hundred values for each variance
 _CAUTION = 2.0  # multiple of V that the mean square of noise around a point hardly ever exceeds
 
 
 def correct_short_waves(
-    start: Tensor, points: Tensor, covariance: Tensor, numbers: Tensor, inverse_warp: Tensor, window: int
+    wide: CorrectedPoints[Tensor],
+    start: Tensor,
+    points: Tensor,
+    covariance: Tensor,
+    numbers: Tensor,
+    inverse_warp: Tensor,
+    window: int,
 ) -> CorrectedPoints[Tensor]:
-    """Correct the positions of points for the deformation of the skin as `correct_points` with a gauge length of five
-    windows, and of two windows where the displacement changes over a shorter distance by more than its noise.
+    """Correct the positions of points with a gauge length of two windows where the displacement changes over a shorter
+    distance than the `wide` correction resolves, by more than its noise.
 
-    The arguments are those of `correct_points`, one image pair in each of K. What is left of a short wave after the
-    narrow correction is about as large as its step, so the covariance grows by the mean square of the step.
+    `wide` is the result of `correct_points` with a gauge length of `WIDE` windows and the same other arguments, one
+    image pair in each of K. What is left of a short wave after the narrow correction is about as large as its step, so
+    the covariance grows by the mean square of the step.
     """
-    correct = partial(correct_points, window=window)
-    wide = correct(start, points, covariance, numbers, inverse_warp, gauge_px=WIDE * window)
-    narrow = correct(start, points, covariance, numbers, inverse_warp, gauge_px=_NARROW * window)
+    narrow = correct_points(start, points, covariance, numbers, inverse_warp, window, _NARROW * window)
     step = torch.where(finite(narrow.expected), narrow.points - wide.points, torch.nan)  # else too few neighbours
     pairs = zip(start, covariance, numbers, strict=True)
     variance = torch.stack([_variance_of_noise(*pair, window) for pair in pairs])

@@ -67,7 +67,7 @@ def track_points(
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
-    are deformed and found again, then corrected for what is left. Where points lie closer than half a window, waves of
+    are deformed and found again, then corrected for what is left. Where points lie closer than half a window or so, waves of
     the displacement down to 2.5 windows are corrected too (`ops.tracking.short_waves`). Lost points are also searched
     again, at the position that their neighbours predict.
 
@@ -204,7 +204,9 @@ def in_passes(
                 found = replaced(found, again, chosen, renewed)
                 numbers = inserted(numbers, others, chosen, renewed)
                 inverse = torch.where(renewed[..., None, None], inverse_2x2(warp), inverse)
-            corrected = correct_short_waves(start, found.points, found.covariance, numbers, inverse, window)
+                given = start, found.points, found.covariance, numbers, inverse
+                corrected = correct_points(*given, window, WIDE * window)
+            corrected = correct_short_waves(corrected, *given, window)
             found = found._replace(points=corrected.points, covariance=corrected.covariance)
     return PassResult(found.points, found.error, found.covariance, found.status, warp)
 

@@ -34,7 +34,8 @@ def corrected(points: Tensor, short: bool, start: Tensor = START) -> tuple[Tenso
     numbers[..., Number.COVARIANCE_XX], numbers[..., Number.NOISE] = 1.0, NOISE**2
     covariance = (NOISE**2 * torch.eye(2)).expand(*points.shape, 2)
     given = start, points, covariance, numbers, torch.eye(2).expand(*points.shape, 2)
-    result = correct_short_waves(*given, WINDOW) if short else correct_points(*given, WINDOW, WIDE * WINDOW)
+    wide = correct_points(*given, WINDOW, WIDE * WINDOW)
+    result = correct_short_waves(wide, *given, WINDOW) if short else wide
     return result.points - start, result.covariance.diagonal(dim1=2, dim2=3)
 
 
