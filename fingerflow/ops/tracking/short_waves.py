@@ -38,6 +38,8 @@ def correct_short_waves(
     image pair in each of K. What is left of a short wave after the narrow correction is about as large as its step, so
     the covariance grows by the mean square of the step.
     """
+    if not len(start):
+        return wide
     narrow = correct_points(start, points, covariance, numbers, inverse_warp, window, _NARROW * window)
     step = torch.where(finite(narrow.expected), narrow.points - wide.points, torch.nan)  # else too few neighbours
     pairs = zip(start, covariance, numbers, strict=True)
