@@ -67,9 +67,9 @@ def track_points(
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
-    are deformed and found again, then corrected for what is left. Where points lie closer than half a window or so, waves of
-    the displacement down to 2.5 windows are corrected too (`ops.tracking.short_waves`). Lost points are also searched
-    again, at the position that their neighbours predict.
+    are deformed and found again, then corrected for what is left. Where points lie closer than about half a window,
+    waves of the displacement down to 2.5 windows are corrected too (`ops.tracking.short_waves`). Lost points are also
+    searched again, at the position that their neighbours predict.
 
     Gradients flow from `points` of the result to the images and to the argument `points` (implicit differentiation,
     first order); error, covariance and status have none.

@@ -84,7 +84,8 @@ class Inputs:
         """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
         so that contact is dark in every picture from which contact is measured.
         """
-        return self._with_dark_contact(view.crop(frames), view)
+        result: NDArray[Any] = self._with_dark_contact(view.crop(frames), view)
+        return result
 
     def _with_dark_contact(self, counts: Any, view: View) -> Any:
         return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
