@@ -41,7 +41,10 @@ def correct_short_waves(
     if not len(start):
         return wide
     narrow = correct_points(start, points, covariance, numbers, inverse_warp, window, _NARROW * window)
-    step = torch.where(finite(narrow.expected), narrow.points - wide.points, torch.nan)  # else too few neighbours
+    near = finite(narrow.expected)  # others have too few neighbours
+    if not near.any():
+        return wide
+    step = torch.where(near, narrow.points - wide.points, torch.nan)
     pairs = zip(start, covariance, numbers, strict=True)
     variance = torch.stack([_variance_of_noise(*pair, window) for pair in pairs])
     means, _ = neighbour_planes(start, torch.cat((step.square(), variance), dim=2), _AROUND * window)
