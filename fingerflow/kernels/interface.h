@@ -105,6 +105,28 @@ struct fingerflow_sampled_windows {
 };
 void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
+// Pairs of windows (windows, samples) compared, as fingerflow/tracker/window_match.py describes: their correlation, and the
+// root mean square and the largest magnitude of what a linear function of `then` leaves of `now` (windows).
+struct fingerflow_window_pairs {
+    const float *then, *now;
+    float *correlation, *residual, *largest;
+    std::int64_t windows;
+    std::int32_t samples;
+};
+void fingerflow_compare_windows(const fingerflow_window_pairs* given, int threads);
+
+// One round of the fit of shifts (windows, 2) px, which are added to: `now` are windows at the shifts so far, `around` (4,
+// windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
+// the round before, and replaced. Deviations and shares excluded (windows).
+struct fingerflow_window_shifts {
+    const float *then, *now, *around;
+    double *shift, *weight, *deviations, *excluded;
+    std::int64_t windows;
+    std::int32_t samples;
+    double noise;
+};
+void fingerflow_shift_windows(const fingerflow_window_shifts* given, int threads);
+
 // Mean absolute response (batch) of the noise mask, of frames of at least 3 x 3; NaN where no response is finite.
 void fingerflow_mean_response(const fingerflow_frames* frames, double* means, int threads);
 

@@ -114,6 +114,15 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("block_means", {"blocks": (999, 999)}, "blocks of"),
     ("block_means", {"frames": double}, "float64"),
     *[
+        (name, {"now": change}, "now is")
+        for name in ("compare_windows", "shift_windows")
+        for change in (double, shorter)
+    ],
+    *[(name, {"then": lambda one: one[:, :0]}, "no sample") for name in ("compare_windows", "shift_windows")],
+    ("shift_windows", {"around": shorter}, "around is"),
+    ("shift_windows", {"weight": narrower}, "weight is"),
+    ("shift_windows", {"shift": narrower}, "shift is"),
+    *[
         ("correct_points", {name: change}, f"{name} is")
         for name in ("start", "points", "covariance", "numbers", "inverse_warp")
         for change in (double, narrower)
