@@ -197,6 +197,11 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
                             std::int64_t columns, float* blocks, float* lines, int threads);
 
+// Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
+// those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
+void fingerflow_frame_distances(const float* now, const float* before, std::int64_t pairs, std::int64_t lines,
+                                std::int64_t pixels, std::int64_t bands, float most, float* distances, int threads);
+
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
 struct fingerflow_local_fit {

@@ -12,7 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points, window_match
+from fingerflow.kernels import (
+    block_means,
+    contact_frames,
+    deformation,
+    frame_distances,
+    library,
+    tracked_points,
+    window_match,
+)
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
@@ -123,6 +131,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             tracked_points.find_outliers, tracked_points.find_neighbours(points, 120.0), moved - points, deviation
         ),
         "search_and_return": call(tracked_points.search_and_return, frame, frame, points, points, **search),
+        "frame_distances": call(frame_distances.frame_distances, grey[:3], grey[3:], 8, 30.0),
         "compare_windows": call(window_match.compare_windows, grey[0], grey[1]),
         "shift_windows": call(
             window_match.shift_windows, grey[0], grey[2:], grey[1], np.zeros((200, 2)), np.ones((200, 81)), 1.0

@@ -113,6 +113,9 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         std::vector<float> alike(3 * windows);
         const fingerflow_window_pairs pairs{grey.data(), grey.data() + size, alike.data(), alike.data() + windows, alike.data() + 2 * windows, windows, samples};
         fingerflow_compare_windows(&pairs, threads);
+        std::vector<float> apart(2 * 9);
+        for (std::int64_t bands : {1, 3, 8})
+            fingerflow_frame_distances(grey.data(), grey.data() + 2 * windows / 2 * samples, 2, windows / 2, samples, bands, 30, apart.data(), threads);
         std::vector<double> shift(2 * windows), weight(size, 1.0), deviations(windows), excluded(windows);
         const fingerflow_window_shifts shifts{grey.data(), grey.data() + size, grey.data() + 2 * size, shift.data(), weight.data(),
                                               deviations.data(), excluded.data(), windows, samples, 1.0};
