@@ -197,6 +197,11 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
                             std::int64_t columns, float* blocks, float* lines, int threads);
 
+// Samples of frames over their mean, which is at least `least`: patterns (batch, lines, pixels that are read) and means (batch),
+// of one pixel of `along` of each line, and one line of `down` (fingerflow/tracker/frame_distances.py).
+void fingerflow_frame_patterns(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, float least,
+                               float* patterns, float* means, int threads);
+
 // Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
 // those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
 void fingerflow_frame_distances(const float* now, const float* before, std::int64_t pairs, std::int64_t lines,

@@ -131,6 +131,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             tracked_points.find_outliers, tracked_points.find_neighbours(points, 120.0), moved - points, deviation
         ),
         "search_and_return": call(tracked_points.search_and_return, frame, frame, points, points, **search),
+        "frame_patterns": call(frame_distances.frame_patterns, lit[0], (2, 2), 1e-3),
         "frame_distances": call(frame_distances.frame_distances, grey[:3], grey[3:], 8, 30.0),
         "compare_windows": call(window_match.compare_windows, grey[0], grey[1]),
         "shift_windows": call(

@@ -121,6 +121,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     *[(name, {"then": lambda one: one[:, :0]}, "no sample") for name in ("compare_windows", "shift_windows")],
     ("shift_windows", {"around": shorter}, "around is"),
     *[("frame_distances", {"before": change}, "before is") for change in (double, shorter, narrower)],
+    ("frame_patterns", {"frames": double}, "float64"),
+    *[("frame_patterns", {"steps": steps}, "steps of") for steps in ((0, 1), (1, 999))],
     *[("frame_distances", {"bands": bands}, "bands of") for bands in (0, 999)],
     ("shift_windows", {"weight": narrower}, "weight is"),
     ("shift_windows", {"shift": narrower}, "shift is"),
