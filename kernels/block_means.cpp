@@ -1,11 +1,8 @@
-// Means of subsampled frames over blocks and over lines (fingerflow/tracker/block_means.py), and their samples over the mean
-// (fingerflow/tracker/frame_distances.py).
+// Means of subsampled frames over blocks and over lines (fingerflow/tracker/block_means.py).
 // One pixel of `along` of every `down`-th line is read, beginning at along / 2 and down / 2. These samples are divided
 // into rows x columns blocks that cover all of them; neighbouring blocks share samples where counts do not divide.
 // Layout: results are contiguous, blocks (batch, rows, columns) and lines (batch, lines read). Sums of integer pixels
 // are exact, those of floats are doubles.
-#include <algorithm>
-#include <cmath>
 #include <numeric>
 #include <type_traits>
 #include <vector>
@@ -37,12 +34,6 @@ struct Sampled {
     std::vector<Piece> rows, columns;
 };
 
-template <class Pixel>
-using SumOf = std::conditional_t<std::is_integral_v<Pixel>, std::int64_t, double>;
-// A line has a few hundred samples: 32 bits hold a sum of 16-bit values.
-template <class Pixel>
-using NumberOf = std::conditional_t<std::is_integral_v<Pixel> && sizeof(Pixel) <= 2, std::uint32_t, SumOf<Pixel>>;
-
 // Reads one pixel of `along` of a row. The usual step 4 has its own loop, which the compiler vectorizes.
 template <class Pixel, class Number>
 void read_line(const Pixel* row, std::int64_t along, std::vector<Number>& to) {
@@ -56,8 +47,10 @@ void read_line(const Pixel* row, std::int64_t along, std::vector<Number>& to) {
 
 template <class Pixel>
 void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* lines) {
-    using Sum = SumOf<Pixel>;
-    using Number = NumberOf<Pixel>;
+    constexpr bool whole = std::is_integral_v<Pixel>;
+    using Sum = std::conditional_t<whole, std::int64_t, double>;
+    // A line has a few hundred samples: 32 bits hold a sum of 16-bit values.
+    using Number = std::conditional_t<whole && sizeof(Pixel) <= 2, std::uint32_t, Sum>;
     const auto mean = [](Sum sum, std::int64_t count) {
         return static_cast<float>(static_cast<double>(sum) / static_cast<double>(count));
     };
@@ -84,53 +77,18 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
         }
 }
 
-// Writes the samples of a frame over their mean, which is at least `least`, and returns the mean.
-template <class Pixel>
-float pattern_of(const Pixel* frame, const Sampled& given, float least, float* pattern) {
-    std::vector<NumberOf<Pixel>> numbers(static_cast<std::size_t>(given.across));
-    SumOf<Pixel> sum = 0;
-    const std::int64_t count = given.read * given.across;
-    for (std::int64_t line = 0; line < given.read; ++line) {
-        read_line(frame + (given.down / 2 + line * given.down) * given.row_stride + given.along / 2, given.along, numbers);
-        if constexpr (!std::is_integral_v<Pixel>)
-            for (auto& number : numbers) number = std::isfinite(number) ? number : 0;
-        sum += std::accumulate(numbers.begin(), numbers.end(), NumberOf<Pixel>(0));
-        std::transform(numbers.begin(), numbers.end(), pattern + line * given.across, [](auto number) { return static_cast<float>(number); });
-    }
-    const float mean = std::max(static_cast<float>(static_cast<double>(sum) / static_cast<double>(count)), least);
-    for (std::int64_t k = 0; k < count; ++k) pattern[k] /= mean;
-    return mean;
-}
-
-Sampled sampled(const fingerflow_frames& frames, std::int64_t down, std::int64_t along) {
-    const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
-    return {read(frames.height, down), read(frames.width, along), frames.row_stride, down, along, {}, {}};
-}
-
 }  // namespace
 }  // namespace fingerflow
 
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
                             std::int64_t columns, float* blocks, float* lines, int threads) {
     using namespace fingerflow;
-    Sampled given = sampled(*frames, down, along);
-    given.rows = cut(given.read, rows);
-    given.columns = cut(given.across, columns);
+    const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
+    const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along);
+    const Sampled given{lines_read, across, frames->row_stride, down, along, cut(lines_read, rows), cut(across, columns)};
     parallel_for(frames->batch, threads, [&](std::int64_t frame) {
         const auto find = [&](const auto* data) {
             means_of(data + frame * frames->frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read);
-        };
-        FINGERFLOW_FOR_PIXEL(frames->kind, frames->data, find)
-    });
-}
-
-void fingerflow_frame_patterns(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, float least, float* patterns,
-                               float* means, int threads) {
-    using namespace fingerflow;
-    const Sampled given = sampled(*frames, down, along);
-    parallel_for(frames->batch, threads, [&](std::int64_t frame) {
-        const auto find = [&](const auto* data) {
-            means[frame] = pattern_of(data + frame * frames->frame_stride, given, least, patterns + frame * given.read * given.across);
         };
         FINGERFLOW_FOR_PIXEL(frames->kind, frames->data, find)
     });

@@ -1,13 +1,11 @@
 // build: each instruction set, fused
-// Mean absolute differences of the sampled pixels of pairs of frames, each limited to `most`
-// (fingerflow/tracker/frame_distances.py).
+// Mean absolute differences of sampled pixels of pairs of frames (fingerflow/tracker/frame_distances.py).
 // Layout: frames (pairs, lines, pixels) of floats; distances (pairs, bands + 1), those of the bands of lines and of all.
 #include <math.h>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
-#include "lanes.h"
 #include "parallel.h"
 
 namespace fingerflow {

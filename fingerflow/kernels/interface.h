@@ -105,17 +105,7 @@ struct fingerflow_sampled_windows {
 };
 void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
-// Pairs of windows (windows, samples) compared, as fingerflow/tracker/window_match.py describes: their correlation, and the
-// root mean square and the largest magnitude of what a linear function of `then` leaves of `now` (windows).
-struct fingerflow_window_pairs {
-    const float *then, *now;
-    float *correlation, *residual, *largest;
-    std::int64_t windows;
-    std::int32_t samples;
-};
-void fingerflow_compare_windows(const fingerflow_window_pairs* given, int threads);
-
-// One round of the fit of shifts (windows, 2) px, which are added to: `now` are windows at the shifts so far, `around` (4,
+// One round of the fit of shifts (windows, 2) px of windows, as fingerflow/tracker/window_match.py describes: `now` are windows at the shifts so far, `around` (4,
 // windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
 // the round before, and replaced. Deviations and shares excluded (windows).
 struct fingerflow_window_shifts {
@@ -196,11 +186,6 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
 // fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
                             std::int64_t columns, float* blocks, float* lines, int threads);
-
-// Samples of frames over their mean, which is at least `least`: patterns (batch, lines, pixels that are read) and means (batch),
-// of one pixel of `along` of each line, and one line of `down` (fingerflow/tracker/frame_distances.py).
-void fingerflow_frame_patterns(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, float least,
-                               float* patterns, float* means, int threads);
 
 // Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
 // those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).

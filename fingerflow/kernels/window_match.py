@@ -1,49 +1,15 @@
-"""Kernels that compare windows of an image with earlier windows, on NumPy arrays."""
+"""Kernel that fits the shifts of windows of an image from earlier windows, on NumPy arrays."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import copied, in_one_piece
+from fingerflow.kernels.arrays import copied
 from fingerflow.kernels.checks import check_axes, check_like, checked
 from fingerflow.kernels.library import entry, threads
 
 Array = NDArray[Any]
-
-
-class Alike(NamedTuple):
-    """Similarity of N pairs of windows.
-
-    Attributes:
-        correlation: (N,) normalised cross-correlation; NaN for blank windows.
-        residual: (N,) root mean square of what a linear function of the first window leaves of the second one, in grey
-            levels.
-        largest: (N,) largest magnitude of that residual.
-    """
-
-    correlation: Array
-    residual: Array
-    largest: Array
-
-
-def compare_windows(then: Array, now: Array) -> Alike:
-    """Compare N pairs of windows (N, m) of m grey levels, float32, as `tracker.window_match.compare`.
-
-    Raises:
-        ValueError: wrong dtype, inconsistent shapes, or windows without a sample.
-    """
-    count, samples = _size(then)
-    result = Alike(*np.empty((3, count), np.float32))
-    entry("compare_windows")(
-        then=in_one_piece(then),
-        now=checked("now", now, "float32", (count, samples)),
-        windows=count,
-        samples=samples,
-        threads=threads(),
-        **result._asdict(),
-    )
-    return result
 
 
 class Shifts(NamedTuple):
@@ -69,12 +35,15 @@ def shift_windows(then: Array, around: Array, now: Array, shift: Array, weight: 
     Raises:
         ValueError: wrong dtype, inconsistent shapes, or windows without a sample.
     """
-    count, samples = _size(then)
+    check_axes("then", then, 2)
+    count, samples = then.shape
+    if not samples:
+        raise ValueError("windows have no sample: give (N, m) with m of 1 or more")
     check_like("shift", shift, "float64", (count, 2))
     check_like("weight", weight, "float64", (count, samples))
     result = Shifts(copied(shift), copied(weight), *np.empty((2, count)))
     entry("shift_windows")(
-        then=in_one_piece(then),
+        then=checked("then", then, "float32", (count, samples)),
         now=checked("now", now, "float32", (count, samples)),
         around=checked("around", around, "float32", (4, count, samples)),
         windows=count,
@@ -84,12 +53,3 @@ def shift_windows(then: Array, around: Array, now: Array, shift: Array, weight: 
         **result._asdict(),
     )
     return result
-
-
-def _size(windows: Array) -> tuple[int, int]:
-    """Return the number N of windows (N, m), float32, and the number m of their samples."""
-    check_axes("then", windows, 2)
-    check_like("then", windows, "float32", windows.shape)
-    if not windows.shape[1]:
-        raise ValueError("windows have no sample: give (N, m) with m of 1 or more")
-    return len(windows), windows.shape[1]

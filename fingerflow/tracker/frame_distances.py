@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import kind
-from fingerflow.kernels.checks import FRAME_KINDS
-from fingerflow.kernels.frame_distances import frame_distances, frame_patterns
+from fingerflow.kernels.frame_distances import frame_distances
 from fingerflow.kernels.library import is_present
 
 Array = NDArray[Any]
@@ -22,7 +20,7 @@ _BANDS = 8  # groups of lines that are compared apart: a tear, or lost lines, li
 # Units of distance, the least that counts: noise lies below the first; `illumination_gain` handles smaller changes.
 _LEAST, _LEAST_LIGHT = 1e-2, 0.15
 _MOST = 0.3  # difference of a pixel, in units of the mean, beyond which it counts as this: salt and pepper
-_TINY = float(np.finfo(np.float32).tiny)
+_TINY = np.finfo(np.float32).tiny
 
 
 class PixelSamples(NamedTuple):
@@ -39,9 +37,6 @@ class PixelSamples(NamedTuple):
     def of(cls, frames: Array) -> PixelSamples:
         """Sample pixels of frames (n, H, W) on a regular grid; pixels that are not finite count as 0."""
         down, along = max(1, frames.shape[1] // _LINES), max(1, frames.shape[2] // _PIXELS)
-        if is_present() and kind(frames) in FRAME_KINDS:
-            pattern, mean = frame_patterns(frames[:, None], (down, along), _TINY)
-            return cls(pattern, np.log(mean))
         pixels = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float32)
         if frames.dtype.kind == "f":
             np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)

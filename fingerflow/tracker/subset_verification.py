@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.kernels.window_match import Alike
-from fingerflow.tracker.window_match import compare, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Alike, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 

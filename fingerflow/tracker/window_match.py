@@ -6,7 +6,7 @@ An engine samples the windows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.together import Steps
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
-from fingerflow.kernels.window_match import Alike, Shifts, compare_windows, shift_windows
+from fingerflow.kernels.window_match import Shifts, shift_windows
 
 Array = NDArray[Any]
 #: Returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps (N, 2, 2).
@@ -26,20 +26,39 @@ _FARTHEST = 0.15  # largest change of a component of the deformation in one iter
 _SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
 
 
+class Alike(NamedTuple):
+    """Similarity of N pairs of windows.
+
+    Attributes:
+        correlation: (N,) normalised cross-correlation; NaN for blank windows.
+        residual: (N,) root mean square of what a linear function of the first window leaves of the second one, in grey
+            levels; NaN where the first window is blank.
+        largest: (N,) largest magnitude of that residual.
+    """
+
+    correlation: Array
+    residual: Array
+    largest: Array
+
+
 def compare(then: Array, now: Array) -> Alike:
     """Compare N pairs of windows (N, m) of m grey levels, float32: compute their correlation, which is independent of
     gain and offset, and what a linear function of the first window leaves of the second one.
     """
-    if is_present():
-        return compare_windows(then, now)
     before, after = (one - one.mean(1, keepdims=True) for one in (then, now))
-    square, covariance = np.square(before).mean(1), (before * after).mean(1)
-    variances = square * np.square(after).mean(1)
+    square, covariance, other = (_mean_product(*pair) for pair in ((before, before), (before, after), (after, after)))
+    variances = square * other
     with np.errstate(invalid="ignore", divide="ignore"):
         residual = after - (covariance / square)[:, None] * before
     correlation = covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE))
     correlation = np.where(variances > LEAST_VARIANCE, correlation, np.float32(np.nan))
-    return Alike(correlation, np.sqrt(np.square(residual).mean(1)), np.abs(residual).max(1))
+    return Alike(correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1))
+
+
+def _mean_product(one: Array, other: Array) -> Array:
+    """Return the means (N,) of the products of two arrays (N, m) along their rows."""
+    result: Array = np.einsum("nm,nm->n", one, other) / one.shape[1]
+    return result
 
 
 def deformed_alike(

@@ -98,10 +98,9 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                 fingerflow_contact_threshold(&lit, gains.data(), size, nullptr, 8, 4, stride, thresholds.data(), threads);
         const std::int64_t down = std::min<std::int64_t>(3, height), along = std::min<std::int64_t>(2, width);
         const std::int64_t lines = (height - down / 2 + down - 1) / down, across = (width - along / 2 + along - 1) / along;
-        std::vector<float> means(static_cast<std::size_t>(batch * lines * across)), of_lines(static_cast<std::size_t>(batch * lines)), of_frames(static_cast<std::size_t>(batch));
+        std::vector<float> means(static_cast<std::size_t>(batch * lines * across)), of_lines(static_cast<std::size_t>(batch * lines));
         for (const auto& blocks : {std::pair<std::int64_t, std::int64_t>{1, 1}, {lines, across}, {(lines + 1) / 2, (across + 2) / 3}})
             fingerflow_block_means(&image, down, along, blocks.first, blocks.second, means.data(), of_lines.data(), threads);
-        fingerflow_frame_patterns(&image, down, along, 1e-3f, means.data(), of_frames.data(), threads);
         const auto places = noise<float>(2 * 50 * batch, 12);
         const std::vector<float> transform{0.1f * static_cast<float>(width) / 25.6f, 0, 0, 0, 0.1f * static_cast<float>(height) / 25.6f, 0};
         std::vector<std::uint8_t> inside(static_cast<std::size_t>(50 * batch));
@@ -111,9 +110,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         const std::int64_t windows = 20;
         const auto size = static_cast<std::size_t>(windows * samples);
         const auto grey = noise<float>(static_cast<std::int64_t>(6 * size), 13);
-        std::vector<float> alike(3 * windows);
-        const fingerflow_window_pairs pairs{grey.data(), grey.data() + size, alike.data(), alike.data() + windows, alike.data() + 2 * windows, windows, samples};
-        fingerflow_compare_windows(&pairs, threads);
         std::vector<float> apart(2 * 9);
         for (std::int64_t bands : {1, 3, 8})
             fingerflow_frame_distances(grey.data(), grey.data() + 2 * windows / 2 * samples, 2, windows / 2, samples, bands, 30, apart.data(), threads);
