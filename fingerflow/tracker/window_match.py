@@ -17,7 +17,8 @@ from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, 
 from fingerflow.kernels.window_match import Shifts, shift_windows
 
 Array = NDArray[Any]
-#: Returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps (N, 2, 2).
+#: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
+#: (N, 2, 2).
 Sampler = Callable[[Array, Array, Array], Steps[Array]]
 
 _ROUNDS = 4
