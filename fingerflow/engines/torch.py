@@ -255,7 +255,7 @@ class TorchEngine:
         counts, frames = [len(one) for one in places], [len(one) for one in images]
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
-        if kernels.fused_serves(templates.samples, *images):
+        if kernels.fused_tracking_serves(templates.samples, *images):
             return self._follow_fused(templates, images, places, speeds)
         # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
         courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]

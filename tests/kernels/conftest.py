@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import serving
 
 
 @pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
@@ -36,3 +37,12 @@ def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]]
             return function()
 
     return call
+
+
+@pytest.fixture
+def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Turn the compiled kernels off, as on a GPU without Triton; once the fixture is called, kernels of Triton serve."""
+    for module in (kernels, serving):
+        monkeypatch.setattr(module, "serve", lambda *tensors: False)
+    monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
+    return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)

@@ -18,28 +18,17 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors import serving
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.tracking.templates import Found, Templates, find_templates, prepare_templates
+from tests.kernels.fused import DEVICE
 from tests.replayed_ops import Ops
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
 
-DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
 HEIGHT, WIDTH, POINTS, RECORDINGS = 48, 56, 7, 2
 # px and grey levels: sums of a window in another order.
 CLOSE = {"rtol": 2e-4, "atol": 2e-5, "equal_nan": True}
 
 Array = np.ndarray[Any, Any]
-
-
-@pytest.fixture(autouse=True)
-def portable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a GPU without Triton; `fused` changes that."""
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
-
-
-@pytest.fixture
-def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)
 
 
 def skin(shift: float, seed: int, levels: float = 255.0) -> Tensor:
@@ -175,11 +164,11 @@ def test_none_at_all(fused: Callable[[], None]) -> None:
 def test_where_it_is_used(fused: Callable[[], None]) -> None:
     fused()
     samples = torch.zeros(1, 3, 3, 121)
-    assert kernels.fused_serves(samples)
-    assert not kernels.fused_serves(samples.double())
-    assert not kernels.fused_serves(torch.zeros(1, 3, 3, 59**2))
+    assert kernels.fused_tracking_serves(samples)
+    assert not kernels.fused_tracking_serves(samples.double())
+    assert not kernels.fused_tracking_serves(torch.zeros(1, 3, 3, 59**2))
     with Ops():  # as where a graph is traced, or its launches are counted
-        assert not kernels.fused_serves(samples)
+        assert not kernels.fused_tracking_serves(samples)
 
 
 COMPILE = """
