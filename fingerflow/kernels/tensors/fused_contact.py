@@ -18,7 +18,6 @@ TILE = 4096  # cells that a program computes at a time
 WARPS = 16
 _PLANES = 9
 
-_NAN = tl.constexpr(math.nan)
 _BLOCK = tl.constexpr(limits.BLOCK)
 _LEAST_SHARE, _SOLID = tl.constexpr(limits.LEAST_SHARE), tl.constexpr(limits.SOLID)
 _THINNING = tl.constexpr(limits.THINNING)
@@ -42,11 +41,9 @@ def apparent_contact(mask: Tensor, radius: int, cell: int) -> tuple[Tensor, Tens
     if batch:
         _segment[(batch,)](
             *(mask.contiguous().view(torch.uint8), planes, margin, numbers),
-            *(planes.shape[1], height, width, rows, columns, wide, *bands),
+            *(planes.shape[1], height, width, rows, columns),
+            *(wide, *bands, *map(_reach, (wide, *bands))),
             CELL=cell,
-            HALF=_reach(wide),
-            NARROW_HALF=_reach(bands[0]),
-            WIDE_HALF=_reach(bands[1]),
             ROWS=max(1, TILE // padded),
             COLUMNS=padded,
             num_warps=WARPS,
@@ -70,32 +67,28 @@ def _place(first, rows, columns, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
 
 
 @triton.jit
-def _box(source, result, rows, columns, wide, HALF: tl.constexpr, DOWN: tl.constexpr, ROWS: tl.constexpr,
-         COLUMNS: tl.constexpr):
-    """Store the means of an image over boxes `wide` cells long, down or along; beyond the frame it is 0."""
-    for first in range(0, rows, ROWS):
-        row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
-        total = tl.zeros((ROWS, COLUMNS), tl.float32)
-        for k in tl.static_range(2 * HALF + 1):
-            weight = tl.minimum(tl.maximum((wide + 1) / 2 - tl.abs(k - HALF + 0.0), 0.0), 1.0) / wide
-            at_row = row + (k - HALF) if DOWN else row
-            at_column = column if DOWN else column + (k - HALF)
-            inside = there & (at_row >= 0) & (at_row < rows) & (at_column >= 0) & (at_column < columns)
-            total += weight * tl.load(source + at_row * columns + at_column, mask=inside, other=0.0)
-        tl.store(result + row * columns + column, total, mask=there)
-    tl.debug_barrier()
+def _smooth(planes, source, one, other, result, rows, columns, wide, half, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
+    """Store an image smoothed by three successive means over boxes `wide` cells long in y, then in x; beyond the frame
+    it is 0.
 
-
-@triton.jit
-def _smooth(source, one, other, result, rows, columns, wide, HALF: tl.constexpr, ROWS: tl.constexpr,
-            COLUMNS: tl.constexpr):
-    """Store an image smoothed by three successive box means in x and y; `one` and `other` are overwritten."""
-    _box(source, one, rows, columns, wide, HALF, True, ROWS, COLUMNS)
-    _box(one, other, rows, columns, wide, HALF, True, ROWS, COLUMNS)
-    _box(other, one, rows, columns, wide, HALF, True, ROWS, COLUMNS)
-    _box(one, other, rows, columns, wide, HALF, False, ROWS, COLUMNS)
-    _box(other, one, rows, columns, wide, HALF, False, ROWS, COLUMNS)
-    _box(one, result, rows, columns, wide, HALF, False, ROWS, COLUMNS)
+    Images are offsets in the memory `planes`; those at `one` and `other` are overwritten. `half` is the reach of a box
+    on either side, in cells.
+    """
+    for number in range(6):
+        before = tl.where(number == 0, source, tl.where(number % 2 == 0, other, one))
+        after = tl.where(number == 5, result, tl.where(number % 2 == 0, one, other))
+        down = tl.where(number < 3, 1, 0)
+        for first in range(0, rows, ROWS):
+            row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
+            total = tl.zeros((ROWS, COLUMNS), tl.float32)
+            for away in range(-half, half + 1):
+                weight = tl.minimum(tl.maximum((wide + 1) / 2 - tl.abs(away * 1.0), 0.0), 1.0) / wide
+                at_row = row + away * down
+                at_column = column + away * (1 - down)
+                inside = there & (at_row >= 0) & (at_row < rows) & (at_column >= 0) & (at_column < columns)
+                total += weight * tl.load(planes + before + at_row * columns + at_column, mask=inside, other=0.0)
+            tl.store(planes + after + row * columns + column, total, mask=there)
+        tl.debug_barrier()
 
 
 @triton.jit
@@ -109,10 +102,10 @@ def _largest_around(values, row, column, rows, columns, there):
     """Return the maximum of an image on the 3 x 3 cells around each cell, and the largest of 1 minus the image."""
     largest = tl.where(there, 0.0, 0.0)
     beyond = tl.where(there, 0.0, 0.0)
-    for down in tl.static_range(3):
-        for along in tl.static_range(3):
-            at_row = row + (down - 1)
-            at_column = column + (along - 1)
+    for down in range(-1, 2):
+        for along in range(-1, 2):
+            at_row = row + down
+            at_column = column + along
             inside = there & (at_row >= 0) & (at_row < rows) & (at_column >= 0) & (at_column < columns)
             value = tl.load(values + at_row * columns + at_column, mask=inside, other=0.0)
             largest = tl.maximum(largest, value)
@@ -158,7 +151,7 @@ def _fill(density, filled, ends, blocks, rows, columns, limit, ROWS: tl.constexp
             block = first + step
             row = block // across
             column = block % across
-            largest, _ = _largest_around(reached, row, column, down, across, block < count)
+            largest, beyond = _largest_around(reached, row, column, down, across, block < count)
             own = tl.load(blocks + block, mask=block < count, other=0.0)
             tl.store(further + block, tl.where(own > 0, largest, 0.0), mask=block < count)
         tl.debug_barrier()
@@ -191,22 +184,22 @@ def _fill(density, filled, ends, blocks, rows, columns, limit, ROWS: tl.constexp
 
 
 @triton.jit
-def _band(border, coarse, one, other, rows, columns, wide, HALF: tl.constexpr, ROWS: tl.constexpr,
-          COLUMNS: tl.constexpr):
+def _band(planes, border, coarse, one, other, rows, columns, wide, half, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
     """Smooth an image of the border on blocks of 2 x 2 cells; the result, on these blocks, is in `coarse`."""
     down = (rows + 1) // 2
     across = (columns + 1) // 2
     for first in range(0, down, ROWS):
         row, column, there = _place(first, down, across, ROWS, COLUMNS)
         total = tl.zeros((ROWS, COLUMNS), tl.float32)
-        for k in tl.static_range(4):
-            at_row = 2 * row + k // 2
-            at_column = 2 * column + k % 2
-            inside = there & (at_row < rows) & (at_column < columns)
-            total += tl.load(border + at_row * columns + at_column, mask=inside, other=0.0)
-        tl.store(coarse + row * across + column, total / 4, mask=there)
+        for k in range(2):
+            for n in range(2):
+                at_row = 2 * row + k
+                at_column = 2 * column + n
+                inside = there & (at_row < rows) & (at_column < columns)
+                total += tl.load(planes + border + at_row * columns + at_column, mask=inside, other=0.0)
+        tl.store(planes + coarse + row * across + column, total / 4, mask=there)
     tl.debug_barrier()
-    _smooth(coarse, one, other, coarse, down, across, wide, HALF, ROWS, COLUMNS)
+    _smooth(planes, coarse, one, other, coarse, down, across, wide, half, ROWS, COLUMNS)
 
 
 @triton.jit
@@ -226,12 +219,12 @@ def _segment(
     rows,
     columns,
     wide,
-    narrow_band,
-    wide_band,
+    narrow,
+    broad,
+    half,
+    narrow_half,
+    broad_half,
     CELL: tl.constexpr,
-    HALF: tl.constexpr,
-    NARROW_HALF: tl.constexpr,
-    WIDE_HALF: tl.constexpr,
     ROWS: tl.constexpr,
     COLUMNS: tl.constexpr,
 ):
@@ -241,8 +234,6 @@ def _segment(
     cells = planes + frame * memory
     density = cells + size
     flat = cells + 2 * size
-    one = cells + 3 * size
-    other = cells + 4 * size
     filled = cells + 5 * size
     border = cells + 6 * size
     near_weight = cells + 7 * size
@@ -263,7 +254,7 @@ def _segment(
         covered += share
         tl.store(cells + row * columns + column, share, mask=there)
     tl.debug_barrier()
-    _smooth(cells, one, other, density, rows, columns, wide, HALF, ROWS, COLUMNS)
+    _smooth(cells, 0, 3 * size, 4 * size, size, rows, columns, wide, half, ROWS, COLUMNS)
     for first in range(0, rows, ROWS):
         row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
         at = density + row * columns + column
@@ -276,7 +267,7 @@ def _segment(
 
     limit = 0.25
     inner = 0.0
-    for _ in range(_FIRST_ROUNDS):
+    for first_step in range(_FIRST_ROUNDS):
         covered_inside = tl.zeros((ROWS, COLUMNS), tl.float32)
         region = tl.zeros((ROWS, COLUMNS), tl.float32)
         for first in range(0, rows, ROWS):
@@ -289,7 +280,7 @@ def _segment(
         inner = _ratio(tl.sum(covered_inside), tl.sum(region))
         limit = inner / 2
 
-    for _ in range(_BORDERS):
+    for border_step in range(_BORDERS):
         _fill(density, filled, ends, blocks, rows, columns, limit, ROWS, COLUMNS)
         for first in range(0, rows, ROWS):
             row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
@@ -300,7 +291,7 @@ def _segment(
             tl.store(near_weight + at, part, mask=there)
         tl.debug_barrier()
         # At a convex border the smoothed region itself is below one half.
-        _smooth(near_weight, one, other, far_weight, rows, columns, wide, HALF, ROWS, COLUMNS)
+        _smooth(cells, 7 * size, 3 * size, 4 * size, 8 * size, rows, columns, wide, half, ROWS, COLUMNS)
         own = tl.zeros((ROWS, COLUMNS), tl.float32)
         length = tl.zeros((ROWS, COLUMNS), tl.float32)
         for first in range(0, rows, ROWS):
@@ -311,9 +302,9 @@ def _segment(
             length += rim
         level = tl.minimum(tl.maximum(tl.sum(own) / tl.maximum(tl.sum(length), 1e-3), 0.25), 0.5)
         tl.debug_barrier()
-        _band(border, near_weight, one, other, rows, columns, narrow_band, NARROW_HALF, ROWS, COLUMNS)
-        _band(border, far_weight, one, other, rows, columns, wide_band, WIDE_HALF, ROWS, COLUMNS)
-        for _ in range(_ROUNDS):
+        _band(cells, 6 * size, 7 * size, 3 * size, 4 * size, rows, columns, narrow, narrow_half, ROWS, COLUMNS)
+        _band(cells, 6 * size, 8 * size, 3 * size, 4 * size, rows, columns, broad, broad_half, ROWS, COLUMNS)
+        for share_step in range(_ROUNDS):
             near_covered = tl.zeros((ROWS, COLUMNS), tl.float32)
             near_region = tl.zeros((ROWS, COLUMNS), tl.float32)
             far_covered = tl.zeros((ROWS, COLUMNS), tl.float32)
@@ -358,7 +349,7 @@ def _segment(
         at = row * columns + column
         dense = tl.load(density + at, mask=there, other=0.0)
         part = _inside(dense, tl.load(flat + at, mask=there, other=0.0), limit)
-        near, _ = _largest_around(filled, row, column, rows, columns, there)
+        near, beyond = _largest_around(filled, row, column, rows, columns, there)
         own = tl.load(filled + at, mask=there, other=0.0)
         hole = tl.where((own > 0) & (dense <= limit), 1.0, 0.0)
         tl.store(margin + frame * size + at, tl.maximum(dense * near - limit, (2 * hole - 1) * limit), mask=there)
@@ -382,10 +373,10 @@ def _segment(
     xx = (tl.sum(area_xx) / safe - mean_x * mean_x) * square
     yy = (tl.sum(area_yy) / safe - mean_y * mean_y) * square
     xy = (tl.sum(area_xy) / safe - mean_x * mean_y) * square
-    half = (xx - yy) / 2
+    difference = (xx - yy) / 2
     mean = (xx + yy) / 2 + pixels
-    spread = tl.sqrt(half * half + xy * xy)
-    unknown = tl.where(some, 0.0, _NAN)
+    spread = tl.sqrt(difference * difference + xy * xy)
+    unknown = tl.where(some, 0.0, float("nan"))
     numbers += frame * 8
     tl.store(numbers, tl.sum(covered) * square)
     tl.store(numbers + 1, tl.where(some, mass * square, 0.0))
@@ -394,4 +385,4 @@ def _segment(
     tl.store(numbers + 4, 2 * tl.sqrt(mean + spread) + unknown)
     tl.store(numbers + 5, 2 * tl.sqrt(tl.maximum(mean - spread, 0.0)) + unknown)
     tl.store(numbers + 6, xy + unknown)
-    tl.store(numbers + 7, half + unknown)
+    tl.store(numbers + 7, difference + unknown)

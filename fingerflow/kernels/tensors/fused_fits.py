@@ -16,7 +16,6 @@ from fingerflow.kernels.fields import FittedPlanes
 QUERIES, POINTS = 16, 32  # queries of a program, and points that it visits at a time
 
 _INF = tl.constexpr(math.inf)
-_NAN = tl.constexpr(math.nan)
 
 
 def local_gradients(
@@ -76,13 +75,13 @@ def point_at(positions, values, noise, point, count, COMPONENTS: tl.constexpr, N
     values and noise are finite, and no variance is negative.
     """
     there = point < count
-    x = tl.load(positions + 2 * point, mask=there, other=_NAN)
-    y = tl.load(positions + 2 * point + 1, mask=there, other=_NAN)
+    x = tl.load(positions + 2 * point, mask=there, other=float("nan"))
+    y = tl.load(positions + 2 * point + 1, mask=there, other=float("nan"))
     usable = is_finite(x) & is_finite(y)
     for one in tl.static_range(COMPONENTS):
-        usable = usable & is_finite(tl.load(values + COMPONENTS * point + one, mask=there, other=_NAN))
+        usable = usable & is_finite(tl.load(values + COMPONENTS * point + one, mask=there, other=float("nan")))
     for one in tl.static_range(NOISES):
-        variance = tl.load(noise + NOISES * point + one, mask=there, other=_NAN)
+        variance = tl.load(noise + NOISES * point + one, mask=there, other=float("nan"))
         usable = usable & is_finite(variance)
         if one % (COMPONENTS + 1) == 0:
             usable = usable & (variance >= 0)
@@ -122,8 +121,8 @@ def _fit(
     queries += tl.where(queries_batch == 1, 0, frame) * total * 2
     query = (tl.program_id(0) * QUERIES + tl.arange(0, QUERIES))[:, None]
     there = query < total
-    at_x = tl.load(queries + 2 * query, mask=there, other=_NAN)
-    at_y = tl.load(queries + 2 * query + 1, mask=there, other=_NAN)
+    at_x = tl.load(queries + 2 * query, mask=there, other=float("nan"))
+    at_y = tl.load(queries + 2 * query + 1, mask=there, other=float("nan"))
     asked = is_finite(at_x) & is_finite(at_y)
     at_x = tl.where(asked, at_x, 0.0)
     at_y = tl.where(asked, at_y, 0.0)
@@ -186,7 +185,7 @@ def _fit(
     moment_y = tl.sum(data_y, 1)[:, None] / total_mass - mean * center_y
     along_x = moment_x * inverse_xx + moment_y * inverse_xy
     along_y = moment_x * inverse_xy + moment_y * inverse_yy
-    unknown = tl.where(determined, 0.0, _NAN)
+    unknown = tl.where(determined, 0.0, float("nan"))
     to = frame * total + query
     tl.store(value + COMPONENTS * to + own, mean - along_x * center_x - along_y * center_y + level + unknown, mask=there)
     tl.store(gradient + 2 * (COMPONENTS * to + own), along_x + unknown, mask=there)
