@@ -15,7 +15,14 @@ from unittest import mock
 from torch import Tensor
 
 from bench.launches import Counter, Work, bytes_of
-from fingerflow.kernels.tensors import fused_contact, fused_fits, fused_medians, serving
+from fingerflow.kernels.tensors import (
+    fused_contact,
+    fused_fits,
+    fused_medians,
+    fused_outliers,
+    fused_pixels,
+    serving,
+)
 
 Arguments = Mapping[str, Any]  # of a kernel, by name
 
@@ -51,6 +58,37 @@ def sum_errors(given: Arguments, programs: int) -> Work:
     return Work(_bytes(given), pairs * (_PAIR + 2 * 10), programs, programs * given["total"] * 4 * 8)
 
 
+def sum_blocks(given: Arguments, programs: int) -> Work:
+    """Return the work of `fused_pixels._sum_blocks`: twelve operations for each pixel of every fourth line."""
+    pixels = programs * given["block"] // 4 * given["width"]
+    read = sum(given[name].element_size() * given[name].numel() for name in ("frames", "light", "black")) // 4
+    return Work(read + bytes_of(given["sums"]), 2 * 12 * pixels, programs)
+
+
+def find_mode(given: Arguments, programs: int) -> Work:
+    """Return the work of `fused_pixels._find_mode`: a rank by 32 bisections, and 60 operations for each block."""
+    return Work(_bytes(given), 2 * programs * given["BLOCKS"] * (32 * 3 + 60), programs)
+
+
+def mark(given: Arguments, programs: int) -> Work:
+    """Return the work of `fused_pixels._mark`: three numbers and twelve operations for each pixel of a window."""
+    values = programs * given["PIXELS"] * (2 * given["half"] + 1) ** 2
+    cached = values * sum(given[name].element_size() for name in ("frames", "light", "black"))
+    return Work(_bytes(given), 2 * 12 * values, programs, cached)
+
+
+def outliers(operations: int, numbers: int) -> Callable[[Arguments, int], Work]:
+    """Return the formula of a kernel of `fused_outliers`, for the operations for each pair of a point and a neighbour
+    and the numbers that are read for it.
+    """
+
+    def work(given: Arguments, programs: int) -> Work:
+        pairs = programs * given["POINTS"] * given["NEIGHBOURS"]
+        return Work(_bytes(given), 2 * operations * pairs, programs, 4 * numbers * pairs)
+
+    return work
+
+
 def segment(given: Arguments, programs: int) -> Work:
     """Return the work of `fused_contact._segment`: what a program, a frame, reads and writes of its planes, with four
     operations for each number.
@@ -77,6 +115,12 @@ _KERNELS: Sequence[tuple[ModuleType, str, Callable[[Arguments, int], Work]]] = (
     (fused_medians, "_take_medians", take_medians),
     (fused_medians, "_sum_errors", sum_errors),
     (fused_contact, "_segment", segment),
+    (fused_pixels, "_sum_blocks", sum_blocks),
+    (fused_pixels, "_find_mode", find_mode),
+    (fused_pixels, "_mark", mark),
+    (fused_outliers, "_fit_slopes", outliers(100, 9)),
+    (fused_outliers, "_compare", outliers(60, 14)),
+    (fused_outliers, "_flag", outliers(40, 13)),
 )
 
 

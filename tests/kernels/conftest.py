@@ -1,8 +1,10 @@
 """What the tests of compiled kernels share."""
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 import pytest
+import torch
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors import serving
@@ -45,4 +47,12 @@ def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     for module in (kernels, serving):
         monkeypatch.setattr(module, "serve", lambda *tensors: False)
     monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
+    if not torch.cuda.is_available() and find_spec("triton") is not None:
+        # The interpreter takes as long for a small tile as for a large one.
+        from fingerflow.kernels.tensors import fused_fits, fused_medians, fused_outliers, fused_pixels
+
+        for module in (fused_fits, fused_medians):
+            monkeypatch.setattr(module, "QUERIES", 256)
+        monkeypatch.setattr(fused_outliers, "POINTS", 256)
+        monkeypatch.setattr(fused_pixels, "PIXELS", 8192)
     return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.tensors.fused_fits import is_finite
+from fingerflow.kernels.tensors.fused_ranks import value_of_rank
 
 QUERIES, POINTS = 16, 32  # positions of a program, and points that it visits at a time
 
@@ -322,26 +323,6 @@ def _fit_positions(
 
 
 @triton.jit
-def _value_of_rank(keys, rank):
-    """Return, for each row of `keys` (rows, n) int64 from 0 to 2^32 - 1, the value of a rank, counted from 0."""
-    found = tl.zeros_like(rank).to(tl.int64)
-    bit = found + (1 << 31)
-    for number in range(32):
-        trial = found + bit
-        found = tl.where(tl.sum((keys < trial).to(tl.int32), 1)[:, None] <= rank, trial, found)
-        bit = bit // 2
-    return found
-
-
-@triton.jit
-def _float_of(key):
-    """Return the float32 values of keys that have their order."""
-    ordered = key - (1 << 31)
-    bits = tl.where(ordered < 0, -ordered - 1 - (1 << 31), ordered)
-    return bits.to(tl.int32).to(tl.float32, bitcast=True)
-
-
-@triton.jit
 def _take_medians(
     reference,
     displacement,
@@ -369,12 +350,8 @@ def _take_medians(
     known = there & (tl.load(own + _KNOWN * total, mask=there, other=0.0) > 0)
     fields = tl.load(own + field * total, mask=there & (field < _FIELDS), other=0.0)
     number = tl.sum(tl.where(known, 1, 0), 1)[:, None]
-    bits = fields.to(tl.int32, bitcast=True).to(tl.int64)
-    keys = tl.where(bits < 0, -bits - 1 - (1 << 31), bits) + (1 << 31)
-    keys = tl.where(known, keys, (1 << 32) - 1)
-    rank = tl.maximum(number - 1, 0) // 2 + field * 0
-    lower = _float_of(_value_of_rank(keys, rank))
-    upper = _float_of(_value_of_rank(keys, number // 2 + field * 0))
+    lower = value_of_rank(fields, known, tl.maximum(number - 1, 0) // 2 + field * 0)
+    upper = value_of_rank(fields, known, number // 2 + field * 0)
     median = (lower + upper) / 2
     enough = number >= _LEAST_SHARE * total
     median = tl.where(enough, median, float("nan"))
