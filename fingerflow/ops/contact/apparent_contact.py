@@ -13,6 +13,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
+from fingerflow.ops.tensors import constant_like
 
 _PART = 32  # cells of a line smoothed by one matrix product
 
@@ -164,12 +165,16 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
     """Return the smoothing matrices for images on cells (B, 1, h, w): that of boxes `width` cells wide, for the contact
     density, and those of a narrow and a wide band along the border, for blocks of 2 x 2 cells.
     """
-    # Cache the matrices only outside tracing and on the CPU; elsewhere they are built in every call.
+    # A traced graph computes the matrices on its device; else they are cached.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
-    matrix = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
+
+    def matrix(side: int, wide: float) -> Tensor:
+        if traced:
+            return _smoothing_matrix(side, wide, cells.device).to(cells.dtype)
+        return constant_like(_kept_boxes(side, wide, torch.device("cpu")), cells)
 
     def boxes(size: int, wide: float) -> _Boxes:
-        down, along = (matrix(-(-side // size), wide, cells.device).to(cells.dtype) for side in cells.shape[-2:])
+        down, along = (matrix(-(-side // size), wide) for side in cells.shape[-2:])
         return _Boxes(down, along, 3 * math.ceil(wide / 2))
 
     return [boxes(1, width), *(boxes(2, max(width * one / 2, 1.0)) for one in (sizes.NARROW, sizes.WIDE))]
