@@ -2,8 +2,8 @@
 
 A call takes as long as the slowest of four: its bytes at the bandwidth, its operations at the peak rate of float32, the
 bytes that it reads again from caches, and what starting it costs. A call of fewer programs than the GPU has
-multiprocessors has their share of peak and caches only. Peaks are never reached, so that the prediction is the least time that is possible, but for
-what caches keep from one call to the next and for what a compiler would fuse.
+multiprocessors has their share of peak and caches only. Peaks are never reached, so that the prediction is the least
+time that is possible, but for what caches keep from one call to the next and for what a compiler would fuse.
 """
 
 import math

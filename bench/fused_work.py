@@ -35,7 +35,9 @@ def local_fit(given: Arguments, programs: int) -> Work:
     pairs = programs * given["QUERIES"] * given["count"]
     visits = components if noises else 0
     flops = pairs * (_PAIR + 2 * 16 + visits * (_PAIR + 2 * 9))
-    return Work(_bytes(given), flops, programs, programs * given["count"] * 4 * (2 + components + noises) * (2 + visits))
+    return Work(
+        _bytes(given), flops, programs, programs * given["count"] * 4 * (2 + components + noises) * (2 + visits)
+    )
 
 
 def fit_positions(given: Arguments, programs: int) -> Work:
@@ -128,7 +130,7 @@ _KERNELS: Sequence[tuple[ModuleType, str, Callable[[Arguments, int], Work]]] = (
 def fused_kernels(counter: Counter) -> Iterator[None]:
     """Count the launches of the kernels of Triton, which compute nothing, in place of the portable forms."""
     with ExitStack() as patches:
-        patches.enter_context(mock.patch.object(serving, "is_recorded", lambda: False))
+        patches.enter_context(mock.patch.object(serving, "is_recorded", return_value=False))
         patches.enter_context(mock.patch.object(serving, "_is_on_gpu", lambda tensor: tensor.is_meta))
         for module, name, work in _KERNELS:
             counted = _Counted(getattr(module, name).arg_names, work, counter)

@@ -15,8 +15,8 @@ LIT = 0.25  # least light of a block relative to the brightest block
 ROUGH = 0.15  # limit of the deviation of quotients within a block: noise stays below it, ridges exceed it
 TOP = 0.03  # least share of the blocks that show glass
 WIDTHS = (0.04, 0.02, 0.01, 0.01)  # relative half widths of the windows of the mean shift
-# Relative to the gain, blocks of glass lie within NARROW_GLASS. If the mode is skin, about as many lie below it, between
-# NARROW_GLASS and BESIDE_GLASS.
+# Relative to the gain, blocks of glass lie within NARROW_GLASS. If the mode is skin, about as many lie below it,
+# between NARROW_GLASS and BESIDE_GLASS.
 NARROW_GLASS, BESIDE_GLASS = 0.02, 0.06
 # Apparent contact (`ops.contact.apparent_contact`)
 LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers

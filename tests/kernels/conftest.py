@@ -43,7 +43,7 @@ def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]]
 
 @pytest.fixture
 def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Turn the compiled kernels off, as on a GPU without Triton; once the fixture is called, kernels of Triton serve."""
+    """Turn the compiled kernels off, as on a GPU without Triton; kernels of Triton serve once the result is called."""
     for module in (kernels, serving):
         monkeypatch.setattr(module, "serve", lambda *tensors: False)
     monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)

@@ -27,6 +27,7 @@ def patterned(height: int, width: int, x: float, y: float, radius: float, period
     return inside
 
 
+LONG = pytest.mark.long  # the interpreter takes seconds
 MASKS = {
     "stripes, solid and none": (
         2,
@@ -36,7 +37,7 @@ MASKS = {
 }
 
 
-@pytest.mark.parametrize("name", MASKS)
+@pytest.mark.parametrize("name", ["at the border", pytest.param("stripes, solid and none", marks=LONG)])
 def test_apparent_contact(name: str, fused: Fused) -> None:
     """Frames whose sides are no multiple of a cell: patterns with holes, beside smaller ones, at the border, none."""
     radius, masks = MASKS[name]
@@ -48,7 +49,7 @@ def test_apparent_contact(name: str, fused: Fused) -> None:
     for one, other, field in zip(found, expected, expected._fields, strict=True):
         # Sums in another order; a rounded limit moves the area of a region by its border.
         tolerance = {"density_margin": 2e-5, "covered_px": 0, "angle": 1e-3}.get(field, 0.01)
-        torch.testing.assert_close(one, other, rtol=2e-5, atol=tolerance, equal_nan=True, msg=lambda m: f"{field}: {m}")
+        torch.testing.assert_close(one, other, rtol=2e-5, atol=tolerance, equal_nan=True)
 
 
 def lit_frames(kind: torch.dtype, height: int = 70, width: int = 107) -> tuple[Tensor, Tensor, Tensor]:
@@ -72,7 +73,9 @@ def lit_frames(kind: torch.dtype, height: int = 70, width: int = 107) -> tuple[T
     return tuple(one.to(DEVICE) for one in (shown.to(kind), light[None, None], black[None, None]))
 
 
-@pytest.mark.parametrize("kind", [torch.uint8, torch.int32, torch.float32])
+@pytest.mark.parametrize(
+    "kind", [torch.uint8, *(pytest.param(one, marks=LONG) for one in (torch.int32, torch.float32))]
+)
 def test_gain_and_mask(kind: torch.dtype, fused: Fused) -> None:
     """For 8 bit, 16 bit (as int32) and floating frames with pixels that are none; light shared and of each frame."""
     frames, light, black = lit_frames(kind)

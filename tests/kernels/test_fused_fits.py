@@ -7,11 +7,15 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors import serving
 from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.fields.point_gradients import point_gradients
+from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.templates import prepare_templates
 from tests.kernels.fused import DEVICE, Fused
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
 
 FRAMES, POINTS = 2, 70
+LONG = pytest.mark.long  # the interpreter takes seconds
 GAUGE = 40.0
 
 
@@ -49,7 +53,12 @@ def noise_of(kind: str, components: int) -> Tensor | None:
 
 @pytest.mark.parametrize(
     ("components", "noise", "shared"),
-    [(2, "covariance", True), (1, "none", False), (4, "none", True), (2, "variance", False), (1, "covariance", True)],
+    [
+        (2, "covariance", True),
+        pytest.param(4, "none", False, marks=LONG),
+        pytest.param(2, "variance", False, marks=LONG),
+        pytest.param(1, "covariance", True, marks=LONG),
+    ],
 )
 def test_fits(components: int, noise: str, shared: bool, fused: Fused) -> None:
     """With one set of points for all frames or a set for each; queries between points, on them, and none."""
@@ -70,6 +79,37 @@ def test_fits(components: int, noise: str, shared: bool, fused: Fused) -> None:
             scale = float(other.nan_to_num().abs().max())
             torch.testing.assert_close(one, other, rtol=2e-5, atol=2e-5 * scale, equal_nan=True)
     assert (found.covariance is None) == (noise == "none")
+
+
+def test_gradients_at_points(fused: Fused) -> None:
+    """A point whose own displacement or covariance is unknown has no gradient, though its neighbours give a fit."""
+    points = cloud(1, POINTS)
+    given = points, field(points, 2), GAUGE, noise_of("covariance", 2)
+    expected = point_gradients(*given)
+    fused()
+    for one, other in zip(point_gradients(*given), expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=5e-4, atol=2e-6, equal_nan=True)
+    assert expected[0][1, 5].isnan().all()
+    assert expected[0][0, 9].isnan().all()
+    assert expected[0][0, 5].isfinite().all()
+
+
+@LONG
+def test_positions_corrected_for_deformation(fused: Fused) -> None:
+    """Three sets of local fits, each of what the one before gave."""
+    random = torch.Generator().manual_seed(4)
+    start = cloud(1, POINTS) - 490
+    image = 200 * torch.rand(1, 1, 130, 130, generator=random).to(DEVICE)
+    numbers = prepare_templates(image, start, 21).numbers
+    points = start + field(start + 490, 2)
+    covariance = (1e-3 * torch.eye(2)).expand(FRAMES, POINTS, 2, 2).to(DEVICE)
+    warp = torch.eye(2).expand(1, POINTS, 2, 2).to(DEVICE)
+    given = start, points, covariance, numbers, warp, 21, GAUGE
+    expected = correct_points(*given)
+    fused()
+    for one, other in zip(correct_points(*given), expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=2e-4, equal_nan=True)
+    assert (expected.points - points).abs().nan_to_num().max() > 0.01
 
 
 def test_where_it_is_used(fused: Fused) -> None:

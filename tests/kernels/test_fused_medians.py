@@ -15,11 +15,16 @@ pytest.importorskip("triton", reason="Triton is not installed: pip install finge
 
 FRAMES, POINTS = 3, 90
 GAUGE = 60.0
+LONG = pytest.mark.long  # the interpreter takes seconds
 
 
 @pytest.mark.parametrize(
     ("measure", "noise", "apart"),
-    [("green_lagrange", True, True), ("as_printed", True, False), ("infinitesimal", False, True)],
+    [
+        pytest.param("green_lagrange", True, True, marks=LONG),
+        ("as_printed", True, False),
+        pytest.param("infinitesimal", False, True, marks=LONG),
+    ],
 )
 def test_medians(measure: str, noise: bool, apart: bool, fused: Fused) -> None:
     """Frames with unknown points, one of another deformation, one without an ellipse; negative and equal fields."""
@@ -27,7 +32,9 @@ def test_medians(measure: str, noise: bool, apart: bool, fused: Fused) -> None:
     random = torch.Generator().manual_seed(2)
     reference = 300 + 120 * (torch.rand(1, POINTS, 2, generator=random) - 0.5)
     x, y = (reference[0] - 300).unbind(-1)
-    displacement = torch.stack((0.04 * x - 2e-4 * x * y, 1e-4 * x * x - 0.06 * y), dim=-1).expand(FRAMES, -1, -1).clone()
+    displacement = (
+        torch.stack((0.04 * x - 2e-4 * x * y, 1e-4 * x * x - 0.06 * y), dim=-1).expand(FRAMES, -1, -1).clone()
+    )
     displacement[1] = displacement[1].flip(-1) + 0.3 * torch.randn(POINTS, 2, generator=random)
     displacement[0, 7] = torch.nan
     root = 0.1 * torch.randn(FRAMES, POINTS, 2, 2, generator=random)

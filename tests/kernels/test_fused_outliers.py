@@ -9,13 +9,16 @@ from tests.kernels.fused import DEVICE, Fused
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
 
 
+@pytest.mark.filterwarnings("ignore:overflow")  # of NumPy in the interpreter: a plane through one neighbour
 @pytest.mark.parametrize(("frames", "points", "shared"), [(3, 150, True), (2, 90, False), (1, 6, True)])
 def test_outliers(frames: int, points: int, shared: bool, fused: Fused) -> None:
     """With neighbours of all frames or of each; wrong and uncertain points, unknown ones, points beyond all others."""
     random = torch.Generator().manual_seed(points)
     start = 100 * torch.rand(1 if shared else frames, points, 2, generator=random)
     start[:, 4] = torch.tensor([900.0, 900.0])
-    displacement = 0.02 * start.flip(-1).expand(frames, -1, -1) + 0.05 * torch.randn(frames, points, 2, generator=random)
+    displacement = 0.02 * start.flip(-1).expand(frames, -1, -1) + 0.05 * torch.randn(
+        frames, points, 2, generator=random
+    )
     wrong, uncertain = (torch.rand(frames, points, generator=random) < 0.05 for _ in range(2))
     displacement = displacement + 2.0 * wrong[..., None]
     std = torch.where(uncertain, 0.5, 0.05)

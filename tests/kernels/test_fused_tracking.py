@@ -1,10 +1,6 @@
 """The fused kernel against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,34 +165,3 @@ def test_where_it_is_used(fused: Callable[[], None]) -> None:
     assert not kernels.fused_tracking_serves(torch.zeros(1, 3, 3, 59**2))
     with Ops():  # as where a graph is traced, or its launches are counted
         assert not kernels.fused_tracking_serves(samples)
-
-
-COMPILE = """
-import triton
-from triton.backends.compiler import GPUTarget
-from triton.compiler import ASTSource
-from fingerflow.kernels.tensors.fused_tracking import _follow
-
-integers = dict.fromkeys(("recordings", "count", "height", "width", "rounds"), "i32")
-others = dict.fromkeys(("rounding", "forward_backward_limit", "mismatch_limit"), "fp32")
-arrays = {"lengths": "*i32", "status": "*u8"}
-for capability, frames, window, ones in ((87, "*u8", 25, ()), (90, "*i32", 11, ("recordings", "count", "rounds"))):
-    constants = {"OWN_NOISE": window == 25, "WINDOW": window, "SIDE": 32, **dict.fromkeys(ones, 1)}
-    kinds = {**integers, **others, **arrays, "frames": frames, **dict.fromkeys(constants, "constexpr")}
-    signature = {name: kinds.get(name, "*fp32") for name in _follow.arg_names}
-    target = GPUTarget("cuda", capability, 32)
-    made = triton.compile(ASTSource(fn=_follow, signature=signature, constexprs=constants), target=target)
-    assert made.asm["cubin"]
-    assert made.metadata.shared <= 48 << 10, made.metadata.shared
-"""
-
-
-@LONG
-def test_it_compiles_for_gpus_that_are_not_here(tmp_path: Path) -> None:
-    """To machine code of a Jetson Orin and an H100; it fits into the shared memory of a block."""
-    environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
-    environment["TRITON_CACHE_DIR"] = str(tmp_path)
-    ended = subprocess.run(
-        [sys.executable, "-c", COMPILE], capture_output=True, text=True, check=False, env=environment
-    )
-    assert ended.returncode == 0, ended.stderr

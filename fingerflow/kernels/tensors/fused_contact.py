@@ -273,7 +273,9 @@ def _segment(
         for first in range(0, rows, ROWS):
             row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
             at = row * columns + column
-            part = _inside(tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit)
+            part = _inside(
+                tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit
+            )
             part = tl.where(there, part, 0.0)
             covered_inside += tl.minimum(tl.load(cells + at, mask=there, other=0.0), part)
             region += part
@@ -285,7 +287,9 @@ def _segment(
         for first in range(0, rows, ROWS):
             row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
             at = row * columns + column
-            part = _inside(tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit)
+            part = _inside(
+                tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit
+            )
             within, beyond = _largest_around(filled, row, column, rows, columns, there)
             tl.store(border + at, part * (1 - part) * within * beyond, mask=there)
             tl.store(near_weight + at, part, mask=there)

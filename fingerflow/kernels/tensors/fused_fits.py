@@ -187,7 +187,9 @@ def _fit(
     along_y = moment_x * inverse_xy + moment_y * inverse_yy
     unknown = tl.where(determined, 0.0, float("nan"))
     to = frame * total + query
-    tl.store(value + COMPONENTS * to + own, mean - along_x * center_x - along_y * center_y + level + unknown, mask=there)
+    tl.store(
+        value + COMPONENTS * to + own, mean - along_x * center_x - along_y * center_y + level + unknown, mask=there
+    )
     tl.store(gradient + 2 * (COMPONENTS * to + own), along_x + unknown, mask=there)
     tl.store(gradient + 2 * (COMPONENTS * to + own) + 1, along_y + unknown, mask=there)
     first_component = query < tl.where(own == 0, total, 0)

@@ -80,7 +80,7 @@ def _lattice(device: torch.device) -> Tensor:
 
 @triton.jit
 def _ellipse(ellipses, frame):
-    """Return centre, semi-axes, cosine and sine of an ellipse, with axes of 0 where it is none, and whether it is one."""
+    """Return centre, semi-axes, cosine and sine of an ellipse, and whether they are those of one; else axes are 0."""
     own = ellipses + 6 * frame
     x = tl.load(own)
     y = tl.load(own + 1)
@@ -110,8 +110,9 @@ def _positions_at(lattice, query, there, major, minor, cosine, sine, radius):
 
 
 @triton.jit
-def _points_at(reference, displacement, covariance, apart, x, y, point, count, radius, NOISE: tl.constexpr,
-               APART: tl.constexpr):
+def _points_at(
+    reference, displacement, covariance, apart, x, y, point, count, radius, NOISE: tl.constexpr, APART: tl.constexpr
+):
     """Return x and y of points in radii from the centre of the ellipse, 0 where they are unknown, the masks of known
     and of usable points, and their displacements.
     """

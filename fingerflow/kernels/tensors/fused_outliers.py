@@ -15,7 +15,9 @@ from fingerflow.kernels.tensors.fused_fits import is_finite
 POINTS = 32  # of a program
 
 _LEAST = tl.constexpr(1e-30)
-_ROWS = tl.constexpr(7)  # numbers of a point for its neighbours: four slopes, trust, and the disagreements on two planes
+_ROWS = tl.constexpr(
+    7
+)  # numbers of a point for its neighbours: four slopes, trust, and the disagreements on two planes
 _LEAST_DEVIATION, _SPREAD = tl.constexpr(limits.LEAST_DEVIATION), tl.constexpr(limits.SPREAD)
 _RIDGE, _LEAST_NEIGHBOURS = tl.constexpr(limits.RIDGE), tl.constexpr(limits.LEAST_NEIGHBOURS)
 _MOST_DISAGREEMENT = tl.constexpr(limits.MOST_DISAGREEMENT)
@@ -58,8 +60,18 @@ def _point(displacement, deviation, point, there):
 
 
 @triton.jit
-def _pairs(number, offset, within, displacement, deviation, frames, neighbours, count, POINTS: tl.constexpr,
-           NEIGHBOURS: tl.constexpr):
+def _pairs(
+    number,
+    offset,
+    within,
+    displacement,
+    deviation,
+    frames,
+    neighbours,
+    count,
+    POINTS: tl.constexpr,
+    NEIGHBOURS: tl.constexpr,
+):
     """Return, for a block of points (P, 1) and their neighbours (P, k): the points, the neighbours, offsets and
     differences of displacement in x and y, 1 for those within reach, their weights (known and within reach) and
     precision.
@@ -100,8 +112,19 @@ def _slopes(u, weight, by_x, by_y, mean_x, mean_y, xx, xy, yy, determinant):
 
 
 @triton.jit
-def _fit_slopes(number, offset, within, displacement, deviation, donated, frames, neighbours, count,
-                POINTS: tl.constexpr, NEIGHBOURS: tl.constexpr):
+def _fit_slopes(
+    number,
+    offset,
+    within,
+    displacement,
+    deviation,
+    donated,
+    frames,
+    neighbours,
+    count,
+    POINTS: tl.constexpr,
+    NEIGHBOURS: tl.constexpr,
+):
     point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )
@@ -147,8 +170,20 @@ def _mean_around(donated, point, neighbour, there, near, count):
 
 
 @triton.jit
-def _compare(number, offset, within, displacement, deviation, donated, agreement, frames, neighbours, count,
-             POINTS: tl.constexpr, NEIGHBOURS: tl.constexpr):
+def _compare(
+    number,
+    offset,
+    within,
+    displacement,
+    deviation,
+    donated,
+    agreement,
+    frames,
+    neighbours,
+    count,
+    POINTS: tl.constexpr,
+    NEIGHBOURS: tl.constexpr,
+):
     point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )
@@ -169,8 +204,21 @@ def _compare(number, offset, within, displacement, deviation, donated, agreement
 
 
 @triton.jit
-def _flag(number, offset, within, displacement, deviation, agreement, off, uncertain, frames, neighbours, count,
-          POINTS: tl.constexpr, NEIGHBOURS: tl.constexpr):
+def _flag(
+    number,
+    offset,
+    within,
+    displacement,
+    deviation,
+    agreement,
+    off,
+    uncertain,
+    frames,
+    neighbours,
+    count,
+    POINTS: tl.constexpr,
+    NEIGHBOURS: tl.constexpr,
+):
     point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )

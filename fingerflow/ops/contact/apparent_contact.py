@@ -90,9 +90,7 @@ def apparent_contact(
 
 def _of_numbers(density_margin: Tensor, numbers: Tensor) -> ApparentRegion:
     """Return the region that a twin describes by its density margin and seven numbers a frame (B, 7)."""
-    return ApparentRegion(
-        density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-    )
+    return ApparentRegion(density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:

@@ -78,6 +78,8 @@ def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
         gain = (quotient * near).sum(1, keepdim=True) / near.sum(1, keepdim=True).clamp_min(1)
     distance = quotient / gain.clamp_min(1e-6) - 1
     glass = ((distance.abs() <= sizes.NARROW_GLASS) & lit).to(quotient.dtype).sum(1, keepdim=True)
-    beside = ((distance < -sizes.NARROW_GLASS) & (distance >= -sizes.BESIDE_GLASS)).to(quotient.dtype).sum(1, keepdim=True)
+    beside = (
+        ((distance < -sizes.NARROW_GLASS) & (distance >= -sizes.BESIDE_GLASS)).to(quotient.dtype).sum(1, keepdim=True)
+    )
     seen = (gain > sizes.LEAST_GAIN) & (gain < sizes.MOST_GAIN) & (glass >= sizes.TOP * number) & (glass >= 2 * beside)
     return torch.where(seen, gain, torch.nan).squeeze(1)
