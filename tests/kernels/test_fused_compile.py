@@ -29,7 +29,7 @@ NUMBERS = (
 )
 TYPES = {**dict.fromkeys(INTEGERS.split(), "i32"), **dict.fromkeys(NUMBERS.split(), "fp32")}
 TILES = {"QUERIES": 16, "POINTS": 32}
-OF_POINTS = {"apart": "*u8"}
+OF_POINTS = {"apart": "*u8", "columns": "*fp32"}
 OF_PIXELS = {"frames": "*u8", "mask": "*u8"}
 OF_PAIRS = {"number": "*i64", "off": "*u8", "uncertain": "*u8"}
 
