@@ -68,11 +68,13 @@ KERNELS = {
     ],
     "fused_contact": [("_segment", {"mask": "*u8"}, {"CELL": 4, "ROWS": 16, "COLUMNS": 256})],
 }
+# Triton takes integers that are 1 for constants.
+ONES = ("positions_batch", "queries_batch", "noise_batch", "light_batch", "black_batch", "references", "half")
 place = "fingerflow.kernels.tensors." + sys.argv[1]
-for capability in (87, 90):
+for capability, ones in ((87, ()), (90, ONES)):
     for name, own, constants in KERNELS[sys.argv[1]]:
         kernel = getattr(import_module(place), name)
-        # `frames` are images in some kernels and a number in others.
+        constants = {**constants, **dict.fromkeys([one for one in ones if one in kernel.arg_names], 1)}
         kinds = {**TYPES, **own, **dict.fromkeys(constants, "constexpr")}
         signature = {given: kinds.get(given, "*fp32") for given in kernel.arg_names}
         source = ASTSource(fn=kernel, signature=signature, constexprs=constants)
