@@ -1,4 +1,4 @@
-"""Bytes and operations of counted calls against counts by hand, and the time that they predict."""
+"""Tests of counted bytes and operations against counts by hand, and of the time predicted from them."""
 
 from collections.abc import Callable
 
@@ -49,7 +49,7 @@ def test_work_of_a_call(name: str) -> None:
 
 
 def test_most_bytes_alive_at_a_time() -> None:
-    """Of what the step makes: views and inputs do not count, and what is freed is not counted again."""
+    """The peak counts the bytes that a step allocates; views and inputs do not count, and freed bytes count no more."""
     formula = Formula(lambda whole: (((whole * 2)[:, :20] + 1) * 3).sum())
     assert count_launches(formula, (WHOLE,)).peak == 4 * (200 + 100)
     assert count_launches(Formula(lambda whole: (whole + 1).exp().exp().exp()), (WHOLE,)).peak == 2 * 4 * 200
@@ -66,14 +66,16 @@ def test_predicted_time_is_that_of_the_slowest_of_three() -> None:
 
 @pytest.mark.parametrize(("programs", "share"), [(None, 1.0), (20, 1.0), (1, 0.1), (5, 0.5), (11, 0.55), (1000, 1.0)])
 def test_few_programs_have_their_share_of_a_device(programs: int | None, share: float) -> None:
-    """Of ten multiprocessors, one has a second program to compute where there are eleven."""
+    """A call of few programs gets their share of the multiprocessors; eleven programs on ten take two rounds."""
     of_operations, of_cache = Work(0, 30_000_000, programs), Work(0, 0, programs, 64 * 10_000 * 3)
     assert predicted_seconds([of_operations], DEVICE, captured=True) == pytest.approx(30e-6 / share)
     assert predicted_seconds([of_cache], DEVICE, captured=True) == pytest.approx(3e-6 / share)
 
 
 def test_work_of_the_fused_kernel() -> None:
-    """A template is read once for all frames, a patch in each; a window of 25 px fills a tile of 32 x 32."""
+    """The fused kernel reads a template once for all frames and a patch in each frame; a window of 25 px fills a tile
+    of 32 x 32.
+    """
     (alone,), (chunk,) = (fused_tracking(700, 25, 1, frames) for frames in (1, 8))
     assert alone.bytes - chunk.bytes == pytest.approx(700 * 4 * (3 * 625 + 32) * 7 / 8, rel=1e-3)
     assert chunk.bytes > 700 * 31**2
@@ -91,7 +93,7 @@ class Fits(nn.Module):
 
 
 def test_work_of_launches_of_triton() -> None:
-    """In place of the portable form, one launch a fit; each tensor that it is given counts once."""
+    """A fit by Triton counts as one launch: its bytes are those of its tensors, its operations grow with pairs."""
     pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
     from bench.fused_work import fused_kernels
 

@@ -1,4 +1,4 @@
-"""Kernels of Triton in tests: on a GPU of CUDA where there is one, else in Triton's interpreter."""
+"""Device on which the tests run Triton kernels: a CUDA GPU where there is one, else a CPU with Triton's interpreter."""
 
 from collections.abc import Callable
 

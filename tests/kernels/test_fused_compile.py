@@ -1,4 +1,4 @@
-"""Kernels of Triton compile to machine code of GPUs that are not here: of a Jetson Orin and an H100."""
+"""Test that every Triton kernel compiles to machine code of a Jetson Orin and of an H100, without these GPUs."""
 
 import os
 import subprocess
@@ -88,7 +88,7 @@ for capability, ones in ((87, ()), (90, ONES)):
     "module", ["fused_tracking", "fused_fits", "fused_medians", "fused_outliers", "fused_pixels", "fused_contact"]
 )
 def test_it_compiles_for_gpus_that_are_not_here(module: str, tmp_path: Path) -> None:
-    """Compiled, it fits into the shared memory of a block."""
+    """The compiled kernel fits into the shared memory that a block has on every GPU."""
     environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
     environment["TRITON_CACHE_DIR"] = str(tmp_path)
     ended = subprocess.run(

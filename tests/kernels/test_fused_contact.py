@@ -1,4 +1,4 @@
-"""The contact by kernels of Triton against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
+"""Tests of the contact by Triton kernels against the portable form, in Triton's interpreter without a CUDA GPU."""
 
 import math
 
@@ -39,7 +39,7 @@ MASKS = {
 
 @pytest.mark.parametrize("name", ["at the border", pytest.param("stripes, solid and none", marks=LONG)])
 def test_apparent_contact(name: str, fused: Fused) -> None:
-    """Frames whose sides are no multiple of a cell: patterns with holes, beside smaller ones, at the border, none."""
+    """Regions, areas and ellipses agree for patterns with holes, beside smaller ones, at the border, and for none."""
     radius, masks = MASKS[name]
     mask = torch.stack([one.bool() for one in masks()])[:, None].to(DEVICE)
     expected = apparent_contact(mask, radius)
@@ -77,7 +77,7 @@ def lit_frames(kind: torch.dtype, height: int = 70, width: int = 107) -> tuple[T
     "kind", [torch.uint8, *(pytest.param(one, marks=LONG) for one in (torch.int32, torch.float32))]
 )
 def test_gain_and_mask(kind: torch.dtype, fused: Fused) -> None:
-    """For 8 bit, 16 bit (as int32) and floating frames with pixels that are none; light shared and of each frame."""
+    """Gains and masks agree for 8 bit, 16 bit (as int32) and floating frames, with one light or one each."""
     frames, light, black = lit_frames(kind)
     limit = torch.tensor([0.7, 0.8, torch.nan, 2.0], device=DEVICE)
     each = light.expand(len(frames), -1, -1, -1)

@@ -1,4 +1,4 @@
-"""Local fits by a kernel of Triton against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
+"""Tests of the local fits by a Triton kernel against the portable form, in Triton's interpreter without a CUDA GPU."""
 
 import pytest
 import torch
@@ -20,7 +20,7 @@ GAUGE = 40.0
 
 
 def cloud(frames: int, count: int, seed: int = 0) -> Tensor:
-    """Positions (B, N, 2) far from the origin; some are close to a line at the border, some unknown."""
+    """Return positions (B, N, 2) far from the origin, two of them unknown and one without neighbours."""
     random = torch.Generator().manual_seed(seed)
     found = 500 + 100 * torch.rand(frames, count, 2, generator=random)
     found[:, 1, 0] = torch.nan
@@ -61,7 +61,9 @@ def noise_of(kind: str, components: int) -> Tensor | None:
     ],
 )
 def test_fits(components: int, noise: str, shared: bool, fused: Fused) -> None:
-    """With one set of points for all frames or a set for each; queries between points, on them, and none."""
+    """The kernel and the portable form give the same fits, for points shared by all frames or not, at points, between
+    them and at unknown positions.
+    """
     points = cloud(1 if shared else FRAMES, POINTS)
     values = field(points, components)
     queries = torch.cat((points[:1, :12], cloud(1, 9, seed=3)), dim=1)
@@ -82,7 +84,7 @@ def test_fits(components: int, noise: str, shared: bool, fused: Fused) -> None:
 
 
 def test_gradients_at_points(fused: Fused) -> None:
-    """A point whose own displacement or covariance is unknown has no gradient, though its neighbours give a fit."""
+    """A point whose own displacement or covariance is unknown has no gradient, in either form."""
     points = cloud(1, POINTS)
     given = points, field(points, 2), GAUGE, noise_of("covariance", 2)
     expected = point_gradients(*given)
@@ -96,7 +98,7 @@ def test_gradients_at_points(fused: Fused) -> None:
 
 @LONG
 def test_positions_corrected_for_deformation(fused: Fused) -> None:
-    """Three sets of local fits, each of what the one before gave."""
+    """Positions corrected by four local fits, each fitting results of the one before, agree with the portable form."""
     random = torch.Generator().manual_seed(4)
     start = cloud(1, POINTS) - 490
     image = 200 * torch.rand(1, 1, 130, 130, generator=random).to(DEVICE)

@@ -1,6 +1,4 @@
-"""Medians over the contact by kernels of Triton against the portable form, in Triton's interpreter where there is no
-GPU of CUDA.
-"""
+"""Tests of the area medians by Triton kernels against the portable form, in Triton's interpreter without a CUDA GPU."""
 
 import math
 
@@ -27,7 +25,7 @@ LONG = pytest.mark.long  # the interpreter takes seconds
     ],
 )
 def test_medians(measure: str, noise: bool, apart: bool, fused: Fused) -> None:
-    """Frames with unknown points, one of another deformation, one without an ellipse; negative and equal fields."""
+    """Medians and their deviations agree in frames with unknown points, and are NaN in a frame without an ellipse."""
     assert measure in STRAIN_MEASURES
     random = torch.Generator().manual_seed(2)
     reference = 300 + 120 * (torch.rand(1, POINTS, 2, generator=random) - 0.5)

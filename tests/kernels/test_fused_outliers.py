@@ -1,4 +1,4 @@
-"""Outliers by kernels of Triton against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
+"""Tests of outlier flags by Triton kernels against the portable form, in Triton's interpreter without a CUDA GPU."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ pytest.importorskip("triton", reason="Triton is not installed: pip install finge
 @pytest.mark.filterwarnings("ignore:overflow")  # of NumPy in the interpreter: a plane through one neighbour
 @pytest.mark.parametrize(("frames", "points", "shared"), [(3, 150, True), (2, 90, False), (1, 6, True)])
 def test_outliers(frames: int, points: int, shared: bool, fused: Fused) -> None:
-    """With neighbours of all frames or of each; wrong and uncertain points, unknown ones, points beyond all others."""
+    """The kernels flag the same points as the portable form, among wrong, uncertain, unknown and solitary points."""
     random = torch.Generator().manual_seed(points)
     start = 100 * torch.rand(1 if shared else frames, points, 2, generator=random)
     start[:, 4] = torch.tensor([900.0, 900.0])
