@@ -100,8 +100,8 @@ def _inside(density, flat, limit):
 @triton.jit
 def _largest_around(values, row, column, rows, columns, there):
     """Return the maximum of an image on the 3 x 3 cells around each cell, and the largest of 1 minus the image."""
-    largest = tl.where(there, 0.0, 0.0)
-    beyond = tl.where(there, 0.0, 0.0)
+    largest = there.to(tl.float32) * 0.0
+    beyond = largest
     for down in range(-1, 2):
         for along in range(-1, 2):
             at_row = row + down

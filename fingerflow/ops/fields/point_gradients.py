@@ -18,9 +18,9 @@ def point_gradients(
 
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
-    `LocalFit`. They are NaN also where a point's own displacement, or its covariance, is not
-    known. Compiled kernels and those of Triton
-    fit differences of positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
+    `LocalFit`. They are NaN also where a point's own displacement, or its covariance, is not known. Compiled kernels
+    and those of Triton fit differences of positions; the portable form, which is exported, uses matrix products
+    (`ops.fields.plane_fit`).
     """
     if kernels.twin_serves(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
