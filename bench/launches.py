@@ -10,7 +10,8 @@ each element of any other call.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import torch
@@ -55,10 +56,19 @@ class HostWait(Exception):
 
 
 class Work(NamedTuple):
-    """Work of one call on the accelerator: bytes that it reads and writes, and operations."""
+    """Work of one call on the accelerator.
+
+    Attributes:
+        bytes: that it reads and writes.
+        flops: operations.
+        programs: that compute it, each on one multiprocessor; None for as many as the accelerator holds.
+        cached: bytes that the programs read and write in a cache, beside `bytes`.
+    """
 
     bytes: int
     flops: int
+    programs: int | None = None
+    cached: int = 0
 
 
 class Launches(NamedTuple):
@@ -77,32 +87,9 @@ class Launches(NamedTuple):
     captured: int
 
 
-def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
-    """Count the calls of a module in its second run on inputs that may be nested; the module stays as it is.
+class Counter(TorchDispatchMode):
+    """Dispatch mode of torch that counts the calls on tensors without values, with the work of each."""
 
-    In the first run constants may be brought to the accelerator, which keeps them.
-
-    Raises:
-        HostWait: the host would have to wait; the message names the operation.
-    """
-
-    def shape_of(value: Any) -> Any:
-        return value.to("meta") if isinstance(value, Tensor) else value
-
-    there = {name: shape_of(value) for name, value in (*module.named_parameters(), *module.named_buffers())}
-    given = tree_map(shape_of, tuple(inputs))
-    with torch.inference_mode(), _Counter(first=True):
-        torch.func.functional_call(module, there, given)
-    with torch.inference_mode(), _Counter(first=False) as counter:
-        result = torch.func.functional_call(module, there, given)
-    described = tree_map(
-        lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
-    )
-    kinds = [{one.dtype for one in tree_leaves(some) if isinstance(one, Tensor)} for some in (given, result)]
-    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, 1 + sum(map(len, kinds)))
-
-
-class _Counter(TorchDispatchMode):
     def __init__(self, first: bool) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
         self.work: list[Work] = []
@@ -146,9 +133,41 @@ class _Counter(TorchDispatchMode):
         self.peak = max(self.peak, sum(self._alive.values()))
 
 
+def _as_it_is(counter: Counter) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+def count_launches(
+    module: nn.Module, inputs: Sequence[Any], within: Callable[[Counter], AbstractContextManager[None]] = _as_it_is
+) -> Launches:
+    """Count the calls of a module in its second run on inputs that may be nested; the module stays as it is.
+
+    In the first run constants may be brought to the accelerator, which keeps them. `within` returns the context of a
+    run, for its counter.
+
+    Raises:
+        HostWait: the host would have to wait; the message names the operation.
+    """
+
+    def shape_of(value: Any) -> Any:
+        return value.to("meta") if isinstance(value, Tensor) else value
+
+    there = {name: shape_of(value) for name, value in (*module.named_parameters(), *module.named_buffers())}
+    given = tree_map(shape_of, tuple(inputs))
+    with torch.inference_mode(), Counter(first=True) as counter, within(counter):
+        torch.func.functional_call(module, there, given)
+    with torch.inference_mode(), Counter(first=False) as counter, within(counter):
+        result = torch.func.functional_call(module, there, given)
+    described = tree_map(
+        lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
+    )
+    kinds = [{one.dtype for one in tree_leaves(some) if isinstance(one, Tensor)} for some in (given, result)]
+    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, 1 + sum(map(len, kinds)))
+
+
 def _work(name: str, given: Sequence[Tensor], results: Sequence[Tensor]) -> Work:
-    written = sum(map(_bytes, results))
-    read = [_bytes(one) for one in given]
+    written = sum(map(bytes_of, results))
+    read = [bytes_of(one) for one in given]
     if read and name.startswith(_GATHERS):
         read[0] = min(read[0], written)
     elements = max(one.numel() for one in (*given, *results))
@@ -161,7 +180,7 @@ def _work(name: str, given: Sequence[Tensor], results: Sequence[Tensor]) -> Work
     return Work(sum(read) + written, flops)
 
 
-def _bytes(tensor: Tensor) -> int:
+def bytes_of(tensor: Tensor) -> int:
     """Return the bytes of the elements of a tensor; one that several positions share, as in `expand`, counts once."""
     own = math.prod(size for size, step in zip(tensor.shape, tensor.stride(), strict=True) if step or size == 0)
     return min(own * tensor.element_size(), tensor.untyped_storage().nbytes())

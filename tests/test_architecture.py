@@ -216,7 +216,7 @@ def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> N
 
 
 #: Stems of several files that hold the same subject: for tensors and for arrays, or of two commands.
-_SAME_THING = {"__main__", "block_means", "cells", "checks", "deformation"}
+_SAME_THING = {"__main__", "block_means", "cells", "checks", "deformation", "frame_distances", "window_match"}
 
 
 def test_files_of_one_stem_hold_the_same_thing() -> None:

@@ -15,12 +15,14 @@ move and compute for a frame, by `bench/launches.py`; for a step that makes the 
 cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
 upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a
 recording takes: all but `key`. `launches_captured` are those of the host where each step is captured: a graph, and
-copies of its inputs and results, by dtype. In the rows `fused` the kernel of Triton follows the points, eight frames in
-a launch, of which one is counted; bytes and operations are those of a formula. Where Triton is installed beside CUDA,
-`tracking` is this kernel. Without CUDA these are all rows, and nothing is measured.
+copies of its inputs and results, by dtype. The rows `fused` are those with the kernels of Triton, whose bytes and
+operations are those of formulas (`bench/fused_work.py`); the one that follows the points has eight frames in a launch,
+of which one is counted. Where Triton is installed beside CUDA, all works are these. Without CUDA these are all rows,
+and nothing is measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import torch
@@ -80,23 +82,34 @@ def run(quick: bool) -> list[Row]:
 
 
 def _predicted_rows(works: "Mapping[str, Work]", batch: int) -> list[Row]:
-    """Return a row for each work, and one for their sum over a frame."""
-    counted = {name: _launches(work) for name, work in works.items()}
-    steps = {name: launches for name, launches in counted.items() if isinstance(launches, Launches)}
-    of_frame = [launches for name, launches in steps.items() if name != "key"]
-    rows: list[Row] = [
+    """Return a row for each work, one for each that kernels of Triton compute otherwise, and the sums over a frame."""
+    portable = {name: _launches(work) for name, work in works.items()}
+    counted: dict[str, Launches | str] = dict(portable)
+    steps = {name: launches for name, launches in portable.items() if isinstance(launches, Launches) and name != "key"}
+    if len(steps) == len(works) - 1:
+        counted["frame"] = _joined(list(steps.values()))
+        if find_spec("triton") is not None:
+            fused = _fused_steps(works, steps, batch)
+            counted |= {f"{name}, fused": launches for name, launches in fused.items()}
+            counted["frame, fused"] = _joined(list((steps | fused).values()))
+    return [
         {"work": name, "recordings": batch, **_counts(launches, batch), "measured": "none: no device here"}
         for name, launches in counted.items()
     ]
-    if len(steps) == len(works):
-        rows.append({**rows[-1], "work": "frame", **_counts(_joined(of_frame), batch)})
-        points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
-        work = tuple(fused_tracking(points, window, batch, _FRAMES))
-        fused = Launches(1, None, work, 0, steps["tracking"].captured)
-        others = [launches for name, launches in steps.items() if name not in ("key", "tracking")]
-        for name, launches in (("tracking, fused", fused), ("frame, fused", _joined([*others, fused]))):
-            rows.append({**rows[-1], "work": name, **_counts(launches, batch)})
-    return rows
+
+
+def _fused_steps(works: "Mapping[str, Work]", steps: Mapping[str, Launches], batch: int) -> dict[str, Launches]:
+    """Return the launches of the steps of a frame that kernels of Triton compute otherwise than `steps`."""
+    from bench.fused_work import fused_kernels  # needs Triton
+
+    points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
+    work = tuple(fused_tracking(points, window, batch, _FRAMES))
+    fused = {"tracking": Launches(1, None, work, 0, steps["tracking"].captured)}
+    for name in steps.keys() - fused:
+        launches = count_launches(works[name].graph, works[name].inputs, fused_kernels)
+        if launches.calls < steps[name].calls:
+            fused[name] = launches
+    return dict(sorted(fused.items()))
 
 
 def _joined(steps: Sequence[Launches]) -> Launches:

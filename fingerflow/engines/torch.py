@@ -256,7 +256,7 @@ class TorchEngine:
         counts, frames = [len(one) for one in places], [len(one) for one in images]
         size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
-        if kernels.fused_serves(templates.samples, *images):
+        if kernels.fused_tracking_serves(templates.samples, *images):
             return self._follow_fused(templates, images, places, speeds)
         # Concatenate the points of all recordings; a recording with fewer frames repeats its last frame until the
         # others end.

@@ -105,6 +105,18 @@ struct fingerflow_sampled_windows {
 };
 void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
+// One round of the fit of shifts (windows, 2) px of windows, as fingerflow/tracker/window_match.py describes: `now` are windows at the shifts so far, `around` (4,
+// windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
+// the round before, and replaced. Deviations and shares excluded (windows).
+struct fingerflow_window_shifts {
+    const float *then, *now, *around;
+    double *shift, *weight, *deviations, *excluded;
+    std::int64_t windows;
+    std::int32_t samples;
+    double noise;
+};
+void fingerflow_shift_windows(const fingerflow_window_shifts* given, int threads);
+
 // Mean absolute response (batch) of the noise mask, of frames of at least 3 x 3; NaN where no response is finite.
 void fingerflow_mean_response(const fingerflow_frames* frames, double* means, int threads);
 
@@ -174,6 +186,11 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
 // fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
                             std::int64_t columns, float* blocks, float* lines, int threads);
+
+// Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
+// those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
+void fingerflow_frame_distances(const float* now, const float* before, std::int64_t pairs, std::int64_t lines,
+                                std::int64_t pixels, std::int64_t bands, float most, float* distances, int threads);
 
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.

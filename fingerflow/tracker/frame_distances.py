@@ -7,6 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.frame_distances import frame_distances
+from fingerflow.kernels.library import is_present
+
 Array = NDArray[Any]
 
 #: Largest number of consecutive frames in which an image may jump away; if it returns later, no jump is detected.
@@ -68,20 +71,24 @@ def squared_distances(samples: PixelSamples, before: PixelSamples) -> Array:
     A distance is the mean absolute difference of the patterns, of each band of lines and, in the last place but one, of
     the whole view; in the last place it is that of the light.
     """
-    apart = samples.pattern - before.pattern
-    np.abs(apart, out=apart)
-    # NumPy clips in a third of the time of a minimum, and multiplies by a vector in a quarter of that of a mean.
-    share = np.full(apart.shape[2], 1 / apart.shape[2], np.float32)
-    apart = np.clip(apart, 0, np.float32(_MOST), out=apart) @ share
-    lines = apart.shape[1]
-    bands = min(_BANDS, lines)
-    edges = np.arange(bands + 1) * lines // bands
-    result = np.empty((len(apart), bands + 2), np.float32)
-    result[:, :-2] = np.add.reduceat(apart, edges[:-1], axis=1) / np.diff(edges)
-    result[:, -2] = apart.mean(1)
+    bands = min(_BANDS, samples.pattern.shape[1])
+    result = np.empty((len(samples.light), bands + 2), np.float32)
+    result[:, :-1] = _pattern_distances(samples.pattern, before.pattern, bands)
     result[:, :-1] /= _LEAST
     result[:, -1] = (samples.light - before.light) / _LEAST_LIGHT
     return np.square(result, out=result)
+
+
+def _pattern_distances(now: Array, before: Array, bands: int) -> Array:
+    """Return the mean absolute differences (n, bands + 1) of n pairs of image patterns (n, lines, pixels): of each band
+    of lines, and of all lines.
+    """
+    if is_present():
+        return frame_distances(now, before, bands, _MOST)
+    apart = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
+    edges = np.arange(bands + 1) * apart.shape[1] // bands
+    of_bands = np.add.reduceat(apart, edges[:-1], axis=1) / np.diff(edges)
+    return np.concatenate((of_bands, apart.mean(1, keepdims=True)), axis=1)
 
 
 def squared_distances_before(samples: PixelSamples, before: PixelSamples | None) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.window_match import Centred, Shifted, correlation_of, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Alike, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -76,7 +76,6 @@ class Verification:
         self._engine = engine
         straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight, STEP)
-        self._centred = Centred.of(self._first)
         self._variance = self._first.var(1, ddof=1)
         self.latest = Verified.none(len(points))
         self.correlation = np.full(len(points), np.nan, np.float32)
@@ -96,7 +95,8 @@ class Verification:
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
         now = yield from self._sampled(images, number, places, warp)
-        apart = self._dissimilarity(now)
+        alike = compare(self._first, now)
+        apart = 1 - alike.correlation
         noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
@@ -112,12 +112,12 @@ class Verification:
             better = yield from deformed_alike(
                 self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = self._dissimilarity((yield from self._sampled(images, *some, better)), suspect)
+            again = 1 - compare(self._first[suspect], (yield from self._sampled(images, *some, better))).correlation
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
         before, unknown = self.latest, np.isnan(apart)
-        shift = yield from self._shifts(images, number, places, warp, Centred.of(now).part, noise)
-        away = np.square(shift.shift).sum(1)
-        held = (away > _HELD_PX**2) & (shift.deviations > _HELD_DEVIATIONS) & (shift.excluded > _HELD_SHARE)
+        shift, deviations, excluded = yield from self._shifts(images, number, places, warp, alike, noise)
+        away = np.square(shift).sum(1)
+        held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - apart).astype(np.float32)
         # A point that cannot be checked keeps its previous result.
         found = Verified(apart > limit, held, (away / 2).astype(np.float32))
@@ -125,38 +125,24 @@ class Verification:
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 
     def _shifts(
-        self, images: Images, number: Array, places: Array, warp: Array, now: Array, noise: float
-    ) -> Steps[Shifted]:
-        """Return the shifts by which N windows match those of the key frame best, where single residuals stand out, as
-        those of dust do; they are 0 for other windows.
-
-        `now` (N, m) are the windows minus their means.
+        self, images: Images, number: Array, places: Array, warp: Array, alike: Alike, noise: float
+    ) -> Steps[tuple[Array, Array, Array]]:
+        """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
+        standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
+        do; all are 0 for other windows.
         """
-        result = Shifted(np.zeros((len(now), 2)), *np.zeros((2, len(now))))
-        then, square = self._centred
-        with np.errstate(invalid="ignore", divide="ignore"):
-            residual = now - (now * then).mean(1, keepdims=True) / square[:, None] * then
-            whole = np.sqrt(np.square(residual).mean(1))
-        known = np.sort(whole[np.isfinite(whole)])
+        shift, (deviations, excluded) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
+        known = np.sort(alike.residual[np.isfinite(alike.residual)])
         if len(known):
             usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
-            standing = np.flatnonzero(np.abs(residual).max(1) > _PEAK * usual)
-            if len(standing):
-                some = (number[standing], places[standing], warp[standing])
+            some = np.flatnonzero(alike.largest > _PEAK * usual)
+            if len(some):
                 sample = partial(self._sampled, images)
-                found = yield from shifted_alike(self._first[standing], sample, *some, math.sqrt(2) * noise)
-                for whole, part in zip(result, found, strict=True):
-                    whole[standing] = part
-        return result
+                given = (number[some], places[some], warp[some], math.sqrt(2) * noise)
+                found = yield from shifted_alike(self._first[some], sample, *given)
+                shift[some], deviations[some], excluded[some] = found.shift, found.deviations, found.excluded
+        return shift, deviations, excluded
 
     def _sampled(self, images: Images, number: Array, places: Array, warp: Array) -> Steps[Array]:
         found: Array = yield Call(self._engine.windows, (images, number, places, warp, STEP))
         return found
-
-    def _dissimilarity(self, now: Array, rows: Array | None = None) -> Array:
-        """Return the dissimilarity (N,), 1 - correlation, between the present windows `now` (N, m) and those of the key
-        frame, of all points or of those with indices `rows`.
-        """
-        then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
-        result: Array = 1 - correlation_of(then, Centred.of(now))
-        return result

@@ -12,42 +12,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.together import Steps
+from fingerflow.kernels.library import is_present
+from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
+from fingerflow.kernels.window_match import Shifts, shift_windows
 
 Array = NDArray[Any]
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
 #: (N, 2, 2).
 Sampler = Callable[[Array, Array, Array], Steps[Array]]
 
-_LEAST_VARIANCE = 1e-12
 _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
 _FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
-_SHIFT_ROUNDS, _WEIGHT_ROUNDS = 2, 4  # samplings of the windows, and reweightings after each
-_TUKEY, _MAD = 4.685, 1.4826  # deviations beyond which a sample has no weight; deviation over the median of |residual|
-_EXCLUDED = 0.05  # weight of a sample below which it counts as excluded
+_SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
 
 
-class Centred(NamedTuple):
-    """Windows (N, m) of m grey levels minus their mean, and the variance (N,) of each window."""
+class Alike(NamedTuple):
+    """Similarity of N pairs of windows.
 
-    part: Array
-    variance: Array
-
-    @classmethod
-    def of(cls, windows: Array) -> Centred:
-        """Return windows (N, m) of grey levels minus their mean, with the variance of each window."""
-        part = windows - windows.mean(1, keepdims=True)
-        return cls(part, np.square(part).mean(1))
-
-
-def correlation_of(first: Centred, second: Centred) -> Array:
-    """Return the normalised cross-correlation (N,) of pairs of centred windows; NaN for blank windows.
-
-    It is independent of gain and offset.
+    Attributes:
+        correlation: (N,) normalised cross-correlation; NaN for blank windows.
+        residual: (N,) root mean square of what a linear function of the first window leaves of the second one, in grey
+            levels; NaN where the first window is blank.
+        largest: (N,) largest magnitude of that residual.
     """
-    variances = first.variance * second.variance
-    found = (first.part * second.part).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
-    result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))
+
+    correlation: Array
+    residual: Array
+    largest: Array
+
+
+def compare(then: Array, now: Array) -> Alike:
+    """Compare N pairs of windows (N, m) of m grey levels, float32: compute their correlation, which is independent of
+    gain and offset, and what a linear function of the first window leaves of the second one.
+    """
+    before, after = (one - one.mean(1, keepdims=True) for one in (then, now))
+    square, covariance, other = (_mean_product(*pair) for pair in ((before, before), (before, after), (after, after)))
+    variances = square * other
+    with np.errstate(invalid="ignore", divide="ignore"):
+        residual = after - (covariance / square)[:, None] * before
+    correlation = covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE))
+    correlation = np.where(variances > LEAST_VARIANCE, correlation, np.float32(np.nan))
+    return Alike(correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1))
+
+
+def _mean_product(one: Array, other: Array) -> Array:
+    """Return the means (N,) of the products of two arrays (N, m) along their rows."""
+    result: Array = np.einsum("nm,nm->n", one, other) / one.shape[1]
     return result
 
 
@@ -88,24 +99,9 @@ def deformed_alike(
     return warp
 
 
-class Shifted(NamedTuple):
-    """Shifts by which most samples of N windows match those of earlier windows best, with their significance and the
-    share of samples that do not match.
-
-    Attributes:
-        shift: (N, 2) px; 0 where it cannot be found.
-        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
-        excluded: (N,) share of the samples that do not match by then, and have no weight.
-    """
-
-    shift: Array
-    deviations: Array
-    excluded: Array
-
-
 def shifted_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float
-) -> Steps[Shifted]:
+) -> Steps[Shifts]:
     """Fit the shifts by which most samples of windows in present images match the earlier windows `first` (N, m), with
     robust weights that exclude the samples that do not match.
 
@@ -121,24 +117,40 @@ def shifted_alike(
     count = len(first)
     beside = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
     around = yield from sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
-    right, left, below, above = around.reshape(4, count, -1)
-    slopes = ((right - left) / (2 * _BESIDE), (below - above) / (2 * _BESIDE))
-    unknown = np.stack((*slopes, -first, -np.ones_like(first)), axis=-1).astype(np.float64)
-    shift, weight = np.zeros((count, 2)), np.ones(first.shape)
-    known: Array = np.asarray(np.isfinite(unknown).all((1, 2)))
-    unknown[~known] = 0
+    around = around.reshape(4, count, -1)
+    found = Shifts(np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count)))
     for _ in range(_SHIFT_ROUNDS):
-        here = yield from sample(number, places + shift.astype(np.float32), warp)
-        known &= np.isfinite(here).all(1)
-        given = np.where(known[:, None], -here, 0.0)
-        for _ in range(_WEIGHT_ROUNDS):
-            solved, residual, inverse = _weighted_fit(unknown, given, weight)
-            spread = np.maximum(_MAD * np.median(np.abs(residual), axis=1), noise)
-            weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * spread[:, None])), 0, None))
-        shift += np.clip(solved[:, :2], -1, 1)
-    shift[~known] = 0
+        here = yield from sample(number, places + found.shift.astype(np.float32), warp)
+        found = fit_shifts(first, around, here, found.shift, found.weight, noise)
+    return found
+
+
+def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Array, noise: float) -> Shifts:
+    """Improve the shifts (N, 2) px of windows and the weights (N, m) of their samples by a few reweighted least-squares
+    fits.
+
+    Args:
+        then: (N, m) grey levels T of the earlier windows, float32.
+        around: (4, N, m) grey levels of windows half a pixel to the right, left, below and above of no shift.
+        now: (N, m) grey levels of windows at the shifts so far.
+        shift, weight: float64, results of the round before.
+        noise: least standard deviation of the residuals that a fit assumes, grey levels.
+    """
+    if is_present():
+        return shift_windows(then, around, now, shift, weight, noise)
+    right, left, below, above = around
+    unknown = np.stack((right - left, below - above, -then, -np.ones_like(then)), axis=-1).astype(np.float64)
+    known: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))
+    unknown[~known] = 0
+    given = np.where(known[:, None], -now, 0.0)
+    for _ in range(WEIGHT_ROUNDS):
+        solved, residual, inverse = _weighted_fit(unknown, given, weight)
+        spread = np.maximum(MAD * np.median(np.abs(residual), axis=1), noise)
+        weight = np.square(np.clip(1 - np.square(residual / (TUKEY * spread[:, None])), 0, None))
+    shift = np.where(known[:, None], shift + np.clip(solved[:, :2], -1, 1), 0.0)
     square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
-    return Shifted(shift, np.sqrt(square) / spread, np.where(known, (weight < _EXCLUDED).mean(1), 0.0))
+    excluded = np.where(known, (weight < EXCLUDED_WEIGHT).mean(1), 0.0)
+    return Shifts(shift, weight, np.sqrt(square) / spread, excluded)
 
 
 def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array, Array]:
@@ -150,6 +162,6 @@ def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, A
     weighted = (unknown * weight[..., None]).mT
     matrix = weighted @ unknown
     scale = np.trace(matrix, axis1=1, axis2=2)[:, None, None]
-    inverse = np.linalg.inv(matrix + (1e-12 * scale + _LEAST_VARIANCE) * np.eye(4))
+    inverse = np.linalg.inv(matrix + (1e-12 * scale + LEAST_VARIANCE) * np.eye(4))
     solved = inverse @ (weighted @ given[..., None])
     return solved[..., 0], given - (unknown @ solved)[..., 0], inverse

@@ -4,6 +4,7 @@ tested.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +143,14 @@ def test_drift() -> None:
 
 
 def test_curved() -> None:
-    """On a wave of 100 px the error is less than 0.55 times OpenCV's, and twice the stated deviation; in uniform
-    displacement the error is that stated.
+    """On a wave of 100 px the error is less than 0.45 times OpenCV's; there and in uniform displacement it is that
+    stated.
     """
     rows = curved.run(quick=True)
     ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))
-    assert number(ours, "rms_px") < 0.55 * number(peer, "rms_px")
-    assert number(ours, "rms_px") < 0.021
+    assert number(ours, "rms_px") < 0.45 * number(peer, "rms_px")
+    assert number(ours, "rms_px") < 0.016
+    assert 0.75 < number(ours, "z") < 1.3
     assert 0.85 < number(one(rows, field="uniform", tracker="fingerflow"), "z") < 1.15
 
 
@@ -332,8 +334,9 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(row["deviation"] == 0 for row in rows)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = gpu.run(quick=True)
+    fused = [f"{work}, fused" for work in (*works, "frame") if work != "key" and find_spec("triton") is not None]
     assert {(row["work"], row["recordings"]) for row in rows} == {
-        (work, batch) for work in (*works, "frame", "tracking, fused", "frame, fused") for batch in (1, 4)
+        (work, batch) for work in (*works, "frame", *fused) for batch in (1, 4)
     }
     assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
     fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
@@ -342,10 +345,11 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert number(of_first["frame"], "launches") == sum(
         number(of_first[work], "launches") for work in works if work != "key"
     )
-    assert number(of_first["tracking, fused"], "launches") == 1
+    for work in fused:
+        assert 1 <= number(of_first[work], "launches") < number(of_first[work.partition(",")[0]], "launches") / 3
     assert 5 <= number(of_first["tracking"], "launches_captured") <= 7
     for row in rows:  # the captured way is faster than the eager one
-        assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] == "tracking, fused"
+        assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] in fused
         assert row["measured"] == "none: no device here"
 
 

@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from bench.devices import DEVICES, Device, fused_tracking, predicted_seconds
 from bench.launches import Work, count_launches
+from fingerflow.ops.fields.local_fit import local_gradients
 
 
 class Formula(nn.Module):
@@ -54,11 +55,21 @@ def test_most_bytes_alive_at_a_time() -> None:
     assert count_launches(Formula(lambda whole: (whole + 1).exp().exp().exp()), (WHOLE,)).peak == 2 * 4 * 200
 
 
+DEVICE = Device(bandwidth=1e9, peak=1e12, eager=5e-6, captured=1e-6, processors=10, clock=1e9)
+
+
 def test_predicted_time_is_that_of_the_slowest_of_three() -> None:
-    device = Device(bandwidth=1e9, peak=1e12, eager=5e-6, captured=1e-6)
     of_start, of_bytes, of_operations = Work(10, 10), Work(20_000, 0), Work(0, 30_000_000)
-    assert predicted_seconds([of_start, of_bytes, of_operations], device, captured=False) == pytest.approx(55e-6)
-    assert predicted_seconds([of_start, of_bytes, of_operations], device, captured=True) == pytest.approx(51e-6)
+    assert predicted_seconds([of_start, of_bytes, of_operations], DEVICE, captured=False) == pytest.approx(55e-6)
+    assert predicted_seconds([of_start, of_bytes, of_operations], DEVICE, captured=True) == pytest.approx(51e-6)
+
+
+@pytest.mark.parametrize(("programs", "share"), [(None, 1.0), (20, 1.0), (1, 0.1), (5, 0.5), (11, 0.55), (1000, 1.0)])
+def test_few_programs_have_their_share_of_a_device(programs: int | None, share: float) -> None:
+    """A call of few programs gets their share of the multiprocessors; eleven programs on ten take two rounds."""
+    of_operations, of_cache = Work(0, 30_000_000, programs), Work(0, 0, programs, 64 * 10_000 * 3)
+    assert predicted_seconds([of_operations], DEVICE, captured=True) == pytest.approx(30e-6 / share)
+    assert predicted_seconds([of_cache], DEVICE, captured=True) == pytest.approx(3e-6 / share)
 
 
 def test_work_of_the_fused_kernel() -> None:
@@ -74,3 +85,29 @@ def test_work_of_the_fused_kernel() -> None:
 def test_a_captured_step_takes_no_longer_anywhere() -> None:
     for device in DEVICES.values():
         assert device.captured < device.eager
+
+
+class Fits(nn.Module):
+    def forward(self, points: Tensor, values: Tensor, covariance: Tensor | None) -> Tensor:
+        return local_gradients(points, values, gauge_length=1.0, variance=covariance).gradient
+
+
+def test_work_of_launches_of_triton() -> None:
+    """A fit by Triton counts as one launch: its bytes are those of its tensors, its operations grow with pairs."""
+    pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
+    from bench.fused_work import fused_kernels
+
+    def work(points: int, with_covariance: bool) -> Work:
+        covariance = torch.zeros(3, points, 2, 2) if with_covariance else None
+        (only,) = count_launches(
+            Fits(), (torch.zeros(1, points, 2), torch.zeros(3, points, 2), covariance), fused_kernels
+        ).work
+        return only
+
+    small, large, covered = work(320, False), work(640, False), work(320, True)
+    assert small.bytes == 4 * 320 * 2 + 3 * 320 * (4 * (2 + 2 + 4 + 1) + 8)
+    assert covered.bytes == small.bytes + 3 * 320 * 4 * (4 + 16)
+    assert small.programs == 320 // 16 * 3 * 2
+    assert large.flops == 4 * small.flops > 4 * 3 * 320**2 * 2 * 20
+    assert covered.flops > 2 * small.flops
+    assert count_launches(Fits(), (torch.zeros(1, 320, 2), torch.zeros(3, 320, 2), None)).calls > 30

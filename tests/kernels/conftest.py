@@ -1,10 +1,13 @@
 """Fixtures of the tests of compiled kernels: instruction sets and the portable form."""
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 import pytest
+import torch
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import serving
 
 
 @pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
@@ -36,3 +39,20 @@ def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]]
             return function()
 
     return call
+
+
+@pytest.fixture
+def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Turn the compiled kernels off, as on a GPU without Triton; kernels of Triton serve once the result is called."""
+    for module in (kernels, serving):
+        monkeypatch.setattr(module, "serve", lambda *tensors: False)
+    monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
+    if not torch.cuda.is_available() and find_spec("triton") is not None:
+        # The interpreter takes as long for a small tile as for a large one.
+        from fingerflow.kernels.tensors import fused_fits, fused_medians, fused_outliers, fused_pixels
+
+        for module in (fused_fits, fused_medians):
+            monkeypatch.setattr(module, "QUERIES", 256)
+        monkeypatch.setattr(fused_outliers, "POINTS", 256)
+        monkeypatch.setattr(fused_pixels, "PIXELS", 8192)
+    return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)

@@ -12,7 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points
+from fingerflow.kernels import (
+    block_means,
+    contact_frames,
+    deformation,
+    frame_distances,
+    library,
+    tracked_points,
+    window_match,
+)
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
@@ -110,6 +118,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     frame, everywhere = lit[0][:1], np.ones(lit[0].shape[2:], np.bool_)
     sizes = {"median_px": 3, "radius": 8}
     search = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    grey = random.normal(100, 20, (6, 200, 81)).astype(np.float32)
     return {
         "contact_of_frames": call(contact_frames.contact_of_frames, *lit, np.full(2, 0.5, np.float32), cell=4, **sizes),
         "contact_threshold": call(contact_frames.contact_threshold, *lit, stride_px=1, **sizes),
@@ -122,6 +131,10 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             tracked_points.find_outliers, tracked_points.find_neighbours(points, 120.0), moved - points, deviation
         ),
         "search_and_return": call(tracked_points.search_and_return, frame, frame, points, points, **search),
+        "frame_distances": call(frame_distances.frame_distances, grey[:3], grey[3:], 8, 30.0),
+        "shift_windows": call(
+            window_match.shift_windows, grey[0], grey[2:], grey[1], np.zeros((200, 2)), np.ones((200, 81)), 1.0
+        ),
         "detect_points": call(tracked_points.detect_points, frame, everywhere, 20, min_distance_px=6.0, window=9),
     }
 

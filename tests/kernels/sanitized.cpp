@@ -106,6 +106,18 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         std::vector<std::uint8_t> inside(static_cast<std::size_t>(50 * batch));
         fingerflow_covered(cells.data(), batch, (height + 3) / 4, (width + 3) / 4, 4, places.data(), 50, transform.data(), inside.data());
     }
+    for (std::int32_t samples : {1, 15, 16, 81}) {
+        const std::int64_t windows = 20;
+        const auto size = static_cast<std::size_t>(windows * samples);
+        const auto grey = noise<float>(static_cast<std::int64_t>(6 * size), 13);
+        std::vector<float> apart(2 * 9);
+        for (std::int64_t bands : {1, 3, 8})
+            fingerflow_frame_distances(grey.data(), grey.data() + 2 * windows / 2 * samples, 2, windows / 2, samples, bands, 30, apart.data(), threads);
+        std::vector<double> shift(2 * windows), weight(size, 1.0), deviations(windows), excluded(windows);
+        const fingerflow_window_shifts shifts{grey.data(), grey.data() + size, grey.data() + 2 * size, shift.data(), weight.data(),
+                                              deviations.data(), excluded.data(), windows, samples, 1.0};
+        fingerflow_shift_windows(&shifts, threads);
+    }
     if (height >= 4 && width >= 4) {
         const std::int64_t points = 40;
         const auto place = noise<std::uint8_t>(2 * points, 5);

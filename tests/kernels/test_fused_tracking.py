@@ -1,10 +1,6 @@
 """Tests of the fused tracking kernel against the portable form, in Triton's interpreter if there is no CUDA GPU."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,30 +14,17 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors import serving
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.tracking.templates import Found, Templates, find_templates, prepare_templates
+from tests.kernels.fused import DEVICE
 from tests.replayed_ops import Ops
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
 
-DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
 HEIGHT, WIDTH, POINTS, RECORDINGS = 48, 56, 7, 2
 # px and grey levels: sums over a window are in another order.
 CLOSE = {"rtol": 2e-4, "atol": 2e-5, "equal_nan": True}
 
 Array = np.ndarray[Any, Any]
-
-
-@pytest.fixture(autouse=True)
-def portable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Turn off the compiled and the fused kernels, as on a GPU without Triton; the fixture `fused` turns on the fused
-    one.
-    """
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
-
-
-@pytest.fixture
-def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    return lambda: monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: True)
 
 
 def skin(shift: float, seed: int, levels: float = 255.0) -> Tensor:
@@ -181,39 +164,8 @@ def test_none_at_all(fused: Callable[[], None]) -> None:
 def test_where_it_is_used(fused: Callable[[], None]) -> None:
     fused()
     samples = torch.zeros(1, 3, 3, 121)
-    assert kernels.fused_serves(samples)
-    assert not kernels.fused_serves(samples.double())
-    assert not kernels.fused_serves(torch.zeros(1, 3, 3, 59**2))
+    assert kernels.fused_tracking_serves(samples)
+    assert not kernels.fused_tracking_serves(samples.double())
+    assert not kernels.fused_tracking_serves(torch.zeros(1, 3, 3, 59**2))
     with Ops():  # as while a graph is traced or its launches are counted
-        assert not kernels.fused_serves(samples)
-
-
-COMPILE = """
-import triton
-from triton.backends.compiler import GPUTarget
-from triton.compiler import ASTSource
-from fingerflow.kernels.tensors.fused_tracking import _follow
-
-integers = dict.fromkeys(("recordings", "count", "height", "width", "rounds"), "i32")
-others = dict.fromkeys(("rounding", "forward_backward_limit", "mismatch_limit"), "fp32")
-arrays = {"lengths": "*i32", "status": "*u8"}
-for capability, frames, window, ones in ((87, "*u8", 25, ()), (90, "*i32", 11, ("recordings", "count", "rounds"))):
-    constants = {"OWN_NOISE": window == 25, "WINDOW": window, "SIDE": 32, **dict.fromkeys(ones, 1)}
-    kinds = {**integers, **others, **arrays, "frames": frames, **dict.fromkeys(constants, "constexpr")}
-    signature = {name: kinds.get(name, "*fp32") for name in _follow.arg_names}
-    target = GPUTarget("cuda", capability, 32)
-    made = triton.compile(ASTSource(fn=_follow, signature=signature, constexprs=constants), target=target)
-    assert made.asm["cubin"]
-    assert made.metadata.shared <= 48 << 10, made.metadata.shared
-"""
-
-
-@LONG
-def test_it_compiles_for_gpus_that_are_not_here(tmp_path: Path) -> None:
-    """The kernel compiles for a Jetson Orin and an H100, and needs at most 48 KiB of shared memory."""
-    environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
-    environment["TRITON_CACHE_DIR"] = str(tmp_path)
-    ended = subprocess.run(
-        [sys.executable, "-c", COMPILE], capture_output=True, text=True, check=False, env=environment
-    )
-    assert ended.returncode == 0, ended.stderr
+        assert not kernels.fused_tracking_serves(samples)

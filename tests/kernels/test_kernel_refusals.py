@@ -113,6 +113,13 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("covered", {"density_margin": lambda one: one[:, :, :0]}, "density_margin"),
     ("block_means", {"blocks": (999, 999)}, "blocks of"),
     ("block_means", {"frames": double}, "float64"),
+    *[("shift_windows", {"now": change}, "now is") for change in (double, shorter)],
+    ("shift_windows", {"then": lambda one: one[:, :0]}, "no sample"),
+    ("shift_windows", {"around": shorter}, "around is"),
+    *[("frame_distances", {"before": change}, "before is") for change in (double, shorter, narrower)],
+    *[("frame_distances", {"bands": bands}, "bands of") for bands in (0, 999)],
+    ("shift_windows", {"weight": narrower}, "weight is"),
+    ("shift_windows", {"shift": narrower}, "shift is"),
     *[
         ("correct_points", {name: change}, f"{name} is")
         for name in ("start", "points", "covariance", "numbers", "inverse_warp")

@@ -7,7 +7,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from fingerflow.kernels.library import is_present
 from fingerflow.synthetic.waves import add_waves, plane_waves
+from fingerflow.tracker import frame_distances
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
@@ -48,10 +50,14 @@ def found(frames: Frames, usable: NDArray[np.bool_] | None = None) -> list[int]:
     return np.flatnonzero(jumps_and_returns(distances(frames), all_usable if usable is None else usable)).tolist()
 
 
-def test_distances_are_those_of_the_definition(skin: Frames) -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_distances_are_those_of_the_definition(skin: Frames, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The distances of band 3 of 8 (12 of 96 lines), of the whole view and of the light, two frames apart, are those of
     the definition, for batches of any size.
     """
+    if compiled and not is_present():
+        pytest.skip("the compiled library is not there")
+    monkeypatch.setattr(frame_distances, "is_present", lambda: compiled)
     got = distances(skin)
     even = skin / skin.mean((1, 2), keepdims=True)
     off = np.minimum(np.abs(even[20] - even[18]), 0.3)

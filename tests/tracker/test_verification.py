@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from fingerflow import load_scene, process
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.together import Call, Steps, run_alone
+from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.variables import TRACK_STATUS
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from fingerflow.tracker import window_match
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.subset_verification import STEP, Verification
-from fingerflow.tracker.window_match import Centred, correlation_of, deformed_alike
+from fingerflow.tracker.window_match import compare, deformed_alike, fit_shifts
 
 Array = NDArray[Any]
 Make = Callable[[EngineSettings], Engine]
@@ -69,11 +71,6 @@ def warps(gradient: Array, count: int) -> Array:
 UNMOVED = np.zeros((2, 2), np.float32)
 
 
-def correlation(one: Array, other: Array) -> Array:
-    """Return the correlations (N,) of pairs of windows (N, m)."""
-    return correlation_of(Centred.of(one), Centred.of(other))
-
-
 def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) -> None:
     """With noise, 1 - correlation of the same skin is sigma^2 / S; without noise it is at most 1e-3, from cubic
     convolution of waves of 15 px.
@@ -86,21 +83,81 @@ def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) ->
         after = engine.images(picture(GRADIENT, (1.3, -2.6), noise, 2))
         one = engine.windows(first, number, then, warps(UNMOVED, len(then)), STEP)
         other = engine.windows(after, number, now, warps(GRADIENT, len(then)), STEP)
-        apart = 1 - correlation(one, other)
+        apart = 1 - compare(one, other).correlation
         expected = noise**2 / one.var(1)
         if noise:
             # Interpolation between pixels averages some of the noise.
             assert least < float(np.median(apart / expected)) < most
         else:
             assert float(apart.max()) < most
-        np.testing.assert_allclose(correlation(one, 3 * one - 20), 1, atol=1e-5)
+        np.testing.assert_allclose(compare(one, 3 * one - 20).correlation, 1, atol=1e-5)
 
 
-def test_correlation_is_that_of_numpy_and_unknown_for_a_blank_window() -> None:
-    one, other = np.random.default_rng(0).normal(100, 20, (2, 30, 81)).astype(np.float32)
-    expected = [np.corrcoef(*pair)[0, 1] for pair in zip(one, other, strict=True)]
-    np.testing.assert_allclose(correlation(one, other), expected, rtol=0, atol=1e-5)
-    assert np.isnan(correlation(one, np.full_like(one, 3.0))).all()
+@pytest.fixture(params=["compiled", "portable"])
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Choose the compiled or the portable form of the fit of shifts."""
+    if request.param == "compiled" and not is_present():
+        pytest.skip("the compiled library is not there")
+    monkeypatch.setattr(window_match, "is_present", lambda: request.param == "compiled")
+    return str(request.param)
+
+
+@pytest.mark.parametrize("samples", [1, 16, 81])
+def test_windows_are_compared_as_by_numpy_and_blank_ones_have_no_correlation(samples: int) -> None:
+    one, other = np.random.default_rng(0).normal(100, 20, (2, 30, samples)).astype(np.float32)
+    found = compare(one, other)
+    for k, (then, now) in enumerate(zip(one, other, strict=True)):
+        if samples > 1:
+            left = now - np.polyval(np.polyfit(then.astype(np.float64), now, 1), then)
+            np.testing.assert_allclose(found.correlation[k], np.corrcoef(then, now)[0, 1], rtol=0, atol=1e-5)
+            np.testing.assert_allclose(found.residual[k], np.sqrt(np.square(left).mean()), rtol=1e-4)
+            np.testing.assert_allclose(found.largest[k], np.abs(left).max(), rtol=1e-4)
+    assert np.isnan(compare(one, np.full_like(one, 3.0)).correlation).all()
+    assert np.isnan(compare(np.full_like(one, 3.0), one).residual).all()
+
+
+@pytest.mark.usefixtures("form")
+def test_the_shift_of_most_samples_is_found_where_others_do_not_move() -> None:
+    """A speck covers 9 of 81 samples, the skin is a plane wave in each direction, and noise is a tenth of a grey level:
+    a shift has a deviation of 0.003 px. Both forms must find the shift within five of them, and exclude the speck. A
+    window with NaN has no shift."""
+    random = np.random.default_rng(3)
+    grid = np.stack(np.meshgrid(np.arange(-12.0, 13, 3), np.arange(-12.0, 13, 3)), -1).reshape(-1, 2)
+    shift = random.uniform(-0.4, 0.4, (20, 1, 2))
+
+    def window(away: Array, speck: bool = True) -> Array:
+        light = 100 + 30 * np.sin((grid + away)[..., 0] / 4) + 20 * np.cos((grid + away)[..., 1] / 5)
+        light = light + random.normal(0, 0.1, light.shape)
+        light[:, 30:39] -= 60 * speck
+        return light.astype(np.float32)
+
+    steps = 0.5 * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])[:, None, None]
+    then = 1.2 * window(shift, speck=False) - 7
+    around = np.stack([window(np.broadcast_to(step, shift.shape)) for step in steps])
+    around[1, 4, 7] = np.nan
+    shift_so_far, weight = np.zeros((20, 2)), np.ones(then.shape)
+    for _ in range(3):
+        found = fit_shifts(then, around, window(shift_so_far[:, None]), shift_so_far, weight, 0.15)
+        shift_so_far, weight = found.shift, found.weight
+    assert not found.shift[4].any()
+    assert found.excluded[4] == 0
+    right = np.arange(20) != 4
+    assert np.abs((found.shift - shift[:, 0])[right]).max() < 0.015
+    np.testing.assert_allclose(found.excluded[right], 9 / 81, atol=2.1 / 81)
+    assert (found.deviations > np.linalg.norm(found.shift, axis=1) / 0.01)[right].all()
+
+
+@pytest.mark.skipif(not is_present(), reason="the compiled library is not there")
+def test_both_forms_fit_the_same_shifts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums of 81 products round in another order: 1e-5 of the results."""
+    random = np.random.default_rng(4)
+    then, now = random.normal(100, 20, (2, 50, 81)).astype(np.float32)
+    around = random.normal(100, 20, (4, 50, 81)).astype(np.float32)
+    given = (then, around, now, np.zeros((50, 2)), np.ones(then.shape), 1.0)
+    compiled = fit_shifts(*given)
+    monkeypatch.setattr(window_match, "is_present", lambda: False)
+    for one, other in zip(compiled, fit_shifts(*given), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-7)
 
 
 def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:

@@ -53,16 +53,27 @@ def is_recorded() -> bool:
     )
 
 
-def fused_serves(samples: Tensor, *tensors: Tensor) -> bool:
-    """Return whether the GPU kernel of `fused_tracking` can be used for the `samples` of templates and the other
-    tensors.
+def fused_serves(*tensors: Tensor | None) -> bool:
+    """Return whether GPU kernels of Triton (`fused_*`) can be used for the given tensors.
 
-    It needs Triton and a GPU of CUDA, and gives no derivatives. Compilers and exporters see the portable form.
+    They need Triton and a GPU of CUDA, compute in float32, and give no derivatives. Compilers and exporters see the
+    portable form.
     """
     if torch.compiler.is_compiling() or is_recorded() or not _has_triton():
         return False
-    fits = samples.dtype == torch.float32 and samples.shape[-1] <= LARGEST_FUSED**2
-    return fits and all(_is_on_gpu(one) for one in (samples, *tensors))
+    return all(one is None or (one.dtype != torch.float64 and _is_on_gpu(one)) for one in tensors)
+
+
+def fused_tracking_serves(samples: Tensor, *tensors: Tensor) -> bool:
+    """Return whether the kernel of `fused_tracking` can be used for the `samples` of templates and the other tensors:
+    as `fused_serves`, and the windows fit into its tiles.
+    """
+    return samples.shape[-1] <= LARGEST_FUSED**2 and fused_serves(samples, *tensors)
+
+
+def twin_serves(*tensors: Tensor | None) -> bool:
+    """Return whether a compiled kernel or one of Triton can be used in place of the portable form."""
+    return serve(*tensors) or fused_serves(*tensors)
 
 
 @functools.cache

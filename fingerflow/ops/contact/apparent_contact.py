@@ -8,18 +8,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.kernels import contact_sizes as sizes
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
+from fingerflow.ops.tensors import constant_like
 
-_LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
-_FIRST_ROUNDS, _BORDERS, _ROUNDS = 2, 2, 4
-_NARROW, _WIDE = 1.5, 3.0  # widths of the bands inside the border, in widths of the boxes
-_SOLID = 0.9  # share from which a contact has no valleys, and becomes no thinner towards its rim
-_THINNING = 0.6  # power of the ratio of the shares in both bands by which the share falls on to the border
 _PART = 32  # cells of a line smoothed by one matrix product
-_BLOCK = 8  # cells, side of the blocks on which components are separated
 
 
 class ApparentRegion(NamedTuple):
@@ -84,11 +80,17 @@ def apparent_contact(
     if not 1 <= side <= 2 * radius + 1:
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
-        density_margin, numbers = kernels.apparent_contact(mask, radius, side)
-        return ApparentRegion(
-            density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-        )
+        return _of_numbers(*kernels.apparent_contact(mask, radius, side))
+    if precision == torch.float32 and kernels.fused_serves(mask):
+        from fingerflow.kernels.tensors.fused_contact import apparent_contact as fused  # needs Triton
+
+        return _of_numbers(*fused(mask, radius, side))
     return _region(cell_means(mask, side, precision), radius, side)
+
+
+def _of_numbers(density_margin: Tensor, numbers: Tensor) -> ApparentRegion:
+    """Return the region that a twin describes by its density margin and seven numbers a frame (B, 7)."""
+    return ApparentRegion(density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
@@ -113,15 +115,15 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         part = inside(limit)
         # The pattern in a border cell is taken to lie entirely in the part inside, as far as that can hold it.
         sums = torch.cat((torch.minimum(cells, part), part), dim=1).flatten(2) @ weights  # one product for all of them
-        return (sums[:, :1] / sums[:, 1:].clamp_min(1e-3)).clamp(_LEAST_SHARE, 1.0)[:, None]
+        return (sums[:, :1] / sums[:, 1:].clamp_min(1e-3)).clamp(sizes.LEAST_SHARE, 1.0)[:, None]
 
     alike = torch.ones_like(cells)
     limit: Tensor | float = 0.25
-    for _ in range(_FIRST_ROUNDS):
+    for _ in range(sizes.FIRST_ROUNDS):
         inner = shares(limit, alike.flatten(1)[..., None])
         limit = inner / 2
-    solid = (inner - _SOLID).clamp_min(0).sign()
-    for _ in range(_BORDERS):
+    solid = (inner - sizes.SOLID).clamp_min(0).sign()
+    for _ in range(sizes.BORDERS):
         part = inside(limit)
         filled = _enclosed(_main_component((density - limit).clamp_min(0).sign(), density))
         # The outer border: what lies beyond the frame, or in a hole, is no rim.
@@ -130,9 +132,9 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         own = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
         level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
         weights = torch.cat((*(_band(border, of_band) for of_band in bands), alike), dim=1).flatten(2).mT.contiguous()
-        for _ in range(_ROUNDS):
+        for _ in range(sizes.ROUNDS):
             near, far, everywhere = shares(limit, weights).split(1, dim=3)
-            rim = (near * (near / far) ** _THINNING).clamp(_LEAST_SHARE, 1.0)
+            rim = (near * (near / far) ** sizes.THINNING).clamp(sizes.LEAST_SHARE, 1.0)
             limit = (solid * everywhere + (1 - solid) * rim) * level
     part = inside(limit)
     whole = (density - limit).clamp_min(0).sign()
@@ -161,15 +163,19 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
     """Return the smoothing matrices for images on cells (B, 1, h, w): that of boxes `width` cells wide, for the contact
     density, and those of a narrow and a wide band along the border, for blocks of 2 x 2 cells.
     """
-    # Cache the matrices only outside tracing and on the CPU; elsewhere they are built in every call.
+    # A traced graph computes the matrices on its device; else they are cached.
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
-    matrix = _smoothing_matrix if traced or cells.device.type != "cpu" else _kept_boxes
+
+    def matrix(side: int, wide: float) -> Tensor:
+        if traced:
+            return _smoothing_matrix(side, wide, cells.device).to(cells.dtype)
+        return constant_like(_kept_boxes(side, wide, torch.device("cpu")), cells)
 
     def boxes(size: int, wide: float) -> _Boxes:
-        down, along = (matrix(-(-side // size), wide, cells.device).to(cells.dtype) for side in cells.shape[-2:])
+        down, along = (matrix(-(-side // size), wide) for side in cells.shape[-2:])
         return _Boxes(down, along, 3 * math.ceil(wide / 2))
 
-    return [boxes(1, width), *(boxes(2, max(width * one / 2, 1.0)) for one in (_NARROW, _WIDE))]
+    return [boxes(1, width), *(boxes(2, max(width * one / 2, 1.0)) for one in (sizes.NARROW, sizes.WIDE))]
 
 
 def _band(border: Tensor, boxes: _Boxes) -> Tensor:
@@ -229,15 +235,15 @@ def _main_component(inside: Tensor, density: Tensor) -> Tensor:
     is longer is cut off there.
     """
     height, width = inside.shape[-2:]
-    fit = (0, -width % _BLOCK, 0, -height % _BLOCK)
+    fit = (0, -width % sizes.BLOCK, 0, -height % sizes.BLOCK)
     dense = inside * density
     if any(fit):
         inside, dense = functional.pad(inside, fit), functional.pad(dense, fit)
-    blocks, densest = (functional.max_pool2d(cells, _BLOCK) for cells in (inside, dense))
+    blocks, densest = (functional.max_pool2d(cells, sizes.BLOCK) for cells in (inside, dense))
     reached = (densest >= densest.amax((2, 3), keepdim=True)).to(inside.dtype) * blocks
     for _ in range(max(blocks.shape[-2:])):
         reached = torch.minimum(functional.max_pool2d(reached, 3, 1, 1), blocks)
-    return (inside * enlarge(reached, _BLOCK))[..., :height, :width]
+    return (inside * enlarge(reached, sizes.BLOCK))[..., :height, :width]
 
 
 def _enclosed(inside: Tensor) -> Tensor:

@@ -3,18 +3,9 @@
 import torch
 from torch import Tensor
 
+from fingerflow.kernels import contact_sizes as sizes
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import block_of
-
-_STEP = 4  # px between the lines that are read
-_MOST, _LEAST = 1.4, 0.7  # limits of the gain: beyond them changed light cannot be told from covered glass
-_LIT = 0.25  # least light of a block relative to the brightest block
-_ROUGH = 0.15  # limit of the deviation of quotients within a block: noise stays below it, ridges exceed it
-_TOP = 0.03  # least share of the blocks that show glass
-_WIDTHS = (0.04, 0.02, 0.01, 0.01)  # relative half widths of the windows of the mean shift
-# Relative to the gain, blocks of glass lie within _NARROW. If the mode is skin, about as many lie below it, between
-# _NARROW and _BESIDE.
-_NARROW, _BESIDE = 0.02, 0.06
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
@@ -40,14 +31,15 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
     """
     kind = light.dtype
     block = block_of(radius)
-    if (
-        frames.dtype in kernels.FRAME_KINDS
-        and light.dtype == black.dtype == torch.float32
-        and kernels.serve(frames, light, black)
-    ):
+    single = light.dtype == black.dtype == torch.float32
+    if frames.dtype in kernels.FRAME_KINDS and single and kernels.serve(frames, light, black):
         return kernels.illumination_gain(frames, light, black, block)
-    some, given, dark = (image[..., _STEP // 2 :: _STEP, :] for image in (frames, light, black))
-    if some.shape[2] < block // _STEP or some.shape[3] < block:
+    if single and kernels.fused_serves(frames, light, black):
+        from fingerflow.kernels.tensors.fused_pixels import illumination_gain as fused  # needs Triton
+
+        return fused(frames, light, black, block)
+    some, given, dark = (image[..., sizes.LINE_STEP // 2 :: sizes.LINE_STEP, :] for image in (frames, light, black))
+    if some.shape[2] < block // sizes.LINE_STEP or some.shape[3] < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
     if frames.is_floating_point():
         finite = some.abs() < torch.inf
@@ -64,7 +56,7 @@ def _blocks(lines: Tensor, block: int) -> Tensor:
     `lines` (B, 1, h, W) are every fourth line of the frame.
     """
     height, width = lines.shape[-2:]
-    rows = block // _STEP
+    rows = block // sizes.LINE_STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
     down = torch.cat((cut, cut * cut), dim=1).unflatten(2, (-1, rows)).sum(3)
     result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(2)
@@ -73,19 +65,21 @@ def _blocks(lines: Tensor, block: int) -> Tensor:
 
 def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
     (passed, passed_squared), (light, light_squared) = passed_sums.unbind(1), light_sums.unbind(1)
-    lit = light > _LIT * light.amax(1, keepdim=True)
+    lit = light > sizes.LIT * light.amax(1, keepdim=True)
     quotient = torch.where(lit, passed / torch.where(lit, light, 1.0), 0.0)
     variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient
-    quotient = torch.where(variance < _ROUGH**2, quotient, 0.0)
+    quotient = torch.where(variance < sizes.ROUGH**2, quotient, 0.0)
     number = lit.to(quotient.dtype).sum(1, keepdim=True)
     # Start from the least of the brightest 3 % of the blocks: reflections lie above it.
-    kept = max(1, round(_TOP * quotient.shape[1]))
+    kept = max(1, round(sizes.TOP * quotient.shape[1]))
     gain = quotient.topk(kept, dim=1).values[:, -1:]
-    for width in _WIDTHS:
+    for width in sizes.WIDTHS:
         near = ((quotient - gain).abs() <= width * gain).to(quotient.dtype)
         gain = (quotient * near).sum(1, keepdim=True) / near.sum(1, keepdim=True).clamp_min(1)
     distance = quotient / gain.clamp_min(1e-6) - 1
-    glass = ((distance.abs() <= _NARROW) & lit).to(quotient.dtype).sum(1, keepdim=True)
-    beside = ((distance < -_NARROW) & (distance >= -_BESIDE)).to(quotient.dtype).sum(1, keepdim=True)
-    seen = (gain > _LEAST) & (gain < _MOST) & (glass >= _TOP * number) & (glass >= 2 * beside)
+    glass = ((distance.abs() <= sizes.NARROW_GLASS) & lit).to(quotient.dtype).sum(1, keepdim=True)
+    beside = (
+        ((distance < -sizes.NARROW_GLASS) & (distance >= -sizes.BESIDE_GLASS)).to(quotient.dtype).sum(1, keepdim=True)
+    )
+    seen = (gain > sizes.LEAST_GAIN) & (gain < sizes.MOST_GAIN) & (glass >= sizes.TOP * number) & (glass >= 2 * beside)
     return torch.where(seen, gain, torch.nan).squeeze(1)

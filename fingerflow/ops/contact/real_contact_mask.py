@@ -40,13 +40,18 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
     # At most the full light, so that a saturated pixel is never in contact.
     share = torch.where(limit == limit, limit.clamp(0, 1), -torch.inf).to(light.dtype)
+    single = light.dtype == black.dtype == torch.float32
     if (
         frames.dtype in kernels.FRAME_KINDS
-        and light.dtype == black.dtype == torch.float32
+        and single
         and median_px <= kernels.LARGEST_MAJORITY
         and kernels.serve(frames, light, black, limit)
     ):
         return kernels.real_contact_mask(frames, light, black, share, median_px)
+    if single and kernels.fused_serves(frames, light, black, limit):
+        from fingerflow.kernels.tensors.fused_pixels import real_contact_mask as fused  # needs Triton
+
+        return fused(frames, light, black, share, median_px)
     compute = partial(_mask, median_px)
     result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
     return result

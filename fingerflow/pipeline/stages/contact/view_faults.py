@@ -131,7 +131,8 @@ def of_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region
     `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
     region do not count.
     """
-    smooth, (y, x) = _smooth(light), _edges_of_glass(light, region)
+    smooth = _smooth(light)
+    y, x = _edges_of_glass(smooth, region)
     if len(y) < _EDGE_PX:
         return []
     for number, frame in frames:
@@ -185,17 +186,16 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     return "; ".join(said)
 
 
-def _edges_of_glass(light: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows y and columns x of up to 2000 pixels near edges of brightness in the background `light`, outside
+def _edges_of_glass(smooth: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows y and columns x of up to 2000 pixels near edges of brightness in the smoothed background, outside
     the contact region.
     """
-    smooth = _smooth(light)
-    full = _full_light(smooth)
-    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)) / 8
-    far = cv2.dilate(region.astype(np.uint8), _disc(2 * _REACH_PX)) == 0
+    across, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
+    steep = across * across + down * down > (8 * _EDGE * _full_light(smooth)) ** 2
+    far = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5) > 2 * _REACH_PX
     inner = np.zeros_like(far)
     inner[_REACH_PX:-_REACH_PX, _REACH_PX:-_REACH_PX] = True
-    near = cv2.dilate((slope > _EDGE * full).astype(np.uint8), _disc(3)).astype(bool)
+    near = cv2.dilate(steep.astype(np.uint8), _disc(3)).astype(bool)
     y, x = np.nonzero(near & far & inner)
     step = max(1, len(y) // 1000)
     return y[::step], x[::step]

@@ -81,7 +81,7 @@ class ContactEnergy:
             counts: (n, N) points in contact whose displacement counts from their onset.
             border: of these n frames, smoothed over time.
         """
-        counts = counts & np.isfinite(displacement).all(-1) & (variance > 0)
+        counts = counts & np.isfinite(displacement[..., 0] + displacement[..., 1]) & (variance > 0)
         of_point = variance * (1 + (self._shared @ counts.T.astype(np.float64)).T)
         result = FrameEnergies(*np.full((2, len(counts)), np.nan))
         some = np.flatnonzero(_fall_to_border(displacement, of_point, border.inside(position), counts))

@@ -1,0 +1,8 @@
+"""Device on which the tests run Triton kernels: a CUDA GPU where there is one, else a CPU with Triton's interpreter."""
+
+from collections.abc import Callable
+
+import torch
+
+Fused = Callable[[], None]  # from its call on, the kernels of Triton are used
+DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
