@@ -137,13 +137,20 @@ class EntryGradients:
     Frames are given in order of time.
     """
 
-    def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
+    #: Frames before the entry over which the change of a gradient is measured, at most.
+    BEFORE = 8
+
+    def __init__(
+        self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float, onset_variance: Array
+    ) -> None:
         """Select the points whose motion is fitted: those within half a gauge length (the diameter of a fit) of the
         advected points, whose indices are `entered` (E,).
 
-        Other arguments are those of `advected`.
+        `onset_variance` (N,) frame^2 is that of the times of onset; other arguments are those of `advected`.
         """
         self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
+        self._late = np.sqrt(onset_variance[entered])
+        self._steps = np.clip(np.nan_to_num(self._late).round(), 1, self.BEFORE).astype(int)
         known = np.flatnonzero(np.isfinite(places).all(1))
         apart = np.full(len(known), np.inf)
         for one in places[entered]:
@@ -152,22 +159,32 @@ class EntryGradients:
         self._places, self._queries = places[self._near], places[entered]
         self._begun = np.full((len(entered), 2, 2), np.nan)
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
+        self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
         """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
         numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
 
         `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
-        seeded. Half of it belongs to that frame and is the same at all times.
+        seeded. Half of it belongs to that frame and is the same at all times. An entry that is seen late adds what the
+        gradient changes by in that time, as measured over as many frames before the entry.
         """
         moved = position[:, self._near] - self._places
         noise = variance[:, self._near].astype(np.float64) / 2
         fit = self._engine.fit(self._places, moved, self._queries, self._gauge, noise)
         assert fit.covariance is not None
         now = np.eye(2) + fit.gradient
+        course = np.concatenate((self._before, now))
+        self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
             enter = np.flatnonzero(self._onset == frame)
-            self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
+            steps = self._steps[enter]
+            change = (now[k, enter] - course[self.BEFORE + k - steps, enter]) * (self._late[enter] / steps)[:, None, None]
+            change = np.nan_to_num(change)
+            self._begun[enter] = now[k, enter]
+            self._begun_covariance[enter] = (
+                fit.covariance[k, enter] + change[:, :, :, None, None] * change[:, None, None, :, :]
+            )
         return SinceEntry(now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance)
 
 

@@ -66,6 +66,7 @@ class DisplacementStage(Stage):
             its first touch. NaN for points that are never in contact.
         reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
+        onset_variance: (N,) frame^2, of the time of onset; only set by onsets.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
             reference is a frame.
     """
@@ -91,6 +92,7 @@ class DisplacementStage(Stage):
     reference: Points
     reference_px: Points
     noise: Points
+    onset_variance: Points
     of_onset: Points
 
     def __init__(self, trial: RunContext) -> None:
@@ -117,13 +119,13 @@ class DisplacementStage(Stage):
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
-            self._find_errors_of_onset()
             if inputs.scene.kind in ("press", "single_view"):
                 gross = self.trial.stage(ContactStage).series["gross_contact_area"]
                 self.warnings.extend(plausibility.of_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             self.places, self.some_later = self._common.places, bool(self._common.later.any())
             moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
+            self._find_errors_of_onset(moves_in)
         else:
             self.of_onset = np.zeros((points, 2, 2))
             self._warn_of_unknown()
@@ -251,7 +253,7 @@ class DisplacementStage(Stage):
             return added
         return touch.displacement_variance(now)
 
-    def _find_errors_of_onset(self) -> None:
+    def _find_errors_of_onset(self, moves_in: NDArray[np.bool_]) -> None:
         """Compute the covariance (N, 2, 2) mm^2 of the positions at which points came into contact, from the error of
         the onset time and the speed of each point at that time.
 
@@ -261,6 +263,10 @@ class DisplacementStage(Stage):
         d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
         larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
         point that touches in the first frame has no onset: its displacement counts from there.
+
+        Where a border grows, neighbours tell how fast it passes the skin. Skin that moves in (`moves_in`, (N,)) crosses
+        a border at rest, where neighbours enter along one line and do not: there the point's own depth in the ellipse
+        does, over the frames around its onset.
         """
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)
@@ -271,10 +277,10 @@ class DisplacementStage(Stage):
             torch.from_numpy(onset.astype(np.float64))[None, :, None],
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
-        frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
-        rough = BORDER_MM * frames_per_mm
-        variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
-        reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
+        alone = moves_in | ~np.isfinite(slope[:, 0].numpy())
+        frames_per_mm = np.where(alone, 0.0, slope.norm(dim=-1).numpy())
+        reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST_ONSET).astype(int)
+        reach[alone] = _LONGEST_ONSET
         # Both sides at once: each call of `_positions_in` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
         place = self._positions_in(every)
@@ -291,13 +297,34 @@ class DisplacementStage(Stage):
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
+        if alone.any():
+            approach = np.diff(self._depths(every, place), axis=0)[0] / np.maximum(after - before, 1)
+            # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
+            chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
+            least = np.linalg.norm(speed, axis=1) * chord
+            frames_per_mm = np.where(alone, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
+        variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+
+    def _depths(self, frames: NDArray[np.integer], places: Points) -> Points:
+        """Return the distances (k, N), mm, of positions (k, N, 2) in frames (k, N) from the ellipse of the contact."""
+        border = self._border.at(frames.flatten() % len(self.trial))
+        return border.inside(places.reshape(-1, 1, 2)).reshape(frames.shape)
 
     def _positions_in(self, frames: NDArray[np.integer]) -> Points:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it; -1 is the last frame.
         """
         return at_frames(self.results["position"], frames % len(self.trial))
+
+
+def _crossing_variance(frames_per_mm: NDArray[np.floating]) -> Points:
+    """Return the variance (N,) frame^2 of the times at which the border passed N points, from the frames that it needs
+    for a millimetre.
+    """
+    rough = BORDER_MM * frames_per_mm
+    result: Points = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
+    return result
 
 
 class _Fixed(NamedTuple):
