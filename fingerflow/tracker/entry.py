@@ -135,6 +135,10 @@ class EntryGradients:
     entered the contact.
 
     Frames are given in order of time.
+
+    Attributes:
+        late: (E, 2, 2) error of the gradients by one standard deviation of the time of entry: their change over as many
+            frames before it. It is 0 until a point enters.
     """
 
     #: Frames before the entry over which the change of a gradient is measured, at most.
@@ -149,8 +153,9 @@ class EntryGradients:
         `onset_variance` (N,) frame^2 is that of the times of onset; other arguments are those of `advected`.
         """
         self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
-        self._late = np.sqrt(onset_variance[entered])
-        self._steps = np.clip(np.nan_to_num(self._late).round(), 1, self.BEFORE).astype(int)
+        self._deviation = np.sqrt(onset_variance[entered])
+        self._steps = np.clip(np.nan_to_num(self._deviation).round(), 1, self.BEFORE).astype(int)
+        self.late = np.zeros((len(entered), 2, 2))
         known = np.flatnonzero(np.isfinite(places).all(1))
         apart = np.full(len(known), np.inf)
         for one in places[entered]:
@@ -166,8 +171,7 @@ class EntryGradients:
         numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
 
         `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
-        seeded. Half of it belongs to that frame and is the same at all times. An entry that is seen late adds what the
-        gradient changes by in that time, as measured over as many frames before the entry.
+        seeded. Half of it belongs to that frame and is the same at all times.
         """
         moved = position[:, self._near] - self._places
         noise = variance[:, self._near].astype(np.float64) / 2
@@ -179,12 +183,9 @@ class EntryGradients:
         for k, frame in enumerate(frames):
             enter = np.flatnonzero(self._onset == frame)
             steps = self._steps[enter]
-            change = (now[k, enter] - course[self.BEFORE + k - steps, enter]) * (self._late[enter] / steps)[:, None, None]
-            change = np.nan_to_num(change)
-            self._begun[enter] = now[k, enter]
-            self._begun_covariance[enter] = (
-                fit.covariance[k, enter] + change[:, :, :, None, None] * change[:, None, None, :, :]
-            )
+            change = now[k, enter] - course[self.BEFORE + k - steps, enter]
+            self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
+            self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
         return SinceEntry(now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance)
 
 

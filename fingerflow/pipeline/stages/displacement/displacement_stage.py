@@ -5,6 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -32,7 +33,8 @@ class Moved(NamedTuple):
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
-        variance: (n, N) mm^2, of a component, by image noise.
+        variance: (n, N) mm^2, of a component, by image noise; of points on the border in the first frame, also by not
+            knowing whether they touched then.
     """
 
     displacement: Points
@@ -116,6 +118,12 @@ class DisplacementStage(Stage):
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._border = Border.of(self.trial.stage(ContactStage).series)
+        begin = int(usable[0])
+        here = self.results["position"][begin : begin + 1]
+        depth = self._border.at(slice(begin, begin + 1)).inside(here)[0]
+        touches = self.results["in_contact"][begin : begin + 1][0] & np.isfinite(depth) & (self._fixed is None)
+        self._doubtful = np.flatnonzero(touches & (depth < 3 * BORDER_MM))
+        self._depth = depth[self._doubtful]
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
@@ -239,7 +247,24 @@ class DisplacementStage(Stage):
         noise = self._noise(variance, touching)
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
+        if len(self._doubtful):
+            noise[:, self._doubtful] += self._entered_unseen(position, moved, indices)
         return Moved(moved, noise)
+
+    def _entered_unseen(self, position: Points, moved: Points, indices: NDArray[np.intp]) -> Points:
+        """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
+        which may have touched later.
+
+        With the depth d of a point then, a border off by b = `BORDER_MM` leaves it outside with the probability
+        Phi(-d/b). Such a point enters once it has moved inwards by about b: of a displacement u that leads inwards by
+        c, the share min(1, b/c) is from before.
+        """
+        depth = self._border.at(indices).inside(position[:, self._doubtful])
+        inwards = np.nan_to_num(depth - self._depth)
+        share = np.where(inwards > 0, np.minimum(1, BORDER_MM / np.maximum(inwards, 1e-9)), 0)
+        square = np.nan_to_num(np.square(moved[:, self._doubtful]).sum(-1))
+        result: Points = ndtr(-self._depth / BORDER_MM) * np.square(share) * square / 2
+        return result
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance

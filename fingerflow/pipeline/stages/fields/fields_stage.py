@@ -84,7 +84,7 @@ class FieldsStage(Stage):
         for name in self._given:
             if not name.endswith("_std"):
                 self.results[name][batch.indices] = getattr(found, name)
-        self._add_smoothing(batch, found, shift)
+        self._state_deviations(batch, found, shift)
         residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
@@ -116,9 +116,9 @@ class FieldsStage(Stage):
         covariance[:, displacement.entered] = since.covariance
         return EnteredPoints(among, gradient, covariance)
 
-    def _add_smoothing(self, batch: Batch, found: FrameFields, shift: NDArray[np.float32]) -> None:
-        """Add the errors by the gauge length, which are measured in every eighth frame, to the deviations of divergence
-        and curl at points.
+    def _state_deviations(self, batch: Batch, found: FrameFields, shift: NDArray[np.float32]) -> None:
+        """Add the errors by the gauge length, which are measured in every eighth frame, and by the times of entry to
+        the deviations of divergence and curl at points.
         """
         some = np.arange(0, len(batch.indices), EVERY)
         fields, deviation = (
@@ -127,6 +127,9 @@ class FieldsStage(Stage):
         )
         variance = self._smoothing.variance(shift[some], fields, deviation)
         variance = variance[np.arange(len(batch.indices)) // EVERY]
+        if self._entry is not None:
+            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
+            variance[:, :, self.trial.stage(DisplacementStage).entered] += np.square((xx + yy, yx - xy))
         for field, name in enumerate(("divergence_std", "curl_std")):
             self.results[name][batch.indices] = np.sqrt(getattr(found, name) ** 2 + variance[:, field])
 

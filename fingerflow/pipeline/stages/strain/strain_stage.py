@@ -23,6 +23,10 @@ from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
+# Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
+# RMS over four presses of synthetic skin at half to twice the usual deformation.
+_INSIDE = 0.3
+
 
 class StrainStage(Stage):
     """Stage that computes strain and strain energy on Delaunay triangles between the reference positions of the points.
@@ -146,6 +150,9 @@ class StrainStage(Stage):
         known = np.isfinite(whole.energy)
         self._energy[frames[known]] = whole.energy[known]
         self._energy_std[frames[known]] = whole.deviation[known]
+        # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
+        lacking = whole.energy[known] - (between + rim)[known]
+        self._between_std[frames[known]] = np.hypot(deviation[known], _INSIDE * lacking)
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
