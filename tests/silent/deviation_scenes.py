@@ -30,6 +30,7 @@ PRESSES = (
     ("101_2", 2.0, 40, 1.0, (3.4, 2.8)),
     ("101_1", 4.0, 60, 2.0, (4.4, 3.6)),
     ("104_1", 1.0, 40, 0.5, (3.4, 3.4)),
+    ("101_3", 2.0, 60, 1.5, (4.0, 3.8)),
 )
 # Print, noise, frames, creep in mm, direction in rad.
 SLIDES = (
@@ -41,11 +42,12 @@ SLIDES = (
 )
 # Print, noise, frames, ratio of kinetic to static friction.
 SLIPS = (
-    ("101_2", 2.0, 90, 0.5),
-    ("101_4", 1.0, 90, 0.7),
+    ("101_2", 2.0, 60, 0.5),
+    ("101_4", 1.0, 60, 0.7),
     ("104_1", 3.0, 90, 0.5),
-    ("104_2", 2.0, 90, 0.6),
 )
+
+Kind = TypeVar("Kind", bound=SyntheticScene)
 
 
 def scenes() -> Iterator[tuple[str, SyntheticScene]]:
@@ -60,9 +62,6 @@ def scenes() -> Iterator[tuple[str, SyntheticScene]]:
     for number, (name, noise, frames, ratio) in enumerate(SLIPS):
         slip = _of_print(SLIP, name, noise, frames, seed + 80 + number)
         yield f"partial slip {number} of {name}", replace(slip, kinetic_friction=ratio * slip.static_friction)
-
-
-Kind = TypeVar("Kind", bound=SyntheticScene)
 
 
 def _of_print(scene: Kind, name: str, noise: float, frames: int, seed: int) -> Kind:

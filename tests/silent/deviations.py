@@ -36,8 +36,8 @@ Array = NDArray[Any]
 Errors = dict[str, tuple[Array, Array]]
 
 GOAL_Z, GOAL_WITHIN = (0.8, 1.25), ((0.60, 0.76), (0.92, 0.98))
-_FRAMES = 8  # of a scene, that are compared
-_STEP_MM = 0.15  # of the grids of true medians and energies
+_FRAMES = 7  # of a scene, that are compared
+_STEPS_MM = 0.07, 0.15  # of the grids of true medians and energies on presses, whose strain rises to the border, and slides
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
 _ENTERED = ENTRY.index("entered")
@@ -93,14 +93,12 @@ def of_process(recording: Path, scene: SyntheticScene) -> Errors:
 def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
     """Return errors and stated deviations of a result, by quantity."""
     frames = np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int))
-    errors = {name: [] for name in ()}
     material = material_of(result["position_px"].values, scene)
     skin = _Skin(result, scene, material)
     found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
     for frame in frames.tolist():
         for name, one in (skin.at(frame) | _of_contact(result, scene, frame)).items():
             found[name].append(one)
-    del errors
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
         for name, each in found.items()
@@ -165,10 +163,15 @@ class _Skin:
         return np.where(self.known[:, None, None], result, np.nan)
 
     def _strain(self, moved: Array, frame: int) -> Array:
-        """Return the strains (M, 3) of triangles by the true displacements of their corners since onset; NaN for
-        triangles that have another reference.
+        """Return the true strains (M, 3) of triangles; NaN for triangles that have another reference.
+
+        On a press they count from the true onsets of their corners; on a slide from the first frame, of triangles that
+        touch then.
         """
         now = self.truth.positions(self.material, frame)
+        if not isinstance(self.scene, Press):
+            onset = self.result["onset_frame"].values
+            moved = np.where((onset == 0)[:, None], now - self.truth.positions(self.material, 0), np.nan)
         reference = now - moved
         triangles = torch.from_numpy(self.triangles.astype(np.int64))
         strain = green_lagrange(
@@ -179,22 +182,21 @@ class _Skin:
         ratio = np.linalg.solve(np.where(np.isfinite(of_skin), of_skin, np.eye(2)), np.nan_to_num(by_onset))
         stretch = np.linalg.svd(ratio, compute_uv=False)
         usual = (stretch[:, 1] > _UNDISTORTED) & (stretch[:, 0] < 1 / _UNDISTORTED)
-        usual &= ~self.entered[self.triangles].any(1)
         return np.where(usual[:, None], strain, np.nan)
 
 
 def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors:
     """Return errors and deviations of areas, medians and energies in a frame."""
-    truth, true = scene.truth, {"gross_contact_area": scene.truth.gross_contact_area_mm2(frame)}
+    true = {"gross_contact_area": scene.truth.gross_contact_area_mm2(frame)}
+    step = _STEPS_MM[not isinstance(scene, Press)]
     if true["gross_contact_area"] > _LEAST_MM2:
-        material = skin_in_contact(scene, frame, _STEP_MM)
-        gradient = truth.gradient(material, frame) if isinstance(scene, Press) else truth.entry_gradient(material, frame)
+        gradient = _of_contact_skin(scene, frame)
         true |= {f"median_{name}": value for name, value in medians_of(gradient).items()}
         if isinstance(scene, Press):
             names = "strain_energy", "strain_energy_between_points"
-            true |= dict(zip(names, energy_since_onset(scene, result, frame, _STEP_MM), strict=True))
+            true |= dict(zip(names, energy_since_onset(scene, result, frame, step), strict=True))
         else:
-            true["strain_energy"] = float(np.nansum(energies(gradient, _STEP_MM)))
+            true["strain_energy"] = float(np.nansum(energies(gradient, step)))
     if isinstance(scene, PartialSlip):
         true["stuck_ratio"] = scene.stuck_share(frame)
     errors = {}
@@ -205,6 +207,14 @@ def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors
             measured, stated = (one[_STRAINS.index(component)] for one in (measured, stated))
         errors[name] = np.array([measured - value]), np.array([stated])
     return errors
+
+
+def _of_contact_skin(scene: SyntheticScene, frame: int) -> Array:
+    """Return the true displacement gradients (N, 2, 2) on a grid over the contact in a frame: since the onset on a
+    press, since its own entry of skin that slides.
+    """
+    material = skin_in_contact(scene, frame, _STEPS_MM[not isinstance(scene, Press)])
+    return (scene.truth.gradient if isinstance(scene, Press) else scene.truth.entry_gradient)(material, frame)
 
 
 def medians_of(gradient: Array) -> dict[str, float]:
@@ -242,9 +252,7 @@ def compared_live(records: Array, scene: SyntheticScene) -> Errors:
             stated = records["position_std_px"][frame][some][:, None].repeat(2, 1)
             found["position"].append((position[frame][some] - true, stated))
         if truth.gross_contact_area_mm2(frame) > _LEAST_MM2:
-            skin = skin_in_contact(scene, frame, _STEP_MM)
-            of_skin = truth.gradient if isinstance(scene, Press) else truth.entry_gradient
-            error = records["median_divergence"][frame] - medians_of(of_skin(skin, frame))["divergence"]
+            error = records["median_divergence"][frame] - medians_of(_of_contact_skin(scene, frame))["divergence"]
             found["median_divergence"].append((np.array([error]), records["median_divergence_std"][frame][None]))
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))

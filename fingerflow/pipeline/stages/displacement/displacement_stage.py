@@ -33,8 +33,7 @@ class Moved(NamedTuple):
 
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
-        variance: (n, N) mm^2, of a component, by image noise; of points on the border in the first frame, also by not
-            knowing whether they touched then.
+        variance: (n, N) mm^2, of a component, by image noise.
     """
 
     displacement: Points
@@ -154,9 +153,15 @@ class DisplacementStage(Stage):
         moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
         self.results["displacement"][batch.indices] = moved.displacement
         # Root mean square error of a component.
-        self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
+        square = moved.variance + self._of_onset
+        square[:, self._doubtful] += self._entered_unseen(moved.displacement, batch.indices)
+        self.results["displacement_std"][batch.indices] = np.sqrt(square)
         # Component by component (the lab's script takes the x median twice).
         self._vector[batch.indices] = nanmedian(moved.displacement)
+        if self.by_onsets:
+            # A touch in passing counts from itself: beside neighbours that have been dragged along, it is no strain.
+            passing = (self.onset < 0) | (batch.indices[:, None] < self.onset)
+            moved.displacement[passing] = moved.variance[passing] = np.nan
         return moved
 
     def finish(self) -> None:
@@ -247,11 +252,9 @@ class DisplacementStage(Stage):
         noise = self._noise(variance, touching)
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
-        if len(self._doubtful):
-            noise[:, self._doubtful] += self._entered_unseen(position, moved, indices)
         return Moved(moved, noise)
 
-    def _entered_unseen(self, position: Points, moved: Points, indices: NDArray[np.intp]) -> Points:
+    def _entered_unseen(self, moved: Points, indices: NDArray[np.intp]) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
         which may have touched later.
 
@@ -259,7 +262,7 @@ class DisplacementStage(Stage):
         Phi(-d/b). Such a point enters once it has moved inwards by about b: of a displacement u that leads inwards by
         c, the share min(1, b/c) is from before.
         """
-        depth = self._border.at(indices).inside(position[:, self._doubtful])
+        depth = self._border.at(indices).inside(self.results["position"][indices][:, self._doubtful])
         inwards = np.nan_to_num(depth - self._depth)
         share = np.where(inwards > 0, np.minimum(1, BORDER_MM / np.maximum(inwards, 1e-9)), 0)
         square = np.nan_to_num(np.square(moved[:, self._doubtful]).sum(-1))
@@ -302,10 +305,9 @@ class DisplacementStage(Stage):
             torch.from_numpy(onset.astype(np.float64))[None, :, None],
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
-        alone = moves_in | ~np.isfinite(slope[:, 0].numpy())
-        frames_per_mm = np.where(alone, 0.0, slope.norm(dim=-1).numpy())
+        frames_per_mm = np.where(moves_in, 0.0, slope.norm(dim=-1).nan_to_num(0.0).numpy())
         reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST_ONSET).astype(int)
-        reach[alone] = _LONGEST_ONSET
+        reach[moves_in] = _LONGEST_ONSET
         # Both sides at once: each call of `_positions_in` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
         place = self._positions_in(every)
@@ -322,12 +324,12 @@ class DisplacementStage(Stage):
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
-        if alone.any():
+        if moves_in.any():
             approach = np.diff(self._depths(every, place), axis=0)[0] / np.maximum(after - before, 1)
             # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
             chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
             least = np.linalg.norm(speed, axis=1) * chord
-            frames_per_mm = np.where(alone, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
+            frames_per_mm = np.where(moves_in, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
         variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 

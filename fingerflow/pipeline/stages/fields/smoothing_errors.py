@@ -68,5 +68,5 @@ class SmoothingErrors:
     def _sums_of(self, values: Array) -> Array:
         """Return the weighted sums (n, 2, N) of values (n, 2, N) over the neighbours of each point."""
         frames, fields, points = values.shape
-        sums: Array = (self._weights @ values.reshape(-1, points).T).T.reshape(frames, fields, points)
+        sums: Array = (self._weights @ values.reshape(frames * fields, points).T).T.reshape(values.shape)
         return sums
