@@ -1,4 +1,4 @@
-"""Fixtures that more than one room of tests uses."""
+"""Fixtures that several folders of tests use."""
 
 import os
 import shutil
@@ -21,10 +21,10 @@ from fingerflow.synthetic.marker_gel import write_gel_recording
 from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
 
 if not torch.cuda.is_available():
-    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported, whose kernels then run in Python
+    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported: its kernels then run in Python
 
-#: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
-#: before the others that play it, which would wait for it.
+#: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
+#: long before those that play it, which would wait.
 LONGEST = (
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
@@ -39,7 +39,7 @@ LONGEST = (
 HERE = Path(__file__).resolve().parent
 SHARED_DATA = HERE.parents[1] / "shared" / "data"
 
-# The same examples in every run, whatever earlier runs have stored, and no limit of time that a busy machine exceeds.
+# Examples are the same in every run, whatever earlier runs have stored; a busy machine may take any time.
 settings.register_profile(
     "reproducible", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -54,8 +54,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _processes_heed_interrupts() -> Iterator[None]:
-    """Restores SIGINT where a shell that runs the tests in the background ignores it: processes started here inherit
-    that, and those that are interrupted by a test would run on.
+    """Restore SIGINT where a shell that runs the tests in the background ignores it: processes started by tests inherit
+    this, and would run on when a test interrupts them.
     """
     before = signal.getsignal(signal.SIGINT)
     if before == signal.SIG_IGN:
@@ -66,7 +66,7 @@ def _processes_heed_interrupts() -> Iterator[None]:
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """Runs the command line in this process and returns its exit code."""
+    """Return a function that runs the command line in this process and returns its exit code."""
 
     def run(*arguments: object) -> int:
         monkeypatch.setattr(sys, "argv", ["fingerflow", *map(str, arguments)])
@@ -80,7 +80,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of real files with known truth; the test is skipped where it is absent."""
+    """Return the folder of real files with known truth; skip the test if there is none."""
     if not SHARED_DATA.is_dir():
         pytest.skip(f"the real recordings are not here: {SHARED_DATA} does not exist")
     return SHARED_DATA
@@ -88,16 +88,17 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """The same for all processes of a run."""
+    """Return a folder that all processes of a run share."""
     own = tmp_path_factory.getbasetemp()
     return own if worker_id == "master" else own.parent
 
 
 @pytest.fixture(scope="session")
 def slip_trials(shared_folder: Path) -> Path:
-    """Folders `abrupt` and `fading`: trials of 120 frames, views of 192 x 240 px, windows that fit a small contact.
+    """Return a folder with the trials `abrupt` and `fading`, which no test may write to: 120 frames, views of 192 x 240
+    px, windows that fit a small contact.
 
-    Their scene files do not say where skin touches: a lab's do not either. They are not to be written to.
+    Their scene files do not say where skin touches, as those of a lab.
     """
 
     def write(folder: Path) -> None:
@@ -110,29 +111,31 @@ def slip_trials(shared_folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_press(shared_folder: Path) -> Path:
-    """The folder of `TINY_PRESS` of tests/small_trials.py, not to be written to."""
+    """Return the folder of `TINY_PRESS` of tests/small_trials.py, which no test may write to."""
     return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
 
 
 @pytest.fixture(scope="session")
 def gel_recording(shared_folder: Path) -> Path:
-    """The scene file of a soft sensor: `GEL` of tests/small_trials.py. Its folder is not to be written to."""
+    """Return the scene file of a soft sensor, `GEL` of tests/small_trials.py. No test may write to its folder."""
     folder = shared_folder / "gel"
     return _made_once(folder, lambda path: write_gel_recording(path, GEL, GEL_MM_PER_PX)) / "scene.toml"
 
 
 @pytest.fixture(scope="session")
 def bundle_of_trials(shared_folder: Path) -> Path:
-    """What plays `small_trials`, not to be written to: exported once, in a minute, by the first that needs it."""
+    """Return the bundle that plays the trials of tests/small_trials.py, which no test may write to. The first test that
+    needs the bundle exports it, in a minute.
+    """
     return _made_once(shared_folder / "bundle_of_trials", write_bundle_of_trials)
 
 
 def _made_once(folder: Path, write: Callable[[Path], object]) -> Path:
-    """A folder that the first process that needs it writes, while the others wait."""
+    """Return a folder that the first process that needs it writes, while all others wait."""
     done = folder.with_name(f"{folder.name}.done")
     with FileLock(f"{folder}.lock"):
         if not done.exists():
-            shutil.rmtree(folder, ignore_errors=True)  # of one that failed
+            shutil.rmtree(folder, ignore_errors=True)  # left by a process that failed
             write(folder)
             done.touch()
     return folder
@@ -140,7 +143,7 @@ def _made_once(folder: Path, write: Callable[[Path], object]) -> Path:
 
 @pytest.fixture
 def torch_threads() -> Iterator[Callable[[int], None]]:
-    """Sets the number of threads that torch, and with it the package, may use in this test."""
+    """Yield a function that sets the number of threads of torch, and with it of the package, in this test."""
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)
@@ -148,7 +151,7 @@ def torch_threads() -> Iterator[Callable[[int], None]]:
 
 @pytest.fixture(params=["compiled", "portable"])
 def each_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The test runs with the compiled kernels and without."""
+    """Run the test with the compiled kernels and without."""
     if request.param == "portable":
         monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     elif not kernels.serve():
@@ -157,7 +160,7 @@ def each_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Playwright's own Chromium, or the system's."""
+    """Yield a running Chromium, Playwright's own or the system's."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as engine:
         started = launch(engine)

@@ -1,6 +1,6 @@
-"""Every public op and every module of the graphs with inputs of a small scene: what a pipeline that embeds them calls.
+"""Every public op and every module of the graphs with inputs of a small scene, as a pipeline calls them.
 
-A new op, or a new module, has to be given inputs here: `without_a_case` names it.
+A new op or module needs inputs here: `without_a_case` names those that have none.
 """
 
 import importlib
@@ -32,12 +32,14 @@ class Case(NamedTuple):
 
 
 def scene(batch: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Waves as uint8 (B, 1, H, W), the same half a pixel further on, points (B, N, 2), and displacements of them."""
+    """Return waves as uint8 (B, 1, H, W), the same waves half a pixel further, points (B, N, 2) px, and displacements
+    of the points.
+    """
     y, x = torch.meshgrid(
         torch.arange(HEIGHT, dtype=torch.float64), torch.arange(WIDTH, dtype=torch.float64), indexing="ij"
     )
     frames = []
-    # Forty waves of periods from 6 px on: nothing repeats within a search.
+    # Forty waves with periods from 6 px on, so that no pattern repeats within a search.
     waves = torch.rand(3, 40, 1, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 2 - 1
     for shift in (0.0, 0.5):
         ridges = torch.sin(waves[0] * (x - shift) + waves[1] * y + 9 * waves[2]).sum(0)
@@ -51,7 +53,7 @@ def scene(batch: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def cases(batch: int = 2) -> dict[str, Case]:
-    """By name: of the ops their public one, and what is asked of them behind a dash."""
+    """Return the cases by name: for ops the public name, and after a dash the variant."""
     first, second, points, moved = scene(batch)
     gray = first.to(torch.float32)
     glass, black = torch.full_like(gray, 200.0), torch.zeros_like(gray)
@@ -121,7 +123,7 @@ def cases(batch: int = 2) -> dict[str, Case]:
 
 
 def without_a_case() -> set[str]:
-    """Public ops and modules that `cases` does not hold."""
+    """Return the names of public ops and modules that are not in `cases`."""
     files = [
         importlib.import_module(f"fingerflow.graphs.{found.name}")
         for found in pkgutil.iter_modules(fingerflow.graphs.__path__)
@@ -136,7 +138,7 @@ def without_a_case() -> set[str]:
 
 
 def tensors_of(result: Any) -> list[Tensor]:
-    """All tensors of a result, in order."""
+    """Return all tensors of a result, in order."""
     if isinstance(result, Tensor):
         return [result]
     return [tensor for part in result or () for tensor in tensors_of(part)] if isinstance(result, tuple) else []
@@ -144,7 +146,7 @@ def tensors_of(result: Any) -> list[Tensor]:
 
 @cache
 def expected(name: str) -> list[Tensor]:
-    """What the case gives as it is."""
+    """Return the tensors of the result of a case, computed without changes."""
     with torch.no_grad():
         return tensors_of(CASES[name].call(*CASES[name].inputs))
 

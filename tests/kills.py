@@ -1,11 +1,12 @@
-"""`python -m tests.kills`: commands that are ended at random moments, on full and on read-only disks.
+"""End commands at random moments, also on full and on read-only disks, and check what they leave behind.
 
-Each run starts a command beside an older output of its kind, or beside none, ends it, and looks at what is there: an
-output is whole or absent, one that was finished before is there, and a refusal is a sentence. Then the same command
-runs to its end, and nothing but its outputs may be left. Moments are drawn by a seeded generator: of processor time, or
-before a file is opened, renamed, made or removed. The disk is a file system in memory, which needs the right to mount.
+`python -m tests.kills`: each run starts a command beside an older output of its kind, or beside none, ends it, and
+looks at the files. An output must be whole or absent, an output that was finished before must still be there, and a
+refusal must be a sentence. Then the same command runs to its end, and nothing but its outputs may be left. Moments are
+drawn by a seeded generator: a processor time, or a file that is opened, renamed, made or removed. The disk is a file
+system in memory, which needs the right to mount.
 
-Commands are forked from a process that has imported everything, and are small: four figures' worth of time each.
+Commands are forked from a process that has imported all modules, and are small.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ import tiny_bundle
 
 __all__ = ["ENDINGS", "main"]
 DISK_BYTES = 200 << 20
-KEPT_FREE = 64 << 20  # that results of HDF5 leave free: fingerflow/results/free_space.py
+KEPT_FREE = 64 << 20  # free bytes that results of HDF5 leave: fingerflow/results/free_space.py
 ENDINGS = ("kill", "kill at a file", "SIGTERM", "SIGINT", "full disk", "freed disk", "read-only")
 ON_A_DISK = ENDINGS[4:]
 RECIPE = """
@@ -69,13 +70,15 @@ _OPERATIONS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.tru
 
 @dataclass(frozen=True)
 class Command:
-    """What is run in a folder, the outputs it makes there, what it is given, and whether an output is whole."""
+    """A command that is run in a folder: the outputs that it makes there, its inputs, and whether an output is
+    whole.
+    """
 
     arguments: tuple[str, ...]
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
-    whole: Callable[[Path, Path], bool]  # of an output and the same of the reference run
-    replaces: bool  # older outputs of its kind
+    whole: Callable[[Path, Path], bool]  # of an output and that of the reference run
+    replaces: bool  # whether it replaces older outputs
 
 
 def _same_result(path: Path, reference: Path) -> bool:
@@ -84,7 +87,7 @@ def _same_result(path: Path, reference: Path) -> bool:
 
 @functools.cache
 def _reference_result(path: Path) -> xr.Dataset:
-    """Loaded once: that takes as long as the command."""
+    """Return the reference result, loaded once because loading takes as long as the command."""
     return results.load_result(path)
 
 
@@ -118,7 +121,7 @@ def _same_bundle(path: Path, reference: Path) -> bool:
 
 
 def _readable_stream(path: Path, reference: Path) -> bool:
-    """As far as it came."""
+    """Return whether the results of a stream can be read and hold its frames from the first one on."""
     frames = open_stream(path).load()["frame"].values
     return np.array_equal(frames, np.arange(len(frames))) and len(frames) <= open_stream(reference).sizes["frame"]
 
@@ -161,7 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
         names = asked.command or list(COMMANDS)
         costs = _references(base, names)
         for number in range(asked.count):
-            # Each command meets each ending in turn.
+            # Combine each command with each ending in turn.
             turn, which = divmod(number, len(names))
             name, ending = names[which], endings[(turn + which) % len(endings)]
             said = _run(COMMANDS[name], base, disk, ending, rng, *costs[name])
@@ -179,21 +182,21 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _make_small() -> None:
-    """Scenes, figures and graphs of a size that a second or two of a processor is enough for."""
+    """Make scenes, figures and graphs so small that each takes a second or two of a processor."""
     from fingerflow import synthetic
 
     press = replace(TINY_PRESS, n_frames=24, frame_rate=24.0)
     synthetic.Press = lambda: press  # type: ignore[misc, assignment]
     supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
     sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
-    patient_file._PATIENCE = 1.0  # s, not half a minute
-    write_bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has
-    _ = playing, reporting, load_scene, load_bundle  # loaded here, once
+    patient_file._PATIENCE = 1.0  # s, instead of half a minute
+    write_bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # tested by tests/export
+    _ = playing, reporting, load_scene, load_bundle  # load these modules once, here
 
 
 @contextlib.contextmanager
 def disk_in_memory() -> Iterator[tuple[Path, bool]]:
-    """A folder, and whether a small file system could be mounted there."""
+    """Yield a folder, and whether a small file system could be mounted there."""
     top = Path(tempfile.mkdtemp(prefix="kills-"))
     disk = top / "disk"
     disk.mkdir()
@@ -208,7 +211,9 @@ def disk_in_memory() -> Iterator[tuple[Path, bool]]:
 
 
 def _references(base: Path, names: list[str]) -> dict[str, tuple[float, int]]:
-    """Inputs and outputs of runs that nothing ends; the processor time and the file operations of each."""
+    """Make the inputs and outputs of runs that are not ended; return the processor time (s) and the number of file
+    operations of each command.
+    """
     (base / "given").mkdir(parents=True)
     (base / "given" / "recipe.toml").write_text(RECIPE)
     tiny_bundle.write_bundle(base / "given" / "tiny")
@@ -218,7 +223,7 @@ def _references(base: Path, names: list[str]) -> dict[str, tuple[float, int]]:
     costs = {}
     for name in names:
         folder = base / name
-        for _ in range(2):  # the second time everything is imported
+        for _ in range(2):  # the second run finds all modules imported
             shutil.rmtree(folder, ignore_errors=True)
             _fill(folder, COMMANDS[name], base)
             status, cost = _fork(COMMANDS[name].arguments, folder, told)
@@ -238,7 +243,7 @@ def _fill(folder: Path, command: Command, base: Path) -> None:
 def _run(
     command: Command, base: Path, disk: Path, ending: str, rng: random.Random, seconds: float, operations: int
 ) -> list[str]:
-    """What was wrong in one run, a sentence each."""
+    """Run a command once and end it; return its faults, a sentence each."""
     folder, told, ballast = disk / "run", disk.parent / "told", disk / "ballast"
     reference = base / command.arguments[0]
     shutil.rmtree(folder, ignore_errors=True)
@@ -282,7 +287,7 @@ def _run(
     }.get(ending, (0, 2))  # fmt: skip
     if status not in allowed:
         faults.append(f"ended with {status}: {said[-300:]}")
-    if status in (0, 2, 130):  # which had the time to clear up
+    if status in (0, 2, 130):  # the command had the time to clear up
         faults += _left_behind(folder, before, command)
     again, _ = _fork(command.arguments, folder, told)
     said = told.read_text(errors="replace")
@@ -296,7 +301,7 @@ def _run(
 
 
 def leave_free(ballast: Path, free: int) -> None:
-    """Makes this file as large as leaves so many bytes of its disk, whoever else is writing to it meanwhile."""
+    """Make the file `ballast` so large that its disk has `free` bytes left, while others may write to the disk."""
     ballast.unlink(missing_ok=True)
     with ballast.open("wb") as file:
         while (more := shutil.disk_usage(ballast.parent).free - free) > 0:
@@ -333,7 +338,9 @@ def _fork(
     arguments: tuple[str, ...], folder: Path, told: Path, ending: str = "", moment: dict[str, float] | None = None,
     ballast: Path | None = None,
 ) -> tuple[int, tuple[float, int]]:  # fmt: skip
-    """How a command ended that runs in a process of its own: its status, and its processor time and file operations."""
+    """Run a command in a process of its own; return its status, and its processor time (s) and number of file
+    operations.
+    """
     reading, writing = os.pipe()
     sys.stdout.flush()
     process = os.fork()
@@ -345,7 +352,7 @@ def _fork(
         cost = answer.read()
         status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
     seconds, operations, modules = json.loads(cost) if cost else (0.0, 0, [])
-    for module in modules:  # once here, and not in each process again
+    for module in modules:  # imported once here instead of in each process
         with contextlib.suppress(Exception):
             importlib.import_module(module)
     return status, (seconds, operations)
@@ -355,7 +362,7 @@ def _become(
     arguments: tuple[str, ...], folder: Path, told: Path, ending: str, moment: dict[str, float],
     ballast: Path | None, answer: int,
 ) -> None:  # fmt: skip
-    """In the new process: the command, until it ends or is ended."""
+    """Run the command in the new process, until it ends or is ended."""
     status, begun, operations, known = 1, os.times(), 0, set(sys.modules)
 
     def count(event: str, values: tuple[object, ...]) -> None:
@@ -363,7 +370,7 @@ def _become(
         if event not in _OPERATIONS or (event == "open" and not int(values[2]) & (os.O_WRONLY | os.O_RDWR)):  # type: ignore[call-overload]
             return
         if operations == moment.get("operation"):
-            operations += 1  # what follows is no operation of the command
+            operations += 1  # the next operations are not those of the command
             if ending == "kill at a file":
                 os.kill(os.getpid(), signal.SIGKILL)
             elif ballast is not None:

@@ -1,4 +1,4 @@
-"""Recorded calls on the processor, in place of CUDA graphs: ops are replayed into the tensors of the first time."""
+"""Recorded calls on the processor in place of CUDA graphs: ops are replayed into the tensors of the recording."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,7 @@ from fingerflow.engines.capture import RecordedCall
 
 
 class Ops(TorchDispatchMode):
-    """Notes every op with the tensors that it read and gave."""
+    """Records every op with its arguments and results."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
@@ -35,7 +35,7 @@ def record(call: Callable[[], Any]) -> RecordedCall:
             given = {one.untyped_storage().data_ptr() for one in tensors((arguments, options))}
             again = operation(*arguments, **options)
             for old, new in zip(tensors(first), tensors(again), strict=True):
-                if old.untyped_storage().data_ptr() not in given:  # else a view, or it was changed in place
+                if old.untyped_storage().data_ptr() not in given:  # otherwise a view, or changed in place
                     old.copy_(new)
 
     return RecordedCall(replay, result)

@@ -12,9 +12,9 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 per frame, and the truth behind them.
+    """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 of each frame, and the true parameters of the trial.
 
-    `critical_stuck_area` is the d^2 at which the area collapses, 0 where it fades.
+    `critical_stuck_area` is the d^2 at which the area collapses, 0 if it fades.
     """
 
     time: Values
@@ -42,14 +42,16 @@ def simulate_trial(
     """Simulate a slow ramp of T/N, the stuck area by equation 5, its collapse at constant T/N, and 1 s of full slip.
 
     Args:
-        mu_s, mu_k, seed: coefficients of friction; seed of the noise and of the phase of the oscillation.
+        mu_s, mu_k: coefficients of static and kinetic friction.
+        seed: of the noise and of the phase of the oscillation.
         frame_rate: frames/s.
-        loading_s: s from no load to the critical one.
-        collapse_ms: ms from the critical area to none, where mu_k < mu_s; 130 to 310 in the paper.
+        loading_s: s from no load to the critical load.
+        collapse_ms: ms from the critical stuck area to none, if mu_k < mu_s; 130 to 310 in the paper.
         area_noise, load_noise: standard deviations of d^2 and, relative to the critical load, of T/N.
         oscillation: relative amplitude of a 3 Hz oscillation of T/N. The stuck area follows the largest T/N so far.
         reached: share of the critical load at which loading stops.
-        last: with a number the area falls in a straight line to it, in place of the model's curve, and collapses there.
+        last: stuck area to which the area falls in a straight line, and at which it collapses; None for the curve of
+            the model.
     """
     noise = np.random.default_rng(seed)
     largest = float(critical_load_ratio(mu_s, mu_k))

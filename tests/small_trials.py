@@ -1,4 +1,4 @@
-"""Trials that are small enough for a test, and what may be wrong with a frame of them: one place for all tests."""
+"""Trials that are small enough for a test, and the ways in which tests spoil their frames."""
 
 import hashlib
 import json
@@ -39,7 +39,7 @@ SMALL_PRESS = Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **_SM
 
 GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
-# What a stream and `process` are compared on.
+# Trials on which a stream and `process` are compared.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
 _SHARED = f"""
 [tracking]
@@ -57,7 +57,9 @@ TRIALS: dict[str, Press | Slide] = {
 
 
 def write_small(folder: Path, trial: SyntheticScene) -> Path:
-    """Writes a recording of small contact; its scene file has windows that fit it, and says nothing of streams."""
+    """Write a recording of a small contact, with a scene file with windows that fit it and without settings of streams;
+    return the path of the scene file.
+    """
     write_recording(folder, trial)
     scene = folder / "scene.toml"
     edit(scene, ("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0"))
@@ -67,7 +69,7 @@ def write_small(folder: Path, trial: SyntheticScene) -> Path:
 
 
 def edit(path: Path, *changes: tuple[str, str]) -> None:
-    """Replaces the first of each text in a file; it has to be there."""
+    """Replace the first occurrence of each text in a file; each must occur."""
     text = path.read_text(encoding="utf-8")
     for old, new in changes:
         assert old in text, old
@@ -76,20 +78,25 @@ def edit(path: Path, *changes: tuple[str, str]) -> None:
 
 
 def write_trial(folder: Path, kind: str = "press") -> Path:
-    """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
+    """Write the recording and the scene file of a trial, with a given threshold and the settings of the bundle; return
+    the path of the scene file.
+    """
     return write_scene_of_bundle(folder, TRIALS[kind])
 
 
 def write_small_slip(folder: Path, **settings: Any) -> Path:
-    """Writes a trial as `SMALL_SLIP`, with windows that fit a small contact; its scene does not say where skin touches.
+    """Write a trial with the settings of `SMALL_SLIP` and windows that fit a small contact; its scene does not say
+    where skin touches.
 
-    Returns its folder.
+    Return its folder.
     """
     return write_small(folder, PartialSlip(**(SMALL_SLIP | settings))).parent
 
 
 def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:
-    """Writes the recording of a trial of any kind, views of `HEIGHT` x `WIDTH` px, and the scene file as above."""
+    """Write the recording of any trial with views of `HEIGHT` x `WIDTH` px, and its scene file as `write_trial` does;
+    return the path of the scene file.
+    """
     write_recording(folder, trial)
     scene = folder / "scene.toml"
     text = scene.read_text(encoding="utf-8")
@@ -99,7 +106,9 @@ def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:
 
 
 def write_bundle_of_trials(folder: Path) -> Path:
-    """Exports the graphs that play these trials and all others, and beside it what their verification has found."""
+    """Export all graphs for these trials, and write the results of their verification beside the bundle; return the
+    folder of the bundle.
+    """
     recipe, verification = beside(folder)
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
     recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {json.dumps(GRAPHS)}\n", encoding="utf-8")
@@ -109,9 +118,10 @@ def write_bundle_of_trials(folder: Path) -> Path:
 
 
 def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
-    """Writes what the compiled library plays at once: a bundle whose graphs, which take a minute to export, are none.
+    """Write a bundle that the compiled library plays, without exporting graphs, which takes a minute; return its
+    folder.
 
-    Numbers of its built-in frame are those of the library here.
+    The files of its graphs are no graphs; the numbers of its built-in frame are those of the compiled library here.
     """
     folder.mkdir(parents=True)
     graphs = {}
@@ -136,12 +146,14 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 
 
 def recipe_of_trials() -> Recipe:
-    """What plays these trials."""
+    """Return the recipe of a bundle that plays these trials."""
     return Recipe(views=ViewRecipe(height=HEIGHT, width=WIDTH), **tomllib.loads(_SHARED))
 
 
 def edit_scene(folder: Path, replaced: dict[str, str], name: str = "scene.toml", stream: bool = True) -> Path:
-    """Writes a recording's scene with other texts, and without its last table, [stream], where that is not wanted."""
+    """Write a scene of a recording with texts replaced, and without its last table, [stream], unless `stream`; return
+    its path.
+    """
     text = (folder / "scene.toml").read_text(encoding="utf-8")
     for old, new in replaced.items():
         assert old in text, old
@@ -159,7 +171,9 @@ def scene_beside(
     stream: bool = True,
     **arrays: Frame,
 ) -> Scene:
-    """Writes a recording's scene in another folder, with other texts, and with other arrays in place of its files."""
+    """Write the scene of a recording to another folder, with texts replaced, and with other arrays in place of its
+    files; return the scene.
+    """
     text = (recording / "scene.toml").read_text(encoding="utf-8")
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         text = text.replace(f'"{name}"', f'"{(recording / name).as_posix()}"')
@@ -174,17 +188,17 @@ def scene_beside(
 
 
 def warnings_of(result: xr.Dataset) -> str:
-    """What a result warns of, a line each."""
+    """Return the warnings of a result, one a line."""
     return "\n".join(json.loads(result.attrs["warnings"]))
 
 
 def beside(bundle: Path) -> tuple[Path, Path]:
-    """The files of a bundle's recipe and of its verification."""
+    """Return the paths of the recipe of a bundle and of its verification."""
     return bundle.with_name(f"{bundle.name}.toml"), bundle.with_name(f"{bundle.name}.json")
 
 
 def export_unverified(recipe: Path, folder: Path) -> None:
-    """Exports a bundle without the verification, which takes longest and which tests/export has."""
+    """Export a bundle without its verification, which takes longest and is tested by tests/export."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fingerflow.export.write_bundle.verify", lambda *_: [])
         export_bundle(recipe, folder)
@@ -200,18 +214,18 @@ def _without_lines(frame: Frame) -> Frame:
 
 
 def dim_contact(frame: Frame) -> Frame:
-    """The contact view, on the right, at 70 % of its light."""
+    """Return the frame with the contact view, on the right, at 70 % of its light."""
     middle = frame.shape[1] // 2
     return np.concatenate([frame[:, :middle], (0.7 * frame[:, middle:]).astype(frame.dtype)], axis=1)
 
 
 def other_noise(frame: Frame, seed: int) -> Frame:
-    """The frame with another last bit of each pixel, so that it is no copy."""
+    """Return the frame with random last bits, so that it is no copy."""
     result: Frame = frame ^ np.random.default_rng(seed).integers(0, 2, frame.shape, frame.dtype)
     return result
 
 
-#: What becomes of a frame (H, W) of 8 bits, and the status that says so.
+#: Functions that spoil a frame (H, W) of 8 bits, and the status of the spoiled frame.
 SPOILED: dict[str, tuple[Callable[[Frame], Frame], str]] = {
     "black": (lambda frame: np.full_like(frame, 8), "dark"),
     "saturated": (lambda frame: np.full_like(frame, 255), "saturated"),

@@ -1,7 +1,7 @@
-"""Every module of the graphs on an accelerator that is not there: no wait for the host, launches that do not grow with
-the recordings, one graph without a break.
+"""Tests that every module of the graphs is ready for an accelerator, without one: the host never waits, the number of
+launches does not grow with the recordings, and torch compiles one graph without a break.
 
-A module that is new has to be given inputs in tests/embedded.py.
+A new module needs inputs in tests/embedded.py.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "expo
 
 
 class Step(NamedTuple):
-    """A module, and its inputs for so many recordings side by side."""
+    """A module, and a function that returns its inputs for a number of recordings side by side."""
 
     module: nn.Module
     inputs: Callable[[int], tuple[Any, ...]]
@@ -45,7 +45,7 @@ def alone(dtype: torch.dtype = torch.float32) -> Callable[[int], Tensor]:
 
 
 def steps() -> dict[str, Step]:
-    """All modules by name: of the graphs (tests/embedded.py), and of the recipes that are shipped."""
+    """Return all modules by name: those of the graphs (tests/embedded.py) and of the shipped recipes."""
     found = {
         name: Step(case.call, lambda batch, name=name: cases(batch)[name].inputs)
         for name, case in CASES.items()
@@ -64,7 +64,7 @@ def small(recipe: Recipe) -> Recipe:
 
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
-    """The graphs of a recipe; what one gives the next ones take, in shape and type."""
+    """Yield the graphs of a recipe by name; inputs have the shapes and types of the outputs of earlier graphs."""
     beside = find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
     known = {
         **dict.fromkeys(("contact_view", "topography_view", "key_view"), images()),
@@ -120,7 +120,7 @@ def test_compiled_whole(name: str) -> None:
         torch.compile(step.module, fullgraph=True, dynamic=False, backend="eager")(*step.inputs(1))
 
 
-# The counter itself
+# Tests of the counter itself
 
 
 class Formula(nn.Module):

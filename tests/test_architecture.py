@@ -1,4 +1,6 @@
-"""Data goes one way: recordings, stages (through graphs and ops), result, report. Imports are read, not run."""
+"""Tests of the imports of the package, which are read and not run: data goes one way, from recordings through stages
+(with graphs and ops) to result and report.
+"""
 
 import ast
 import sys
@@ -11,17 +13,17 @@ from fingerflow.schema import variables
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 
-# What each room may import of the others; itself always. A new file or folder takes its place here.
+# Rooms (folders or files of the package) that each room may import, beside itself. A new file or folder needs a row.
 _TABLE = {
     "errors": "",
     "schema": "errors",  # keys of scenes, variables of results
     "recordings": "errors schema",
     "results": "errors recordings schema",
-    "kernels": "",  # of NumPy arrays and tensors, without torch
-    "tensors": "kernels",  # the same as ops of torch's, in fingerflow/kernels/tensors
+    "kernels": "",  # works on NumPy arrays and tensors without importing torch
+    "tensors": "kernels",  # the kernels as ops of torch, in fingerflow/kernels/tensors
     "ops": "kernels tensors",
     "graphs": "kernels ops",
-    "engines": "errors kernels schema",  # of NumPy arrays
+    "engines": "errors kernels schema",  # works on NumPy arrays
     "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py, capture.py
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
@@ -37,13 +39,13 @@ _TABLE = {
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
     "reproduce": "__init__ calibration errors models ops plot recordings report results schema study synthetic",
     "view": "__init__ calibration engines errors pipeline player recordings results schema stages",
-    "__init__": "pipeline recordings results schema",  # only when one of them is asked for, see below
+    "__init__": "pipeline recordings results schema",  # only on access to one of their names, see below
 }
 ARROWS = {room: set(others.split()) for room, others in _TABLE.items()}
 ARROWS["cli"] = set(ARROWS)
 ARROWS["__main__"] = {"cli"}
 
-# Where what a room may import from elsewhere is part of its promise; Python's own modules always.
+# Packages that these rooms may import, beside Python's own modules.
 PACKAGES = {
     "errors": set(),
     "schema": set(),
@@ -54,20 +56,20 @@ PACKAGES = {
     "engines": {"numpy", "onnxruntime"},
     "torch_engine": {"numpy", "torch"},
     "tracker": {"numpy"},
-    # All but NumPy only where they are installed: for videos and cameras, outputs and sensors.
+    # All but NumPy are optional: for videos and cameras, outputs and sensors.
     "player": {"numpy", "cv2", "harvesters", "pylsl", "serial", "zmq"},
 }
 
 
 def imported(source: str) -> Iterator[tuple[int, str]]:
-    """(line, module) of every import, also inside functions and of `import_module` with a text."""
+    """Yield (line, module) of every import, also inside functions and by `import_module` with a text."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, name.name) for name in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"line {node.lineno}: imports are absolute"
             assert node.module is not None
-            if node.module == "fingerflow.kernels":  # of which one module is a room of its own
+            if node.module == "fingerflow.kernels":  # one of its modules is a room of its own
                 yield from ((node.lineno, f"fingerflow.kernels.{name.name}") for name in node.names)
             elif node.module == "fingerflow":
                 yield from ((node.lineno, _member(name.name)) for name in node.names)
@@ -80,13 +82,15 @@ def imported(source: str) -> Iterator[tuple[int, str]]:
 
 
 def _member(name: str) -> str:
-    """`from fingerflow import kernels` is a module; `from fingerflow import __version__` is a name of the package."""
+    """Return the module of a name imported from `fingerflow`: `kernels` is a module itself, `__version__` is a name of
+    the package.
+    """
     is_module = (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists() or name in ARROWS
     return f"fingerflow.{name}" if is_module else "fingerflow.__init__"
 
 
 def wrong_arrows(room: str, source: str, where: str = "") -> list[str]:
-    """One sentence an import that the tables do not have."""
+    """Return one sentence for each import that the tables do not allow."""
     wrong = []
     for line, module in imported(source):
         top, _, rest = module.partition(".")
@@ -115,7 +119,7 @@ def test_every_room_has_its_place() -> None:
 
 
 def test_no_class_name_twice() -> None:
-    """Who reads a name in a message, a docstring or a search finds one class."""
+    """Every class of the package has a name of its own, so that a name in a message or docstring leads to one class."""
     named: dict[str, list[str]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -125,8 +129,8 @@ def test_no_class_name_twice() -> None:
 
 
 def test_every_variable_is_put_under_its_literal_name() -> None:
-    """Who searches for the name of a variable finds where it is computed: in a stage, the tracker or the player, or by
-    a formula beside its definition.
+    """The name of every variable of results stands literally in a stage, the tracker or the player, or has a formula
+    beside its definition, so that a search for the name finds where it is computed.
     """
     rooms = ("pipeline/stages", "tracker", "player")
     texts = {
@@ -158,8 +162,8 @@ def test_nothing_imports_the_command_line() -> None:
 
 
 def test_no_room_leads_back_to_itself() -> None:
-    """The arrows themselves go one way."""
-    arrows = ARROWS | {"__init__": set()}  # what that offers is loaded when it is asked for
+    """The allowed imports have no circle."""
+    arrows = ARROWS | {"__init__": set()}  # the package loads its names on first access
     finished: set[str] = set()
     for _ in arrows:
         finished |= {room for room, targets in arrows.items() if targets - {room} <= finished}
@@ -167,7 +171,7 @@ def test_no_room_leads_back_to_itself() -> None:
 
 
 def test_the_package_itself_loads_nothing() -> None:
-    """`import fingerflow` is free; torch comes with the first public function."""
+    """`import fingerflow` loads nothing; torch is loaded with the first public function."""
     tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     loaded = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
     assert {node.module for node in loaded if isinstance(node, ast.ImportFrom)} <= {
@@ -202,19 +206,21 @@ def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:
 
 
 def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> None:
-    """Figures, reports and pages take it from `schema`; else one quantity has several units."""
+    """Figures, reports and pages take the displayed unit of a variable from `schema`; otherwise one quantity could have
+    several units.
+    """
     pages = [path for kind in ("py", "js", "html") for path in PACKAGE.rglob(f"*.{kind}")]
     assert len(pages) > 300
     stated = {str(path.relative_to(PACKAGE)) for path in pages if "µm/mm" in path.read_text(encoding="utf-8")}
     assert {name for name in stated if not name.startswith("schema/")} == set()
 
 
-#: Stems that occur twice, of files that hold the same thing: for tensors and for arrays, or of two commands.
+#: Stems of several files that hold the same subject: for tensors and for arrays, or of two commands.
 _SAME_THING = {"__main__", "block_means", "cells", "checks", "deformation"}
 
 
 def test_files_of_one_stem_hold_the_same_thing() -> None:
-    """A twin stands in the room `kernels`, `engines` or `tracker`; what else shares a name would be opened in vain."""
+    """Files of equal name hold the same subject, as twins in `kernels`, `engines` or `tracker`."""
     stems: dict[str, list[str]] = {}
     for path in PACKAGE.rglob("*.py"):
         if path.stem != "__init__":

@@ -1,6 +1,7 @@
-"""`torch.compile(fullgraph=True)` and `torch.export` of every public op and every module: the same numbers.
+"""Tests of `torch.compile(fullgraph=True)` and `torch.export` of every public op and module: results are the same
+numbers.
 
-A new one has to be given inputs in tests/embedded.py.
+A new op or module needs inputs in tests/embedded.py.
 """
 
 import shutil
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.long
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-#: Ops whose number of steps depends on data, and what of each is one op of a graph.
+#: Ops whose number of steps depends on data, and the function of each that is one op of a graph.
 BY_DATA = {"dense_flow": "whole_flow", "detect_corners": "choose_apart", "track_points": "in_passes"}
 
 
@@ -50,8 +51,8 @@ def test_every_op_and_module_has_a_case() -> None:
 @pytest.mark.usefixtures("each_form")
 @pytest.mark.parametrize("name", CASES)
 def test_whole_and_the_same(name: str) -> None:
-    """Bit for bit: the same operators run, one after the other. Fields and points but to rounding: where nothing is
-    traced, the portable form of fields leaves out points that are not known, and that of points sums in another order.
+    """Compiled results are the same bit for bit, because the same operators run. Fields and points agree to rounding:
+    without tracing, the portable form of fields leaves out unknown points, and that of points sums in another order.
     """
     to_rounding = name.startswith(("FieldsGraph", "TrackGraph"))
     compiled_as_it_is(name, "aot_eager", tolerance=1e-6 if to_rounding else 0.0)
@@ -70,7 +71,9 @@ class Exported(nn.Module):
 
 @pytest.mark.parametrize("name", CASES)
 def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one graph of fixed shapes, to the rounding of sums in another order; of torch's own ops where it can be."""
+    """Each case is exported as one graph of fixed shapes, of torch's own ops where possible; results agree to the
+    rounding of sums in another order.
+    """
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     case = CASES[name]
     program = torch.export.export(Exported(case.call), case.inputs)
@@ -87,7 +90,7 @@ def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])
 def test_by_the_compiler_that_comes_with_torch(name: str) -> None:
-    """Which writes loops of its own, so that sums may round otherwise."""
+    """Results of inductor, which writes loops of its own, agree to the rounding of sums."""
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler here")
     compiled_as_it_is(name, "inductor", tolerance=1e-4)
@@ -101,7 +104,9 @@ def test_for_batches_of_any_size(name: str) -> None:
 
 @pytest.mark.usefixtures("each_form")
 def test_derivatives_are_those_of_the_op() -> None:
-    """Where one is wanted the portable form is compiled: tracking gives that of a point by its images."""
+    """Compiled derivatives are those of the op. If a derivative is wanted the portable form is compiled; tracking gives
+    the derivative of a position by its images.
+    """
     first, second, points, moved = scene(1)
     images = [image.float().requires_grad_() for image in (first, second)]
 
@@ -120,7 +125,7 @@ def test_derivatives_are_those_of_the_op() -> None:
 
 
 def of_kernels() -> dict[str, Call]:
-    """Calls of ops of torch's own, by their names."""
+    """Return calls of the package's own ops of torch, by name."""
     first, second, points, _ = scene()
     passes = {
         f"in_passes of {one.dtype}": call(

@@ -1,8 +1,8 @@
-"""One press four times: `process`, `process --engine onnx`, and an exported bundle in the player say the same, whether
-ONNX Runtime runs it or the compiled library does.
+"""Tests that one press has the same results four times: by `process`, by `process --engine onnx`, and by an exported
+bundle in the player with ONNX Runtime and with the compiled library.
 
-Each chooses its points itself, in the region that the scene states; the threshold is given, which the player would
-otherwise measure while frames come. Tolerances are those of `export/README.md`.
+Each chooses its points itself, in the region of the scene; the threshold is given, because the player would otherwise
+measure it while frames arrive. Tolerances are those of `export/README.md`.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ from tests.small_trials import POINTS, write_trial
 
 
 class Said(NamedTuple):
-    """By the four, in the units of `process`."""
+    """The results of the four, in the units of `process`."""
 
     torch: xr.Dataset
     onnx: xr.Dataset
@@ -38,7 +38,9 @@ class Said(NamedTuple):
 
 @pytest.fixture(scope="module")
 def asked() -> Iterator[list[str]]:
-    """Names of the graphs that the engine onnx has asked for, which stand for all that decides what is in them."""
+    """Yield the list of names of graphs that the ONNX engine has requested; a name stands for everything that decides
+    the content of its graph.
+    """
     names: list[str] = []
     name_of = OnnxRuntime._name
 
@@ -99,16 +101,17 @@ def test_areas_are_equal(said: Said) -> None:
 
 
 def test_points_are_equal(said: Said) -> None:
-    """But for what the last step leaves of a root, some per cent of its length: the player expects points from two
-    frames before, and so steps from elsewhere. And for points whose step, or whose deformation, exceeds a limit in one
-    and not in the other by a digit."""
+    """Positions agree to the rest of the last step of a root, some per cent of its length: the player expects points
+    from two frames before, so that its steps begin elsewhere. Two in a hundred may differ by more, up to 0.03 px,
+    because their step or deformation exceeds a limit in one engine only.
+    """
     count = said.torch.sizes["point"]
     played = [(live["position_px"][:, :count], 5e-3) for live in said.played]
     for other, rare in ((said.onnx["position_px"].values, 1e-3), *played):
         off = np.abs(other - said.torch["position_px"].values)
         assert np.mean(off > rare) < 0.02
         assert np.max(off) < 0.03
-    # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
+    # The deviation is 0 in the key frame, and larger for templates that are not yet updated.
     deviations = [live["position_std_px"][1:, :count] for live in said.played]
     for deviation in (said.onnx["position_std_px"].values[1:], *deviations):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
@@ -116,23 +119,26 @@ def test_points_are_equal(said: Said) -> None:
 
 
 def test_fields_are_equal(said: Said) -> None:
-    """Within 0.4 um a mm over the contact; at a point, whose fit has fewer neighbours, within 2."""
+    """The median divergence agrees to 0.4 um/mm over the contact; the divergence and curl of a point, whose fit has
+    fewer neighbours, agree to 2 um/mm.
+    """
     count = said.torch.sizes["point"]
     reference = said.torch["median_divergence"].values
     assert np.isfinite(reference).sum() > 30
     for other in (said.onnx["median_divergence"].values, *(live["median_divergence"] for live in said.played)):
-        np.testing.assert_allclose(other, reference, rtol=0, atol=4e-4)  # and unknown in the same frames
+        np.testing.assert_allclose(other, reference, rtol=0, atol=4e-4)  # NaN in the same frames
     for name in ("divergence", "curl"):
         for other in (said.onnx[name].values, *(live[name][:, :count] for live in said.played)):
-            # Positions differ by up to 0.01 px: a point at the border may touch a frame apart, and moves its
-            # neighbours' fits from then on.
+            # Positions differ by up to 0.01 px: a point at the border may come into contact a frame earlier or
+            # later, which changes the fits of its neighbours from then on.
             near = np.isclose(other, said.torch[name].values, rtol=0, atol=2e-3, equal_nan=True)
             assert np.mean(~near) < 1e-2, name
 
 
 def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:
-    """To what a lag of two frames changes: steps begin elsewhere, and templates that are updated as soon as may be are
-    updated a frame later."""
+    """The compiled library gives the results of ONNX Runtime but for a lag of two frames, by which steps begin
+    elsewhere and templates are updated a frame later.
+    """
     off = np.abs(said.native["position_px"] - said.live["position_px"])
     assert np.mean(off > 5e-3) < 0.02
     assert np.nanmax(off) < 0.03
@@ -142,20 +148,22 @@ def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:
 
 @pytest.mark.long
 def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: list[str], tmp_path: Path) -> None:
-    """Of a press and of a contact that skin rolls through, in which points are chosen three times; and the results."""
+    """A contact that skin rolls through, in which points are seeded three times, needs the graphs of a press and one
+    more of fields, and both engines give the same results.
+    """
     scene = write_trial(tmp_path / "rolling", "rolling")
     text = scene.read_text(encoding="utf-8")
-    scene.write_text(text[: text.index("[stream]")], encoding="utf-8")  # whose region is of more skin than touches
+    scene.write_text(text[: text.index("[stream]")], encoding="utf-8")  # its region is larger than the contact
     of_press = set(asked)
     rolled, by_torch = (fingerflow.process(scene, engine=engine) for engine in ("onnx", "torch"))
     chosen = (by_torch["status"] != TrackStatus.NOT_SEEDED_YET).values.argmax(0)
     assert len(np.unique(chosen)) >= 3
     more = set(asked) - of_press
-    assert [name.rpartition("-")[0] for name in more] == ["FieldsGraph"]  # with skin that moved in
+    assert [name.rpartition("-")[0] for name in more] == ["FieldsGraph"]  # with points that slid into contact
     kinds = Counter(name.rpartition("-")[0] for name in of_press)
     assert kinds.pop("KeyGraph") == 2  # with and without a deformation
     assert set(kinds.values()) == {1}
-    # Why a point is lost, out of the frame or on the way there, may turn on a digit.
+    # The reason for which a point is lost, outside the frame or on the way, may depend on the last digit.
     lost = [(one["status"] != TrackStatus.TRACKED).values for one in (rolled, by_torch)]
     np.testing.assert_array_equal(*lost)
     assert (rolled["status"] != by_torch["status"]).mean() < 1e-3
@@ -164,7 +172,9 @@ def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: l
 
 
 def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:
-    """Variables, dimensions, units, definitions and flags; and the numbers, by the tolerances above."""
+    """A stream has the variables, dimensions, units, definitions and flags of `process`, and the same numbers to the
+    tolerances above.
+    """
     both = {
         *("contact_threshold", "real_contact_area", "gross_contact_area", "contact_area_ratio"),
         *("ellipse_center", "ellipse_semi_axes", "ellipse_angle"),
@@ -188,4 +198,4 @@ def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None
     page = write_report(said.streams[0], None, tmp_path).read_text(encoding="utf-8")
     for shown in ("Contact", "Deformation", "Quality"):
         assert f"<h2>{shown}" in page
-    assert "What was seen" not in page  # its frames are gone
+    assert "What was seen" not in page  # the frames of a stream are not kept

@@ -1,4 +1,4 @@
-"""The examples for other programs, run by these programs where they are."""
+"""Tests of the examples for other programs, run by these programs if they are installed."""
 
 import shutil
 import subprocess
@@ -16,7 +16,7 @@ from tests.small_trials import TINY_PRESS, write_small
 
 pytestmark = pytest.mark.long
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-IMAGEJ = Path("/usr/share/java/ij.jar")  # of the Debian package imagej
+IMAGEJ = Path("/usr/share/java/ij.jar")  # from the Debian package imagej
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def run(*command: str) -> str:
 
 
 def test_octave_reads_a_result(trial: tuple[Path, xr.Dataset]) -> None:
-    """As MATLAB does, by the same file."""
+    """Octave reads a result with the file that MATLAB uses as well."""
     if shutil.which("octave") is None:
         pytest.skip("Octave is not installed here")
     here = ["octave", "--no-gui", "--quiet", "--eval"]

@@ -1,4 +1,4 @@
-"""What a process around the package sets for torch as a whole changes no answer of it."""
+"""Tests that default dtype and device of torch, set by the surrounding process, change no result."""
 
 import subprocess
 import sys
@@ -15,14 +15,14 @@ DTYPES = (torch.float64, torch.bfloat16, torch.float16)
 
 @pytest.fixture
 def restored() -> Iterator[None]:
-    expected.cache_clear()  # of the other form
+    expected.cache_clear()  # cached by the other form
     yield
     torch.set_default_dtype(torch.float32)
     torch.set_default_device(None)
 
 
 def without_what_was_kept() -> None:
-    """Tensors that ops keep from call to call must not come from before the defaults changed."""
+    """Clear the tensors that ops cache from call to call, which may come from before the defaults changed."""
     otsu._bin_of_level.cache_clear()
     apparent_contact._kept_boxes.cache_clear()
 
@@ -62,7 +62,9 @@ def test_default_device(name: str) -> None:
 
 @pytest.mark.parametrize("setting", ["dtype(torch.float64)", "dtype(torch.bfloat16)", 'device("meta")'])
 def test_imported_and_first_called_under_them(setting: str) -> None:
-    """What is made once, at import or in the first call, has its own dtype and device too."""
+    """Tensors made once, at import or in the first call, have their own dtype and device whatever the defaults are
+    then.
+    """
     code = f"""
 import torch
 torch.set_default_{setting}

@@ -1,4 +1,4 @@
-"""A short run of `python -m tests.kills`, the same moments each time; the command has 100."""
+"""Tests of a short run of `python -m tests.kills`, with the same moments each time, and of its parts."""
 
 import errno
 import os
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_nothing_is_lost_and_nothing_left_behind() -> None:
-    """Each ending twice, with a command that replaces its output and one that does not."""
+    """Each of seven endings leaves no fault with a command that replaces its output and with one that does not."""
     command = [sys.executable, "-m", "tests.kills", "--count", "14", "--command", "process", "--command", "simulate"]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 0, run.stdout + run.stderr

@@ -1,6 +1,8 @@
-"""Presses of skins like prints against truth: minutiae, pores, and ridges that get thin and break towards the border.
+"""Tests of presses of skins like fingerprints against their truth, with minutiae, pores, and ridges that get thin and
+break towards the border.
 
-Small views: the contact grows to 18 mm², so half of the skin is less than 1 mm from its border, where it is hardest.
+Views are small: the contact grows to 18 mm², so that half of the skin is less than 1 mm from the border, where errors
+are largest.
 """
 
 from dataclasses import replace
@@ -18,10 +20,10 @@ def test_print(pattern: str) -> None:
     press = replace(QUICK_PRESS, texture=FingerprintTexture(pattern=pattern))
     found = errors(processed(press, OUTPUTS), press, middle=8.0)
     gross, worst, real, position = (number(found, name) for name in ("gross_10", "worst", "real", "position_px"))
-    # Ridges that thin out over the last 0.5 mm end early for whoever looks: 0.1 mm all around is 9 % here.
+    # Ridges that get thin over the last 0.5 mm seem to end early: 0.1 mm all around is 9 % of this area.
     assert -9 < gross < 1
     assert abs(worst) < 12
-    # Edges of thin ridges and pores are as long as those of whole ones, around less area.
+    # Thin ridges and ridges with pores have as long edges as whole ridges, around less area.
     assert real < 4
-    # The texture is as strong as the rings', and no more regular.
+    # The texture has the contrast of the ring prints and is no more regular.
     assert position < 0.06

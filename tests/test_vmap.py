@@ -1,4 +1,4 @@
-"""`torch.func.vmap` of every public op gives what a loop over the mapped axis gives."""
+"""Tests that `torch.func.vmap` of every public op gives the results of a loop over the mapped axis."""
 
 import pytest
 import torch
@@ -31,7 +31,7 @@ def flow(previous: Tensor, current: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("name", OF_OPS)
 def test_equals_a_loop(name: str) -> None:
-    """To rounding: a loop takes the compiled kernels, which sum in another order."""
+    """vmap of an op agrees with a loop to rounding: the loop uses the compiled kernels, which sum in another order."""
     case = CASES[name]
     dims = tuple(0 if isinstance(one, Tensor) and one.dtype != torch.int64 else None for one in case.inputs)
     inputs = [
@@ -59,7 +59,9 @@ def test_a_part_of_the_fit_is_mapped_where_the_whole_has_none() -> None:
 
 
 def test_mapped_twice_and_along_another_axis_with_an_image_for_all() -> None:
-    """With one pass an optional result of the op is missing."""
+    """Nested vmap along other axes, with one image for all, agrees with a loop; with one pass an optional result of the
+    op is missing.
+    """
     previous, current = pairs()
     wanted = [ops.track_points(previous[0], one, POINTS, window=11, passes=1).points for one in current]
 
@@ -71,7 +73,7 @@ def test_mapped_twice_and_along_another_axis_with_an_image_for_all() -> None:
 
 
 def test_derivative_inside_and_outside_the_map() -> None:
-    """vmap hides from an op that a derivative is wanted; the op finds it."""
+    """Derivatives inside and outside vmap are right, although vmap hides from an op that a derivative is wanted."""
     previous, current = pairs()
     wanted = torch.stack(
         [

@@ -81,7 +81,7 @@ class Upkeep:
 
     _IN_A_ROW = 4  # a single frame may be blurred or dark
     _RESTART = 64  # frames between two seedings, each of which takes as long as ten frames
-    _LOOKS = 2  # contacts with too few points, one after the other
+    _LOOKS = 2  # evaluations of one contact that find too few points: a growing one passes the limit back and forth
     _YOUNG = 16  # looks at a contact, until which points are seeded where it lies: then skin has deformed already
 
     def __init__(self, share: float, frames: float) -> None:
@@ -109,7 +109,10 @@ class Upkeep:
         points lie in it.
         """
         self._looks = self._looks + 1 if touching else 0
-        self._sparse = self._sparse + 1 if sparse and self._looks <= self._YOUNG else 0
+        if not touching:
+            self._sparse = 0
+        elif sparse and self._looks <= self._YOUNG:
+            self._sparse += 1
 
     def see(self, index: int, number: int, tracked: int) -> str:
         """Record that `tracked` points were tracked in a frame; return the cause of the reseeding or new key frame that

@@ -1,4 +1,4 @@
-"""The command of the bench, its tables and its record, with a suite of one small file as a user would add it."""
+"""Tests of the command of the bench, its tables and its record, with suites that a user could add."""
 
 import json
 from collections.abc import Iterator
@@ -103,14 +103,16 @@ def test_number_refuses_words() -> None:
 
 
 def test_candidates_take_turns_and_meet_the_peer_of_their_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a clock that the candidates move themselves, every number is known."""
+    """Candidates take turns, and each is compared with the peer of the same round; a clock that the candidates move
+    themselves makes every number known.
+    """
     now = [0.0]
     monkeypatch.setattr(timing.time, "perf_counter", lambda: now[0])
     order: list[str] = []
 
     def candidate(name: str, seconds: float) -> None:
         order.append(name)
-        now[0] += seconds * (1 + len(order) // 2 % 3)  # rounds of the machine being slow
+        now[0] += seconds * (1 + len(order) // 2 % 3)  # in some rounds the machine is slow
 
     times = timing.time_in_turns({"a": lambda: candidate("a", 1.0), "b": lambda: candidate("b", 1.0)}, "a", rounds=9)
     assert order == ["a", "b"] * 11

@@ -1,4 +1,4 @@
-"""The suite of partial slip: rendered trials, and how rows are counted."""
+"""Tests of the suite of partial slip: its rendered trials, and how its rows are summed."""
 
 import pytest
 
@@ -10,7 +10,9 @@ pytestmark = pytest.mark.long
 
 
 def test_a_trial_of_each_law_and_curve() -> None:
-    """All verdicts are right, d² is known in every frame; the power follows the law; the deviation of d² is true."""
+    """All verdicts are right and d² is known in every frame; the fitted power follows the law, and the errors of d² are
+    as large as stated.
+    """
     rows = slip.run(quick=True)
     groups, trials = {str(row["trial"]): row for row in rows[:8]}, rows[8:]
     assert list(groups) == ["all", *slip.CURVES, *LAWS]
@@ -19,13 +21,13 @@ def test_a_trial_of_each_law_and_curve() -> None:
         assert row["unknown"] == 0
         assert "critical" in str(row["why"])
         assert number(row, "worst") < 0.1
-        assert number(row, "z") < 2.2  # of one trial, whose frames err alike; 1.9 with x^1
+        assert number(row, "z") < 2.2  # the frames of one trial have similar errors; 1.9 with x^1
         assert number(row, "rms_40_um") < 0.03
     assert number(groups["all"], "within_2") > 90
     powers = [number(groups[law], "power") for law in ("x ln 1/x", "x^1", "x^1.5", "x^2")]
     assert powers == sorted(powers)
     assert powers == pytest.approx([0.85, 1, 1.5, 2], abs=0.2)
-    # By 40 um d² is larger, the more so the slower slip begins.
+    # d² by the criterion of 40 um is too large, the more so the slower slip begins.
     printed = [number(groups[law], "bias_40_um") for law in ("x ln 1/x", "x^1", "x^1.5", "x^2")]
     assert printed == sorted(printed)
     assert number(groups["all"], "worst") == max(number(row, "worst") for row in trials)
@@ -61,7 +63,9 @@ def row(name: str, verdict: str, frames: int, unknown: float, within: float | No
 
 
 def test_rows_are_counted() -> None:
-    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all."""
+    """Shares are of frames, not of trials. A trial without d² counts as unknown, and a trial without a ratio does not
+    count.
+    """
     rows = [
         row("1", "right", 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
         row("2", "wrong", 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),

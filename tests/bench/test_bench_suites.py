@@ -1,4 +1,6 @@
-"""Every suite in its quick form: the rows are there, and the accuracy is what the README says. Times are not judged."""
+"""Tests of every suite in its quick form: its rows are complete, and accuracy is what the README states. Times are not
+tested.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -43,7 +45,7 @@ Picture = NDArray[Any]
 
 @pytest.fixture(autouse=True)
 def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the timing of the suites, as times are not judged."""
+    """Replace the timing of the suites, because times are not tested."""
 
     def once(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
         assert peer in candidates
@@ -72,7 +74,9 @@ def one(rows: Sequence[Row], **wanted: object) -> Row:
 
 
 def test_tracking() -> None:
-    """At the bound (0.8 to 1.15: 150 points tell it to 5 %) whatever the noise; OpenCV is not where noise is low."""
+    """The error is at the bound (0.8 to 1.15 times; 150 points tell it to 5 %) at any noise; OpenCV is not at the bound
+    where noise is low.
+    """
     rows = tracking.run(quick=True)
     still = one(rows, noise=0, start="whole pixel", shift=0.0, tracker="fingerflow")
     assert still["rms_px"] == 0
@@ -89,8 +93,10 @@ def test_tracking() -> None:
 
 
 def test_flow() -> None:
-    """0.015 px on ridges in all directions. Where there is one direction, as in this part of the whorl, motion along
-    the ridges is smoothed from farther away: an error that is no noise, and not in the deviation."""
+    """The error is below 0.015 px on ridges in all directions. On ridges in one direction, as in this part of the
+    whorl, motion along the ridges is smoothed over a longer distance: this error is no noise and not in the stated
+    deviation.
+    """
     rows = flow.run(quick=True)
     for scene, error, z in (("ridges", 0.015, 1.25), ("whorl", 0.03, 2.3)):
         peer = one(rows, scene=scene, way="opencv Farneback")
@@ -110,7 +116,9 @@ def test_flow_outliers() -> None:
 
 
 def test_large_motion() -> None:
-    """The search finds 50 px at the precision of small motion; OpenCV accepts wrong places, fingerflow none."""
+    """The search finds motion of 50 px as precisely as small motion; OpenCV accepts wrong positions, fingerflow
+    none.
+    """
     rows = large_motion.run(quick=True)
     assert number(one(rows, motion_px=5, tracker="fingerflow"), "accepted") >= 0.98
     for distance, search in ((5, 8), (50, 64)):
@@ -122,7 +130,7 @@ def test_large_motion() -> None:
 
 
 def test_drift() -> None:
-    """Errors add up from frame to frame and not from a keyframe, by the twelfth frame already."""
+    """Errors accumulate from frame to frame but not from a key frame, by frame 12 already."""
     rows = drift.run(quick=True)
     walk, key = (one(rows, frame=12, tracker=f"fingerflow, {way}") for way in ("frame to frame", "keyframe"))
     assert number(key, "over_bound") < 1.25
@@ -132,8 +140,9 @@ def test_drift() -> None:
 
 
 def test_curved() -> None:
-    """Where the displacement is a wave of 100 px, less than half of OpenCV's error; where it is uniform, no noise more
-    than the deviation states. The wave's error is twice the deviation."""
+    """On a wave of 100 px the error is less than 0.55 times OpenCV's, and twice the stated deviation; in uniform
+    displacement the error is that stated.
+    """
     rows = curved.run(quick=True)
     ours, peer = (one(rows, field="K 100, A 0.5", tracker=tracker) for tracker in ("fingerflow", "opencv"))
     assert number(ours, "rms_px") < 0.55 * number(peer, "rms_px")
@@ -142,9 +151,9 @@ def test_curved() -> None:
 
 
 def test_dic(shared_data: Path) -> None:
-    """Displacement to 0.03 px at the noise of this sample (5 grey levels), strain to 0.0015 in du/dx.
+    """Displacements are found to 0.03 px at the noise of this sample (5 grey levels), and du/dx to 0.0015.
 
-    The gain of 2,000 overlapping windows has a standard error of 2 %, nearly the same noise for both trackers.
+    The gain of 2,000 overlapping windows has a standard error of 2 %, with nearly the same noise for both trackers.
     """
     rows = dic.run(quick=True)
     ours, theirs = one(rows, tracker="fingerflow"), one(rows, tracker="opencv")
@@ -165,7 +174,9 @@ def test_dic_without_its_data_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 def test_interpolant() -> None:
-    """At noise 5 an exact cubic spline pulls by more than 0.1 px at fractions of a pixel; the smoothed one does not."""
+    """At noise 5 an exact cubic spline has a bias of more than 0.1 px at fractions of a pixel; the smoothed spline has
+    not.
+    """
     rows = interpolant.run(quick=True)
     exact, smooth = (one(rows, noise=5, fraction=0.3, interpolant=f"cubic, {kind}") for kind in ("exact", "smoothed"))
     assert abs(number(exact, "bias_px")) > 0.1
@@ -179,7 +190,9 @@ def test_interpolant() -> None:
 
 
 def test_speed_against_error(tmp_path: Path) -> None:
-    """At the bound but for kornia; eight frames a call find what one a call does; both DIC codes have their rows."""
+    """Errors are at the bound for all trackers but kornia; eight frames in one call have the error of one frame in a
+    call; both DIC codes have their rows.
+    """
     rows = speed_against_error.run(quick=True)
     followed = [row for row in rows if row["tracker"] in speed_against_error.FOLLOWERS]
     assert len(followed) == 4
@@ -196,11 +209,13 @@ def test_speed_against_error(tmp_path: Path) -> None:
     speed_against_error.draw(rows, tmp_path / "figure.png")
     pixels = plt.imread(tmp_path / "figure.png")
     assert pixels.shape[0] > 600
-    assert 0.01 < (pixels[..., :3].min(-1) < 0.9).mean() < 0.3  # something is drawn, on a white ground
+    assert 0.01 < (pixels[..., :3].min(-1) < 0.9).mean() < 0.3  # curves on a white ground
 
 
 def test_pairs_for_the_dic_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures, points, motion and bound fit each other: by them OpenCV's one level has the error that it has here."""
+    """Pictures, points, motion and bound of the pairs belong together: with them, OpenCV on one level has the error
+    that it has in this suite.
+    """
 
     def opencv(previous: Picture, current: Picture, points: Picture) -> Picture:
         start = points.astype(np.float32)
@@ -217,8 +232,9 @@ def test_pairs_for_the_dic_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_image_ops() -> None:
-    """Medians and thresholds are the same pixels everywhere; corners but for those at the border, and contact but for a
-    few: a limit in counts rounds elsewhere than levels of a byte."""
+    """Medians and thresholds are equal in all libraries. Corners differ at the border only, and contact in few pixels:
+    a limit in counts rounds at other values than levels of a byte.
+    """
     rows = image_ops.run(quick=True)
     same = {(row["operation"], row["way"]): row["same"] for row in rows if row["way"] != "fingerflow"}
     corners = {key: value for key, value in same.items() if "corners" in str(key[0])}
@@ -230,7 +246,9 @@ def test_image_ops() -> None:
 
 
 def test_pipeline() -> None:
-    """Both pipelines find the truth, fingerflow positions and contact better; 24 frames leave divergence to 1.5 %."""
+    """Both pipelines find the truth, fingerflow finds positions and contact better; with 24 frames the divergence is
+    good to 1.5 %.
+    """
     rows = pipeline.run(quick=True)
     ours, theirs = one(rows, pipeline="fingerflow"), one(rows, pipeline="opencv")
     for row, limits in ((ours, (0.06, 1.5, 2, 2)), (theirs, (0.08, 2, 4, 3))):
@@ -246,7 +264,9 @@ def test_pipeline() -> None:
 
 
 def test_dense() -> None:
-    """Read from its own pixel every dense flow finds the point; uniform motion flatters some beyond the bound."""
+    """Every dense flow finds the point when the flow is read at the point's own pixel; with uniform motion some errors
+    fall below the bound.
+    """
     rows = dense.run(quick=True)
     assert {(row["motion"], row["way"]) for row in rows} >= {("5 px", "opencv DIS, medium"), ("wave", "fingerflow")}
     for row in rows:
@@ -256,7 +276,7 @@ def test_dense() -> None:
 
 
 def test_skin_chain() -> None:
-    """A smaller tolerance is a smaller error; both forms and an explicit method go to the same place."""
+    """A smaller tolerance gives a smaller error; both forms and an explicit method reach the same positions."""
     rows = {str(row["way"]): row for row in skin_chain.run(quick=True)}
     errors = [number(row, "error_um") for way, row in rows.items() if way.endswith(("5e-07", "5e-08", "5e-09"))]
     assert errors[0] > errors[1] > errors[2]
@@ -267,7 +287,7 @@ def test_skin_chain() -> None:
 
 
 def test_simulated_studies(tmp_path: Path) -> None:
-    """Metrics from the pictures rank the presses as their truth does, and an interrupted run goes on."""
+    """Metrics measured in pictures rank the presses as their truth does, and an interrupted run continues."""
     felt = {str(row["feels"]): row for row in simulated_studies.run(quick=True) if row["study"] == "0"}
     for row in felt.values():
         assert row["measured"] == 12
@@ -287,8 +307,9 @@ def test_simulated_studies(tmp_path: Path) -> None:
 
 
 def test_stated() -> None:
-    """At 24 frames/s, on a finger of a third of the size, far more is missing before the first frame of contact than in
-    the full suite: 1.5 deviations of the divergence, which would be 5.7 by the errors of the points alone.
+    """Errors of the medians and energies are about as large as stated. At 24 frames/s, on a finger of a third of the
+    size, more skin is missed before the first frame of contact than in the full suite: 1.5 deviations of the
+    divergence, or 5.7 if only the errors of the points were stated.
     """
     divergence, curl, energy, between = rows = stated.run(quick=True)
     assert [row["quantity"] for row in rows] == [*stated.MEDIANS, *stated.ENERGIES]
@@ -302,7 +323,7 @@ def test_stated() -> None:
 
 
 def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the processor instead: the same results. Where there is no CUDA it says what it would run."""
+    """On the processor the suite gives the same results; without CUDA its rows state the work that would run."""
     rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
     works = ("contact", "key", "tracking", "outliers", "deformation", "fields")
     assert {(row["work"], row["recordings"]) for row in rows} == {(work, batch) for work in works for batch in (1, 3)}
@@ -321,13 +342,13 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert number(of_first["tracking, fused"], "launches") == 1
     assert 5 <= number(of_first["tracking"], "launches_captured") <= 7
-    for row in rows:  # more recordings a call: more frames a second
+    for row in rows:  # the captured way is faster than the eager one
         assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] == "tracking, fused"
         assert row["measured"] == "none: no device here"
 
 
 def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two recordings call an accelerator little more often than one, for the same positions."""
+    """Two recordings together call an accelerator little more often than one, for the same positions."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = process_together.run(quick=True)
     assert [(row["recordings"], row["way"]) for row in rows] == [
@@ -335,7 +356,7 @@ def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert number(rows[1], "calls_to_peer") == pytest.approx(1, abs=0.02)
     assert 0.5 < number(rows[3], "calls_to_peer") < 0.85
-    # px: products of matrices of two recordings are summed in another order than those of one.
+    # px: matrix products of two recordings are summed in another order than those of one.
     assert all(number(row, "deviation") < 2e-4 for row in rows)
 
 

@@ -1,4 +1,4 @@
-"""What the suites hold for true: pictures, motion and bounds."""
+"""Tests of the truth of the suites: pictures, motion and bounds."""
 
 import math
 
@@ -11,14 +11,14 @@ from bench.suites import drift
 
 
 def test_moved_picture_shows_the_skin_at_the_place_it_came_from() -> None:
-    """Whole pixels of motion: the same pixels elsewhere, to the rounding of float64."""
+    """A picture moved by whole pixels has the same pixels elsewhere, to the rounding of float64."""
     still, moved = (skin.clean_picture((60, 80), shift) for shift in ((0.0, 0.0), (3.0, -2.0)))
     torch.testing.assert_close(moved[..., :-2, 3:], still[..., 2:, :-3], atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize("noise", [0, 2])
 def test_photograph_has_the_noise_that_the_bound_counts(noise: int) -> None:
-    """sigma^2 = noise^2 + 1/12, to 3 % with 82,000 pixels (0.5 % expected, and rounding is not quite white)."""
+    """The noise is sigma^2 = noise^2 + 1/12 to 3 % with 82,000 pixels (0.5 % expected; rounding is not quite white)."""
     clean = skin.clean_picture(skin.QUICK_SHAPE, (0.0, 0.0))
     error = skin.photograph(clean, noise, seed=1).double() - clean
     assert error.square().mean() == pytest.approx(noise**2 + 1 / 12, rel=0.03)
@@ -26,7 +26,9 @@ def test_photograph_has_the_noise_that_the_bound_counts(noise: int) -> None:
 
 
 def test_bound_is_that_of_central_differences() -> None:
-    """Differences over 0.002 px are exact to 1e-5 on a texture of periods above 4 px."""
+    """The bound is that of central differences over 0.002 px, which are exact to 1e-5 on a texture of periods above 4
+    px.
+    """
     points = torch.tensor([[[60.0, 50.0], [70.25, 40.5]]])
     step = 1e-3
     y, x = torch.meshgrid(
@@ -43,7 +45,7 @@ def test_bound_is_that_of_central_differences() -> None:
 
 
 def test_error_cells_of_known_errors() -> None:
-    """Errors (1, 0) and (3, 0) that count and a third point that does not."""
+    """The cells are those of two accepted errors, (1, 0) and (3, 0), and of a third point that is not accepted."""
     errors = torch.tensor([[1.0, 0.0], [3.0, 0.0], [100.0, 100.0]])
     bound = torch.diag_embed(torch.tensor([[4.0, 1.0], [4.0, 1.0], [9.0, 9.0]], dtype=torch.float64))
     cells = error_cells(errors, torch.tensor([True, True, False]), bound)
@@ -56,7 +58,7 @@ def test_error_cells_of_known_errors() -> None:
 
 
 def test_drifting_skin_is_where_its_truth_says() -> None:
-    """The material point that is at pixel (200, 150) when all is done has the grey level shown there."""
+    """The material point that is at pixel (200, 150) in the last frame has the grey level of this pixel."""
     deformation = torch.eye(2, dtype=torch.float64) + drift.GRADIENT
     pixel = torch.tensor((200.0, 150.0), dtype=torch.float64)
     material = torch.linalg.solve(deformation, pixel - drift.CENTRE - drift.MOTION) + drift.CENTRE

@@ -1,4 +1,6 @@
-"""The closed loop of the benchmark: a camera with its own time stamps, a trigger by both ways. Times are not judged."""
+"""Test of the closed loop of the benchmark: a camera with time stamps of its own, a trigger in two ways. Times are not
+tested.
+"""
 
 import sys
 from pathlib import Path
@@ -24,6 +26,6 @@ def test_no_trigger_is_lost(tmp_path: Path) -> None:
     results, *ways = closed_loop.measure(tmp_path, bundle, 600)
     assert (results["frames"], [way["way"] for way in ways]) == (600, ["UDP", "serial line"])
     for way in ways:
-        # A period of 238 frames has one rise: in frames 0 to 118, and again from 238 and from 476 on.
+        # Each period of 238 frames has one rise: in frames 0 to 118, and in those from 238 and from 476 on.
         assert number(way, "expected") == number(way, "received") == 3
         assert 0 < number(way, "median_ms") <= number(way, "worst_ms")

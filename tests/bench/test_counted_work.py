@@ -1,4 +1,4 @@
-"""Bytes and operations of counted calls against counts by hand, and the time that they predict."""
+"""Tests of counted bytes and operations against counts by hand, and of the time predicted from them."""
 
 from collections.abc import Callable
 
@@ -48,7 +48,7 @@ def test_work_of_a_call(name: str) -> None:
 
 
 def test_most_bytes_alive_at_a_time() -> None:
-    """Of what the step makes: views and inputs do not count, and what is freed is not counted again."""
+    """The peak counts the bytes that a step allocates; views and inputs do not count, and freed bytes count no more."""
     formula = Formula(lambda whole: (((whole * 2)[:, :20] + 1) * 3).sum())
     assert count_launches(formula, (WHOLE,)).peak == 4 * (200 + 100)
     assert count_launches(Formula(lambda whole: (whole + 1).exp().exp().exp()), (WHOLE,)).peak == 2 * 4 * 200
@@ -62,7 +62,9 @@ def test_predicted_time_is_that_of_the_slowest_of_three() -> None:
 
 
 def test_work_of_the_fused_kernel() -> None:
-    """A template is read once for all frames, a patch in each; a window of 25 px fills a tile of 32 x 32."""
+    """The fused kernel reads a template once for all frames and a patch in each frame; a window of 25 px fills a tile
+    of 32 x 32.
+    """
     (alone,), (chunk,) = (fused_tracking(700, 25, 1, frames) for frames in (1, 8))
     assert alone.bytes - chunk.bytes == pytest.approx(700 * 4 * (3 * 625 + 32) * 7 / 8, rel=1e-3)
     assert chunk.bytes > 700 * 31**2

@@ -1,4 +1,4 @@
-"""The bound of mu_k / mu_s beside the scatter and the shift of fits to drawn d²(T/N)."""
+"""Tests of the bound of mu_k / mu_s against the scatter and shift of fits to drawn d²(T/N)."""
 
 from dataclasses import replace
 
@@ -15,7 +15,9 @@ SEED = 102  # critical area of 0.36
 
 
 def test_fits_scatter_and_shift_by_the_bound() -> None:
-    """Small noise, for which the model is linear; 150 draws leave 6 % of a deviation, four times that is allowed."""
+    """Fits scatter and shift as the bound states, for noise so small that the model is linear; 150 draws tell a
+    deviation to 6 %, and four times that is allowed.
+    """
     known = trial(SEED)
     known = replace(known, force_noise=0.0)
     noise, offset = 2e-4, 2e-4

@@ -1,4 +1,4 @@
-"""Drawn calibration targets whose discs are exactly known."""
+"""Drawn calibration targets whose discs are known exactly."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from fingerflow.calibration import Disc
 
 Array = NDArray[np.float64]
 
-# Optical blur of the drawings, px: a lens is never sharper than its pixels.
+# Optical blur of the drawings, px.
 BLUR_PX = 0.8
 SUPERSAMPLING = 16
 
 
 @dataclass(frozen=True)
 class DrawnDisc:
-    """An ellipse: semi-axes px, angle rad from x towards y."""
+    """An ellipse with its centre and semi-axes in px and its angle in rad from x towards y."""
 
     x: float
     y: float
@@ -36,7 +36,9 @@ TARGET = (
 def draw(
     discs: tuple[DrawnDisc, ...], shape: tuple[int, int] = (256, 272), bright: float = 120.0, dark: float = 80.0
 ) -> Array:
-    """Dark discs on a bright ground (H, W): the exact area of every pixel to 1/256, then the blur of a lens."""
+    """Return dark discs on a bright ground (H, W): pixels have their covered area exact to 1/256, then the blur of a
+    lens.
+    """
     covered = np.zeros(shape)
     for disc in discs:
         reach = int(disc.long) + 3
@@ -54,13 +56,13 @@ def draw(
 
 
 def camera(levels: Array, noise: float, seed: int = 0) -> NDArray[np.uint8]:
-    """What an 8-bit camera with so many grey levels of noise makes of it."""
+    """Return the picture as uint8 with `noise` grey levels of noise, as an 8-bit camera gives it."""
     noisy = levels + np.random.default_rng(seed).normal(0, noise, levels.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 
 
 def moved(discs: tuple[DrawnDisc, ...], matrix: Array) -> tuple[DrawnDisc, ...]:
-    """The discs after an affine transform (2, 3) of the plane."""
+    """Return the discs after an affine transform (2, 3) of the plane."""
     result = []
     for disc in discs:
         cosine, sine = np.cos(disc.angle), np.sin(disc.angle)
@@ -75,19 +77,19 @@ def moved(discs: tuple[DrawnDisc, ...], matrix: Array) -> tuple[DrawnDisc, ...]:
 
 
 def similarity(degrees: float, scale: float, center: tuple[float, float], to: tuple[float, float]) -> Array:
-    """(2, 3): turns from x towards y and scales about a point, and brings this point to another."""
+    """Return the transform (2, 3) that turns from x towards y and scales about `center`, and moves `center` to `to`."""
     cosine, sine = scale * np.cos(np.radians(degrees)), scale * np.sin(np.radians(degrees))
     linear = np.array([[cosine, -sine], [sine, cosine]])
     return np.column_stack([linear, np.array(to) - linear @ np.array(center)])
 
 
 def turned(discs: tuple[DrawnDisc, ...], degrees: float, center: tuple[float, float]) -> tuple[DrawnDisc, ...]:
-    """The discs turned about a point, from x towards y."""
+    """Return the discs turned about a point, from x towards y."""
     return moved(discs, similarity(degrees, 1.0, center, center))
 
 
 def as_found(discs: tuple[DrawnDisc, ...]) -> list[Disc]:
-    """What a finder without error makes of them; the larger a disc, the more significant it is."""
+    """Return the discs as a finder without error gives them; larger discs are more significant."""
     return [
         Disc(
             center=(disc.x, disc.y),

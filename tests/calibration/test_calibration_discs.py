@@ -1,4 +1,4 @@
-"""Discs found in drawings: exact centres, and the light, noise and clutter of a rig."""
+"""Tests of discs found in drawings: exact centres, and the light, noise and clutter of a rig."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from fingerflow.errors import FingerflowError
 
 
 def center_errors(found: list[Disc], drawn: tuple[DrawnDisc, ...]) -> Array:
-    """Distances px (N,) from the centre of every drawn disc to the nearest found one."""
+    """Return the distances (N,) px from the centre of every drawn disc to the nearest found one."""
     assert found, "no disc was found"
     centers = np.array([disc.center for disc in found])
     return np.array([np.hypot(*(centers - (disc.x, disc.y)).T).min() for disc in drawn])
@@ -23,13 +23,13 @@ def check_found(image: ArrayLike, limit: float, drawn: tuple[DrawnDisc, ...] = T
 
 
 def test_noise_free_discs_are_exact() -> None:
-    """What is left, 0.01 px, is the sub-pixel interpolation of the edge."""
+    """Centres are found to 0.01 px without noise, the error of the sub-pixel interpolation of the edge."""
     found = find_discs(draw(TARGET), count=10)
     assert len(found) == 3
     assert center_errors(found, TARGET).max() < 0.01
     for disc in TARGET:
         same = min(found, key=lambda other: np.hypot(other.center[0] - disc.x, other.center[1] - disc.y))
-        # The lens moves the steepest point inwards by blur^2 / 2R, 0.015 px.
+        # The blur of the lens moves the steepest point inwards by blur^2 / 2R, 0.015 px.
         np.testing.assert_allclose(same.semi_axes_px, (disc.long, disc.short), atol=0.04)
         assert abs((same.angle - disc.angle + np.pi / 2) % np.pi - np.pi / 2) < 0.01
         assert same.contrast == pytest.approx(40 / 120, abs=0.01)
@@ -44,17 +44,19 @@ def test_camera_noise_leaves_a_twentieth_of_a_pixel(seed: int) -> None:
 
 @pytest.mark.parametrize("contrast", [6, 10])
 def test_low_contrast_stays_near_the_bound(contrast: int) -> None:
-    """Cramer-Rao: a blurred edge of step C has a summed squared slope of C^2 pi R / (2 sqrt(pi) blur) along x.
+    """The error at low contrast is below four times the Cramer-Rao bound: a blurred edge of step C has a summed squared
+    slope of C^2 pi R / (2 sqrt(pi) blur) along x.
 
-    Four times its root is allowed for the worst of six coordinates, in two directions and with an edge finder that is
-    not optimal.
+    Four times is for the worst of six coordinates, in two directions and with an edge finder that is not optimal.
     """
     information = contrast**2 * np.pi * 21 / (2 * np.sqrt(np.pi) * BLUR_PX) / (2**2 + 1 / 12)
     check_found(camera(draw(TARGET, bright=100, dark=100 - contrast), noise=2), 4 / np.sqrt(information))
 
 
 def test_center_sigma_is_the_scatter() -> None:
-    """Over 8 cameras x 3 discs x 2 coordinates the ratio is known to about 10 %: half and double are wrong."""
+    """The stated deviation of centres is that of their errors within a factor of two: 8 pictures x 3 discs x 2
+    coordinates tell the ratio to about 10 %.
+    """
     ratios = []
     for seed in range(8):
         for disc in find_discs(camera(draw(TARGET), noise=3, seed=seed)):
@@ -65,7 +67,9 @@ def test_center_sigma_is_the_scatter() -> None:
 
 
 def test_uneven_light_costs_little() -> None:
-    """Light falls to a quarter across the view and is curved on top: the steepest point moves by its curvature."""
+    """Centres are found to 0.2 px where light falls to a quarter across the view and is curved: its curvature moves the
+    steepest point.
+    """
     y, x = np.mgrid[:256, :272]
     light = (0.25 + 0.75 * x / 271) * (1 - 0.4 * ((y - 128) / 128) ** 2)
     for dark in (80, 108):
@@ -79,7 +83,7 @@ def test_a_turned_target_is_found(degrees: float) -> None:
 
 
 def test_clutter_is_no_disc() -> None:
-    """Dust, scratches, a bright disc, a square, the edge of the lit field: the three discs are still the best."""
+    """The three discs remain the best with dust, scratches, a bright disc, a square and the edge of the lit field."""
     levels = draw(TARGET)
     levels[20:24, :] -= 30
     levels[:, 250:] = 20
@@ -94,7 +98,7 @@ def test_clutter_is_no_disc() -> None:
 
 
 def test_a_ragged_edge_with_a_tail_shifts_the_center_little() -> None:
-    """A printed disc with a blob stuck to it: a twelfth of its contour is wrong, and the fit leaves it out."""
+    """The fit leaves out a blob on the edge of a printed disc, a twelfth of its contour."""
     discs = (DrawnDisc(100.3, 99.8, 25, 25), DrawnDisc(100.3, 124.8, 6, 6))
     found = find_discs(camera(draw(discs, (200, 200)), noise=2), count=1)
     assert center_errors(found, discs[:1]).max() < 0.25
@@ -139,7 +143,7 @@ def test_a_ramp_and_a_single_pixel_have_no_disc() -> None:
 
 
 def test_a_disc_cut_in_half_by_the_border_is_left_out() -> None:
-    """Half a contour would give a centre, but a doubtful one."""
+    """A disc cut in half by the border is left out, because half a contour gives a doubtful centre."""
     assert find_discs(draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))) == []
 
 
@@ -158,7 +162,7 @@ def test_images_that_cannot_be_are_refused() -> None:
 
 
 def test_hole_of_a_drawn_ring() -> None:
-    """A bright ring on black whose metal is as grainy as the lab's; the outer edge has the other sign."""
+    """The hole is found in a bright ring on black with grainy metal, as in a lab; its outer edge has the other sign."""
     ring = draw((DrawnDisc(150.2, 140.7, 120, 120),), (300, 320), bright=0, dark=60)
     hole = draw((DrawnDisc(151.6, 143.3, 60, 59.4, 0.7),), (300, 320), bright=0, dark=35)
     grain = np.random.default_rng(5).normal(0, 12, ring.shape) * (ring > 30) * (hole < 17)

@@ -1,4 +1,4 @@
-"""Which disc is which, and the transform between two views: against drawings whose transform is known."""
+"""Tests of the matching of discs and of the transform between two views, against drawings of known transform."""
 
 import tomllib
 from itertools import permutations
@@ -20,7 +20,7 @@ SHAPE = (256, 272)
 MIDDLE = (135.5, 127.5)
 VIEWS = {"topography": View((0, 256), (0, 272)), "contact": View((0, 256), (272, 544))}
 MIRROR = np.array([[-1.0, 0, 271], [0, 1.0, 0]])
-# One axis shortened by a tenth, as an oblique camera does, and turned by 30 degrees.
+# One axis is shortened by a tenth, as by an oblique camera, and turned by 30 degrees.
 OBLIQUE = np.column_stack([similarity(30, 1.0, MIDDLE, MIDDLE)[:, :2] @ np.diag([1.0, 0.9]), (0, 0)])
 OBLIQUE[:, 2] = np.array(MIDDLE) - OBLIQUE[:, :2] @ MIDDLE
 
@@ -46,7 +46,9 @@ def ring(hole_radius: float, noise: float = 1.0) -> Array:
     ids=["rig", "90 degrees", "180 degrees", "oblique"],
 )
 def test_transform_between_drawn_views(matrix: Array) -> None:
-    """Discs are found to 0.05 px at this noise; inside their triangle the transform is as good, at its corners too."""
+    """The transform is good to 0.1 px at the corners of the triangle of discs, which are found to 0.05 px at this
+    noise.
+    """
     target = np.concatenate([draw(TARGET, SHAPE), draw(moved(TARGET, matrix), SHAPE)], axis=1)
     empty = np.full(SHAPE, 20.0)
     frame_of_ring = np.concatenate([empty, ring(60.3)], axis=1)
@@ -55,7 +57,7 @@ def test_transform_between_drawn_views(matrix: Array) -> None:
     corners = np.array([(disc.x, disc.y) for disc in TARGET])
     np.testing.assert_allclose(applied(found.affine.matrix, corners), applied(matrix, corners), atol=0.1)
     np.testing.assert_allclose(found.affine.matrix[:, :2], matrix[:, :2], atol=1.5e-3)  # 0.1 px over 70 px
-    # The lens moves the edge of the hole by blur^2 / 2R = 0.005 px, noise by as much: 3e-4 of 60 px allows 0.02 px.
+    # Blur moves the edge of the hole by blur^2 / 2R = 0.005 px, and noise by as much: 3e-4 of 60 px allows 0.02 px.
     assert found.mm_per_px == pytest.approx(2.0 / 60.3, rel=3e-4)
     assert found.discs[0][0].radius_px == pytest.approx(np.sqrt(30 * 28), abs=0.1)
 
@@ -68,7 +70,7 @@ def test_transform_between_drawn_views(matrix: Array) -> None:
     other=st.permutations(range(3)),
 )
 def test_labels_follow_from_the_shape_alone(degrees: float, scale: float, order: list[int], other: list[int]) -> None:
-    """Any rotation and scale, in any order in which discs were found: exact."""
+    """Discs are matched exactly for any rotation and scale, in any order in which they were found."""
     matrix = similarity(degrees, scale, MIDDLE, (300.0, -40.0))
     first, second = as_found(TARGET), as_found(moved(TARGET, matrix))
     pairs = match_discs([first[k] for k in order], [second[k] for k in other])
@@ -77,7 +79,7 @@ def test_labels_follow_from_the_shape_alone(degrees: float, scale: float, order:
     found = fit_affine([a.center for a, _ in pairs], [b.center for _, b in pairs])
     np.testing.assert_allclose(found.matrix, matrix, atol=1e-9)
     assert found.rms_px < 1e-9
-    # The largest first, then clockwise: with y down, the turn from each to the next is positive.
+    # Pairs begin with the largest disc and go clockwise: with y down, the turn from each disc to the next is positive.
     assert pairs[0][0].radius_px == pytest.approx(max(disc.radius_px for disc in first))
     places = np.array([b.center for _, b in pairs])
     a, b = places[1] - places[0], places[2] - places[0]
@@ -110,7 +112,9 @@ def test_discs_on_a_line_are_said() -> None:
 
 
 def test_a_distractor_is_left_out() -> None:
-    """A stain as dark and round as a disc, in one view or elsewhere in both, even when it is the most significant."""
+    """A stain as dark and round as a disc is left out, in one view or elsewhere in both, even if it is the most
+    significant.
+    """
     stain, other = DrawnDisc(205.0, 215.0, 26, 26), DrawnDisc(35.0, 130.0, 34, 34)
     matrix = similarity(170, 1.05, MIDDLE, MIDDLE)
     for here, there in (
@@ -143,7 +147,7 @@ def test_discs_that_cannot_be_matched_are_said(
 
 
 def test_a_triangle_without_a_sense_of_direction_is_said() -> None:
-    """Equal sides and equal discs: it can be turned by 120 degrees and nobody sees it."""
+    """A triangle of equal sides and equal discs is refused, because a turn by 120 degrees cannot be seen."""
     angles = 2 * np.pi * np.arange(3) / 3
     even = tuple(DrawnDisc(128 + 80 * np.cos(t), 128 + 80 * np.sin(t), 20, 20) for t in angles)
     with pytest.raises(FingerflowError, match=r"more than one way.*different sizes"):
@@ -179,7 +183,7 @@ def test_a_similarity_is_the_best_one_and_no_reflection() -> None:
 
 @pytest.mark.parametrize("radius", [24.7, 41.3, 80.2])
 def test_scale_of_a_ring(radius: float) -> None:
-    """To 0.03 px of the radius, at a noise of 1 grey level in a step of 50."""
+    """The radius is found to 0.03 px at a noise of 1 grey level and an edge step of 50 grey levels."""
     found = calibrate(None, ring(radius), {"contact": View((0, 256), (0, 272))}, hole_radius_mm=2.75)
     assert found.mm_per_px == pytest.approx(2.75 / radius, rel=0.03 / radius)
     assert found.discs == ()

@@ -1,4 +1,4 @@
-"""Calibration on the real frames of the rig: everything is found without hand-set coordinates."""
+"""Tests of the calibration on the real frames of the rig, without coordinates set by hand."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def frames(shared_data: Path) -> dict[str, np.ndarray]:
 def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path) -> None:
     found = calibrate(frames["target"], frames["ring"], VIEWS, background=frames["empty"])
     assert len(found.discs) == 3
-    assert found.mm_per_px == pytest.approx(0.034, rel=0.03)  # about 80 px for 2.75 mm, as the data's notes say
+    assert found.mm_per_px == pytest.approx(0.034, rel=0.03)  # about 80 px for 2.75 mm, as the notes of the data say
     assert found.affine is not None
     assert np.linalg.det(found.affine.matrix[:, :2]) == pytest.approx(1.0, abs=0.25)
     draw_overlay(tmp_path / "overlay.png", found, frames["target"], frames["ring"])
@@ -35,7 +35,7 @@ def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path)
 
 
 def test_noise_moves_nothing(frames: dict[str, np.ndarray]) -> None:
-    """Two grey levels of noise move scale and discs by a few hundredths of a pixel."""
+    """Noise of two grey levels moves the centres of the discs by less than 0.3 px."""
     noise = np.random.default_rng(0).normal(scale=2, size=frames["target"].shape)
     noisy = np.clip(np.round(frames["target"] + noise), 0, 255).astype(np.uint8)
     plain = calibrate(frames["target"], frames["ring"], VIEWS, background=frames["empty"])

@@ -1,4 +1,4 @@
-"""The command line: exit codes, messages, files."""
+"""Tests of the command line: exit codes, messages and files."""
 
 import json
 import os
@@ -88,7 +88,7 @@ def test_mistakes_are_named_without_a_traceback(
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small scene with its result, and frames to calibrate with."""
+    """Return the folder of a small scene with its result, and of frames for a calibration."""
     folder = tmp_path_factory.mktemp("trial") / "press"
     write_recording(folder, TINY_PRESS)
     save_result(process(load_scene(folder / "scene.toml"), ["real_contact_area"]), folder / "result.h5")
@@ -100,7 +100,9 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def interrupt_after(calls: int, function: Callable[..., Any] | None = None) -> Callable[..., Any]:
-    """Does what a function does so many times, then what Ctrl-C does."""
+    """Return a function that does what `function` does for `calls` calls and then raises KeyboardInterrupt, as Ctrl-C
+    does.
+    """
     made = 0
 
     def interrupted(*arguments: Any, **named: Any) -> Any:
@@ -148,7 +150,7 @@ def test_a_simulation_is_there_whole(command: Command, tmp_path: Path, monkeypat
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
-    """While the threads render: none of the other 300 frames is waited for, and the folder goes."""
+    """Ctrl-C while threads render ends the command without waiting for the other frames, and removes the folder."""
     code = "from fingerflow.cli import main; main()"
     command = [sys.executable, "-c", code, "simulate", "press", "one"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as running:
@@ -187,7 +189,7 @@ cli.main()
 
 
 def test_an_interrupt_in_a_callback_ends_the_command() -> None:
-    """Python drops an exception of a callback: a command went on to its end as if nobody had pressed Ctrl-C."""
+    """Ctrl-C during a callback, of which Python drops exceptions, ends the command as well."""
     running = subprocess.run([sys.executable, "-c", _INTERRUPTED_IN_A_CALLBACK], capture_output=True, text=True)
     assert (running.returncode, running.stdout) == (130, "")
     assert running.stderr == "fingerflow: interrupted; nothing was left half-written\n"
@@ -261,7 +263,7 @@ def test_an_interrupt_keeps_the_result_of_before(
     monkeypatch.setattr("fingerflow.results.store.FileStore.finish", interrupt_after(0))
     arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
     arguments += ("--output", str(tmp_path / "result.h5"))
-    assert command(*arguments) == 2  # it is no result
+    assert command(*arguments) == 2  # the file is no result
     assert command(*arguments, "--overwrite") == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
 
@@ -284,7 +286,7 @@ def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path) 
     text = output.read_text()
     assert "rows = [10, 200]" in text
     assert "columns = [5, 220]" in text
-    # OpenCV's circle of radius 40 covers the pixels within 40.5 of its centre; drawn without blur.
+    # OpenCV's circle of radius 40 px covers the pixels within 40.5 px of its centre, without blur.
     assert float(text.split("mm_per_px = ")[1].split()[0]) == pytest.approx(2.0 / 40.25, rel=0.02)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.png", "calibration.toml"]
     assert command(*arguments, "--topography", "0", "1", "0", "1") == 2
@@ -309,7 +311,9 @@ def test_a_file_of_somebody_else_is_refused(
     monkeypatch: Patch,
     capsys: Printed,
 ) -> None:
-    """Before anything is computed or written; `--overwrite` replaces it."""
+    """A file that fingerflow has not written is refused before anything is computed or written; `--overwrite` replaces
+    it.
+    """
     new = tmp_path / "new"
     shutil.copytree(trial, new)
     (new / foreign).write_bytes(b"years of work")
@@ -321,13 +325,13 @@ def test_a_file_of_somebody_else_is_refused(
     assert "--overwrite" in said
     assert (new / foreign).read_bytes() == b"years of work"
     assert sorted(new.iterdir()) == before
-    monkeypatch.setattr("fingerflow.report.page._sections", lambda *_: [])  # figures take long, and are drawn elsewhere
+    monkeypatch.setattr("fingerflow.report.page._sections", lambda *_: [])  # figures have tests of their own
     assert command(*filled, "--overwrite") == 0
     assert (new / foreign).read_bytes() != b"years of work"
 
 
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: Printed) -> None:
-    """Neither by a name that was given nor by a default one."""
+    """No command replaces an input, whether the name of its output was given or is the default."""
     from fingerflow.cli.synthetic_recordings import _remove_demo
     from fingerflow.results.atomic_write import spare
 

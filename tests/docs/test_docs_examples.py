@@ -1,4 +1,4 @@
-"""Every example of the documentation runs: blocks on pages, `>>>` of the reference, scripts of the gallery."""
+"""Tests of every example of the documentation: blocks on pages, `>>>` of the reference, scripts of the gallery."""
 
 import doctest
 import re

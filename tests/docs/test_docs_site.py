@@ -1,4 +1,4 @@
-"""The site is built as `make docs` builds it, and needs nothing from anywhere else."""
+"""Tests of the site, built as `make docs` builds it: links lead somewhere, and nothing is loaded from elsewhere."""
 
 import re
 import subprocess
@@ -107,7 +107,7 @@ def test_every_variable_and_key_has_its_place(site: Path) -> None:
 
 
 def test_the_methods_name_no_file_that_is_not_here(site: Path) -> None:
-    """The site is read by people who have nothing but the repository."""
+    """No page names a file of ../shared other than ../shared/data: readers of the site have only the repository."""
     for path in site.rglob("*.html"):
         assert "../shared" not in re.sub(r"class=\"pre\">\.\./shared/data", "", path.read_text(encoding="utf-8")), path
 

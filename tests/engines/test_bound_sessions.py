@@ -1,5 +1,6 @@
-"""Graphs of a bundle with inputs and outputs at fixed addresses, as a GPU has them, here in the processor's memory; and
-what of the graphs a GPU would leave to the processor."""
+"""Tests of graphs of a bundle whose inputs and outputs are at fixed addresses, as on a GPU but in the processor's
+memory, and of the nodes of the graphs that a GPU leaves to the processor.
+"""
 
 import logging
 from collections import Counter
@@ -33,7 +34,7 @@ def opened(bundle: Bundle, name: GraphName, bound: bool) -> GraphSession:
 
 
 def inputs(session: GraphSession, seed: int) -> dict[str, Array]:
-    """Some numbers for all inputs: grey levels, indices of points, positions."""
+    """Return random grey levels, indices or flags for all inputs of a graph, by name."""
     random = np.random.default_rng(seed)
     given: dict[str, Array] = {}
     for name, (shape, dtype) in session.inputs.items():
@@ -46,7 +47,9 @@ def inputs(session: GraphSession, seed: int) -> dict[str, Array]:
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_results_of_each_graph(bundle: Bundle, name: GraphName) -> None:
-    """The same as unbound for each input, and left as they are by the next call; no address changes."""
+    """A bound session gives the results of an unbound session for each input; the next call does not change earlier
+    results, and no address changes.
+    """
     plain, bound = (opened(bundle, name, way) for way in (False, True))
     assert bound._bound is not None
     values = {**bound._bound._given, **bound._bound._found}
@@ -77,7 +80,9 @@ def test_kept_values_are_copied_when_they_change(bundle: Bundle) -> None:
 
 @pytest.fixture
 def all_bound(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """Sessions of the processor are bound as those of a GPU; the list says whether each was to be captured."""
+    """Bind the sessions of the processor as those of a GPU; return a list that gets, for each session, whether it was
+    to be captured. Capturing fails for the graphs `contact` and `threshold`.
+    """
     asked: list[bool] = []
     open_session = Sessions._session
 
@@ -94,7 +99,9 @@ def all_bound(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
 
 
 def test_an_engine_of_bound_sessions(bundle: Bundle, all_bound: list[bool], caplog: pytest.LogCaptureFixture) -> None:
-    """It gives the numbers of the bundle; a graph that cannot be captured is named, and opened without."""
+    """An engine of bound sessions gives the numbers of the bundle; a graph that cannot be captured is named in a
+    warning and opened without capture.
+    """
     with caplog.at_level(logging.WARNING):
         engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu", captured=True)
     assert engine.described == "onnx (CPUExecutionProvider, captured)"
@@ -108,7 +115,7 @@ def test_an_engine_of_bound_sessions(bundle: Bundle, all_bound: list[bool], capl
 def test_a_provider_that_captures_wrongly_is_taken_without(
     bundle: Bundle, all_bound: list[bool], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A captured graph that returns its first results for ever."""
+    """A provider whose captured graphs always return their first results is used without capture."""
     right = sessions._BoundSession.__call__
     first: dict[int, list[Array]] = {}
 
@@ -123,8 +130,8 @@ def test_a_provider_that_captures_wrongly_is_taken_without(
     assert "not its own" in caplog.text
 
 
-# Types that ONNX Runtime computes on a GPU of CUDA at opset 18 (its docs/OperatorKernels.md), of operators whose types
-# are fewer than those of their first input here.
+# Types of the first input that ONNX Runtime computes by CUDA at opset 18 (its docs/OperatorKernels.md), for operators
+# that do not take every type.
 FLOATS = {TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16}
 ORDERED = FLOATS | {TensorProto.INT32, TensorProto.INT64}
 ON_CUDA: dict[str, set[int]] = {
@@ -146,8 +153,8 @@ EVERY_TYPE = {
     *("IsInf", "IsNaN", "Mul", "Neg", "Not", "Or", "Pow", "Relu", "Reshape", "Resize", "ScatterElements", "Sign"),
     *("Slice", "Split", "Squeeze", "Sub", "Transpose", "Unsqueeze", "Where"),
 }
-# What is left to the processor: counts of bytes that are compared, an angle, ties of a search, sizes of a batch. None
-# of it is in a graph that follows points or computes fields in every frame.
+# Nodes left to the processor: comparisons of counts in uint8, an angle, ties of a search, sizes of a batch. None is in
+# a graph that tracks points or computes fields in every frame.
 LEFT = {
     "contact": {("Greater", "UINT8"), ("Atan", "FLOAT")},
     "threshold": {("Greater", "UINT8")},

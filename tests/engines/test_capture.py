@@ -1,5 +1,8 @@
-"""Modules replayed as recorded graphs, against the same modules called: here recordings replay the ops of the processor
-into the same tensors again, as a CUDA graph does, so that nothing that was read while it was recorded can change."""
+"""Tests of modules replayed as recorded graphs against the same modules called.
+
+A recording of the tests replays ops of the processor into the same tensors, as a CUDA graph does: values that were read
+while it was recorded cannot change.
+"""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -24,11 +27,11 @@ from tests.replayed_ops import record
 CPU = torch.device("cpu")
 SETTINGS = EngineSettings(window_px=15, gauge_length_mm=2.0)
 SIZE = (96, 128, 8, 24)
-CALLS = 5  # of each method: two are ordinary, the others replayed
+CALLS = 5  # of each method: the first two are ordinary calls, the others are replayed
 
 
 def record_for_ever(call: Callable[[], Any]) -> RecordedCall:
-    """A graph that does not see new inputs."""
+    """Return a recording that does not see new inputs."""
     return RecordedCall(lambda: None, call())
 
 
@@ -42,7 +45,7 @@ def captured(how: Callable[[Callable[[], Any]], RecordedCall]) -> TorchEngine:
 
 @pytest.fixture(autouse=True)
 def portable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """As on an accelerator, for which there are no compiled kernels."""
+    """Turn off the compiled kernels, which do not serve on an accelerator."""
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     with torch.inference_mode():
         yield
@@ -54,7 +57,10 @@ def frame() -> BuiltIn:
 
 
 def results(engine: Engine, frame: BuiltIn, number: int) -> list[Any]:
-    """All results of the built-in frame, for each number with less contact, darker, and predicted elsewhere."""
+    """Return all results of the built-in frame as a list of arrays.
+
+    With a larger `number` the frame has less contact, is darker, and its points are expected further away.
+    """
     darker, further = 1 - 0.03 * number, np.float32(0.05 * number)
     light = engine.light(frame.empty.astype(np.float32), None)
     view = frame.contact[None].copy()
@@ -86,7 +92,7 @@ def test_each_frame_has_its_own_results(frame: BuiltIn) -> None:
         if before:
             same = [np.array_equal(one, other, equal_nan=True) for one, other in zip(given, before, strict=True)]
             assert not all(same)
-            assert not np.array_equal(given[1], before[1])  # area of the real contact
+            assert not np.array_equal(given[1], before[1])  # area of real contact
         before = given
     for module in (replayed._contact, replayed._key, replayed._track, replayed._deformation, replayed._fields):
         assert any(graph is not None for graph in module._graphs.values()), module._module
@@ -121,7 +127,9 @@ def test_what_cannot_be_recorded_is_called(frame: BuiltIn, caplog: pytest.LogCap
 def test_the_engine_of_a_gpu_is_checked(
     way: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """With modules that are captured if they pass, and without where they do not."""
+    """The engine of a GPU captures its modules if their numbers pass the check, and calls them without capture
+    otherwise, with a warning.
+    """
     made = TorchEngine
 
     def on_processor(settings: EngineSettings, device: torch.device, *modules: Any) -> TorchEngine:
@@ -138,7 +146,7 @@ def test_the_engine_of_a_gpu_is_checked(
 
 
 class Scaled(nn.Module):
-    """Twice the sum of the numbers that it is given, and what it is given."""
+    """Returns the sum of the given numbers times a factor, by default two, and the numbers."""
 
     factor = 2.0
 
@@ -147,7 +155,9 @@ class Scaled(nn.Module):
 
 
 def test_the_graphs_that_are_kept() -> None:
-    """One a signature, after two calls, and no more than eight; a number is part of the signature."""
+    """A module keeps one graph for each signature, recorded after two calls, and at most eight; the value of a number
+    is part of the signature.
+    """
     module = Captured(Scaled(), record)
     assert module.factor == 2.0
     for size in range(1, 12):

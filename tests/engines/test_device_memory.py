@@ -1,4 +1,4 @@
-"""Memory planned for recordings together, against that counted in the steps of a frame."""
+"""Tests of the memory planned for recordings computed together, and of errors of memory."""
 
 import pytest
 import torch
@@ -11,7 +11,9 @@ from fingerflow.errors import is_out_of_memory
 
 @pytest.mark.parametrize(("shape", "points"), [((512, 640), 700), ((256, 320), 200), ((512, 640), 1400)])
 def test_more_is_planned_than_is_counted(shape: tuple[int, int], points: int) -> None:
-    """By as much as templates, copies for graphs and frames of 32 bit need, which the steps are given."""
+    """The planned bytes of a recording exceed those counted in the steps of a frame by less than 2.5 times: templates,
+    copies for graphs and frames of 32 bit need more.
+    """
     works = _works(shape, points, 1)
     peaks = {name: count_launches(work.graph, work.inputs).peak for name, work in works.items()}
     assert peaks["contact"] > 4 * shape[0] * shape[1]

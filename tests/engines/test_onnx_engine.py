@@ -1,4 +1,6 @@
-"""The engine that runs a bundle by ONNX Runtime beside the one that runs torch: the same numbers, method by method."""
+"""Tests of the engine that runs a bundle by ONNX Runtime against the engine of torch: both give the same numbers,
+method by method.
+"""
 
 import dataclasses
 import logging
@@ -38,7 +40,7 @@ MM = 0.02
 
 
 class Both(NamedTuple):
-    """The same by both engines."""
+    """Results of both engines."""
 
     onnx: Any
     torch: Any
@@ -56,7 +58,9 @@ def engines(bundle: Bundle) -> Both:
 
 
 def view(name: str, frame: int | str) -> Array:
-    """A view (1, H, W) of the press, or of what it looks like without contact or as noise."""
+    """Return a view (1, H, W) of uint8 of a frame of the press, of the press without contact ("empty"), or of noise
+    ("noise").
+    """
     if frame == "noise":
         random = np.random.default_rng(1)
         return random.integers(0, 256, (1, HEIGHT, WIDTH)).astype(np.uint8)
@@ -66,7 +70,7 @@ def view(name: str, frame: int | str) -> Array:
 
 @pytest.fixture(scope="module")
 def points(engines: Both) -> Array:
-    """As they are seeded, some of them none, and fewer than the bundle has."""
+    """Return points (POINTS - 3, 2) px as they are seeded; every ninth is NaN."""
     image = engines.onnx.images(view("topography", KEY))
     found = engines.onnx.detect(image, np.ones((HEIGHT, WIDTH), bool), POINTS)[:-3].copy()
     found[::9] = np.nan
@@ -74,7 +78,7 @@ def points(engines: Both) -> Array:
 
 
 def both(engines: Both, call: Any) -> Iterator[tuple[Any, Any]]:
-    """What a function of an engine gives, field by field."""
+    """Yield pairs of the fields that a function of an engine returns, one of each engine."""
     return zip(*(call(one) for one in engines), strict=True)
 
 
@@ -92,7 +96,11 @@ def same(ours: Array | None, theirs: Array | None, atol: float = 1e-5, rtol: flo
 
 
 def same_found(ours: Found, theirs: Found, points: Array, rtol: float = 1e-3, px: float = 1e-4) -> None:
-    """Positions of hundreds of px have steps of 3e-5 px. Why a point is lost may turn on the last digit."""
+    """Assert that both engines find the same points.
+
+    Float32 positions of hundreds of px have steps of 3e-5 px. Statuses of lost points are not compared, because they
+    may depend on the last digit.
+    """
     tracked = theirs.status == TrackStatus.TRACKED
     np.testing.assert_array_equal(ours.status == TrackStatus.TRACKED, tracked)
     same(ours.points, theirs.points, px)
@@ -142,7 +150,7 @@ def test_noise_and_points_worth_tracking(engines: Both, frame: int | str) -> Non
 
     (our_noise, noise), (ours, theirs) = both(engines, seeded)
     same(our_noise, noise)
-    # Corners of nearly equal strength change places.
+    # Corners of nearly equal strength may change their order.
     places, others = ({tuple(point) for point in one.tolist()} for one in (ours, theirs))
     assert len(places ^ others) <= 0.02 * len(others)
 
@@ -150,7 +158,9 @@ def test_noise_and_points_worth_tracking(engines: Both, frame: int | str) -> Non
 @pytest.mark.parametrize("frame", [FRAME, "noise", "empty"])
 @pytest.mark.parametrize("off", [0.3, 3.0])
 def test_points_found(engines: Both, points: Array, frame: int | str, off: float) -> None:
-    """Also those that lie further off than a look reaches, and some of them alone, few and many."""
+    """Both engines find the same points, also from a guess further away than the reach of the tracker, and for a few or
+    most of the points only.
+    """
 
     def follow(engine: Any, rows: Array | None) -> arrays.Followed:
         _, templates = keyed(engine, points)
@@ -160,7 +170,7 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
 
     for rows in (None, np.arange(0, len(points), 3), np.arange(1, len(points))):
         ours, theirs = (follow(engine, rows) for engine in engines)
-        # What matches the noise of an empty frame by chance has numbers from differences of nearly equal sums.
+        # Points that match the noise of an empty frame by chance depend on differences of nearly equal sums.
         rtol, px = (1e-2, 1e-3) if frame == "empty" else (1e-3, 1e-4)
         same_found(ours.found, theirs.found, points if rows is None else points[rows], rtol, px)
         tracked = theirs.found.status[0] == TrackStatus.TRACKED
@@ -172,7 +182,9 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
 
 
 def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -> None:
-    """More of them than a call of the graph takes."""
+    """Both engines update templates for a deformation of the skin alike, of more points than one call of the graph
+    takes.
+    """
     random = np.random.default_rng(0)
     warp = (np.eye(2) + 0.03 * random.normal(size=(len(points), 2, 2))).astype(np.float32)
     rows = np.arange(0, len(points), 2)[:70]
@@ -189,7 +201,7 @@ def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -
     (unchanged, _), *_ = both(engines, updated)
     assert not np.array_equal(unchanged.points, ours.points, equal_nan=True)
     known = np.isfinite(points[:, 0])
-    our_numbers, numbers = (np.delete(one, range(5, 7), 1) for one in (our_numbers, numbers))  # sums that are nearly 0
+    our_numbers, numbers = (np.delete(one, range(5, 7), 1) for one in (our_numbers, numbers))  # sums near 0
     scale = np.abs(numbers[known]).max(0)
     same(our_numbers[known] / scale, numbers[known] / scale, 1e-4)
 
@@ -197,7 +209,7 @@ def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -
 def test_templates_are_updated_in_the_memory_of_a_provider(
     bundle: Bundle, points: Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of its own, which here is a copy."""
+    """Templates are updated in a provider's own memory, for which a copy stands in here."""
     engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu")
     of_array = GraphSession.kept
     monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
@@ -217,7 +229,7 @@ def test_positions_corrected_and_judged(engines: Both, points: Array) -> None:
     def corrected(engine: Any) -> Any:
         _, templates = keyed(engine, points)
         found = engine.follow(templates, engine.images(view("topography", FRAME)), points, np.zeros_like(points)).found
-        found.points[0, rows] += 3  # off their neighbours
+        found.points[0, rows] += 3  # away from their neighbours
         inverse_warp = np.broadcast_to(np.eye(2, dtype=np.float32) * 1.01, (len(points), 2, 2)).copy()
         result = engine.correct(points, found, templates.numbers, inverse_warp)
         judged = engine.outliers(engine.neighbours(points), points, found)
@@ -244,7 +256,9 @@ def test_points_searched_for(engines: Both, points: Array) -> None:
 
 
 def test_windows_sampled(engines: Both, points: Array) -> None:
-    """To what rounding of a place, 1e-5 px, is on slopes of 50 grey levels a px."""
+    """Both engines sample the same windows to 2e-3 grey levels: positions are rounded to 1e-5 px, on slopes of 50 grey
+    levels per px.
+    """
     warp = (np.eye(2) + 0.1 * np.random.default_rng(0).normal(size=(len(points), 2, 2))).astype(np.float32)
 
     def windows(engine: Any) -> Any:
@@ -365,7 +379,9 @@ def test_a_provider_that_is_not_there_is_named(bundle: Bundle) -> None:
 def test_a_provider_with_other_numbers_is_passed_over(
     bundle: Bundle, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """And one that does not load; but one that is asked for is not replaced."""
+    """A provider that cannot be loaded or gives other numbers than the bundle is skipped with a warning; if the
+    provider was asked for by name, this is an error.
+    """
     full = installed_providers()["cpu"]
     monkeypatch.setattr(
         providers, "installed_providers", lambda: {"broken": "NoExecutionProvider", "odd": full, "cpu": full}
@@ -387,7 +403,9 @@ def test_a_provider_with_other_numbers_is_passed_over(
 def test_the_provider_of_a_plugin_package_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One that cannot be loaded is named, and the others serve."""
+    """The provider of a plugin package is found; a plugin package that cannot be loaded is named, and the other
+    providers serve.
+    """
     (tmp_path / "onnxruntime_ep_other.py").write_text("def get_library_path():\n    return 'other.so'\n")
     (tmp_path / "onnxruntime_ep_torn.py").write_text("import nothing_of_this_name\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -426,7 +444,7 @@ def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Pat
 
 
 def test_it_needs_no_torch(bundle: Bundle) -> None:
-    """Nor the compiled library."""
+    """The ONNX engine runs where torch, scipy, cv2 and onnx cannot be imported."""
     code = """
 import sys
 sys.modules.update({name: None for name in ("torch", "scipy", "cv2", "onnx")})

@@ -1,4 +1,4 @@
-"""Recordings in lock-step: which calls become one, and whose an error is."""
+"""Tests of recordings computed in lock-step: which calls are joined, and which recording an error belongs to."""
 
 import logging
 import weakref
@@ -12,7 +12,7 @@ from fingerflow.engines.together import Call, Steps, run_alone, run_together
 
 
 class Doubling:
-    """An engine that doubles numbers, of up to so many recordings in one call."""
+    """An engine that doubles numbers, for at most `room` recordings in one call."""
 
     def __init__(self, room: int = 8) -> None:
         self.room = room
@@ -23,7 +23,7 @@ class Doubling:
         return self.room
 
     def joined(self, method: str, many: Sequence[tuple[int]]) -> list[int]:
-        taken = np.zeros(len(many))  # memory
+        taken = np.zeros(len(many))  # memory of the call
         self._taken.append(weakref.ref(taken))
         if len(many) > self.room:
             raise MemoryError(f"no room for {taken}")
@@ -81,7 +81,9 @@ def test_each_is_computed_when_the_memory_of_all_is_free_again() -> None:
 
 
 def test_calls_that_need_too_much_memory_are_halved(caplog: pytest.LogCaptureFixture) -> None:
-    """And stay so, until they fit; it is said once for each size."""
+    """Joined calls that need too much memory are halved until they fit, and stay so; each size is named in one
+    warning.
+    """
     engine = Doubling(3)
     with caplog.at_level(logging.WARNING):
         found = run_together([followed(engine, value, 2) for value in range(1, 9)])
@@ -94,7 +96,9 @@ def test_calls_that_need_too_much_memory_are_halved(caplog: pytest.LogCaptureFix
 
 
 def test_an_error_is_of_the_recording_that_it_comes_from() -> None:
-    """Which may go on with it; another one ends, and the first such error is raised when all have ended."""
+    """An error ends only the recording that it comes from, which may catch it and go on; the first uncaught error is
+    raised when all recordings have ended.
+    """
     engine = Doubling()
 
     def forgiving() -> Steps[int]:

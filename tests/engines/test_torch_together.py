@@ -1,4 +1,4 @@
-"""Calls of several recordings made as one by the engine torch, against each made by itself."""
+"""Tests of calls of several recordings joined by the engine of torch, against each call by itself."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,15 +17,15 @@ Array = np.ndarray[Any, Any]
 Many = list[tuple[Any, ...]]
 
 PRESS = TRIALS["press"]
-FIRST = (58, 50, 40)  # frame of each recording
+FIRST = (58, 50, 40)  # first frame of each recording
 COUNTS, FRAMES = (30, 45, 18), (4, 2, 3)
-# px and grey levels: products of matrices are summed in another order when there are more of them.
+# px and grey levels: matrix products are summed in another order when calls are joined.
 CLOSE = {"rtol": 1e-4, "atol": 1e-4, "equal_nan": True}
 
 
 @pytest.fixture(autouse=True)
 def portable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on an accelerator, for which there are no compiled kernels."""
+    """Turn off the compiled kernels, which do not serve on an accelerator."""
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
 
 
@@ -36,7 +36,7 @@ def engine() -> Iterator[TorchEngine]:
 
 
 def view(name: str, *frames: int) -> Array:
-    """Views (K, H, W) of the press."""
+    """Return views (K, H, W) of frames of the press."""
     return np.stack([PRESS.views[name].crop(PRESS.render(frame)) for frame in frames]).astype(np.uint8)
 
 
@@ -46,7 +46,7 @@ def images(engine: TorchEngine, name: str, recording: int, start: int = 0) -> An
 
 
 def points(recording: int) -> Array:
-    """Places (N, 2) px of which some are none, or beyond the picture."""
+    """Return positions (N, 2) px, some of them NaN and one at the border of the picture."""
     random = np.random.default_rng(recording)
     found = random.uniform((15, 15), (WIDTH - 15, HEIGHT - 15), (COUNTS[recording], 2)).astype(np.float32)
     found[::7] = np.nan
@@ -60,7 +60,7 @@ def warps(recording: int) -> Array:
 
 
 def found_of(engine: TorchEngine, recording: int) -> FoundPoints:
-    """Points near where they started, with two that are not there."""
+    """Return points found near their start, with one 6 px off and one lost."""
     start, random = points(recording), np.random.default_rng(20 + recording)
     count = FRAMES[recording], COUNTS[recording]
     places = (start + random.normal(0, 0.3, (*count, 2))).astype(np.float32)
@@ -100,7 +100,9 @@ def prepare_deformed_of(engine: TorchEngine) -> Many:
 
 
 def follow_of(engine: TorchEngine) -> Many:
-    """From guesses that are up to 5 px off: some points are looked for in a second round."""
+    """Return arguments of `follow` with guesses up to 5 px off, so that some points are searched for in a
+    second round.
+    """
     every = []
     for k, given in enumerate(prepare_of(engine)):
         off = np.random.default_rng(30 + k).normal(0, 2, (COUNTS[k], 2)).astype(np.float32)
@@ -167,7 +169,9 @@ def test_those_of_other_sizes_are_called_by_themselves(engine: TorchEngine, monk
 
 
 def test_engines_that_differ_are_of_other_kinds(engine: TorchEngine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And where compiled kernels serve each is one of its own."""
+    """Only engines of equal settings are of one kind, so that their calls are joined; with compiled kernels each engine
+    is of its own kind.
+    """
     device = torch.device("cpu")
     assert engine.kind() == TorchEngine(engine.settings, device).kind()
     assert engine.kind() != TorchEngine(EngineSettings(window_px=17), device).kind()

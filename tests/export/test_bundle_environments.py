@@ -1,4 +1,4 @@
-"""A bundle where a lab PC has few packages: numpy and onnxruntime, or numpy alone."""
+"""Tests of a bundle on a lab PC with few packages: NumPy and onnxruntime, or NumPy alone."""
 
 import json
 import os
@@ -22,14 +22,14 @@ FRAMES = 200
 
 
 class LabPC(NamedTuple):
-    """A Python, the folder of a bundle, and which engine plays there."""
+    """A Python, the folder of a bundle, and the options that choose its engine."""
 
     python: Path
     bundle: Path
     options: tuple[str, ...]
 
     def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Python with these arguments in the bundle's folder."""
+        """Run Python with these arguments in the folder of the bundle."""
         command = [self.python, *arguments]
         return subprocess.run(command, cwd=self.bundle, env=variables(), capture_output=True, text=True, check=False)
 
@@ -64,7 +64,7 @@ def test_player_page_and_results(lab: LabPC, tmp_path: Path) -> None:
             assert line, said
             said += line
         browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
-        browser.open(page[1], timeout=30).close()  # gives the cookie
+        browser.open(page[1], timeout=30).close()  # sets the cookie
         with browser.open(page[2], timeout=30) as answer:
             assert b"<html" in answer.read()
         with browser.open(f"{page[2]}live", timeout=30) as answer:
@@ -76,14 +76,14 @@ def test_player_page_and_results(lab: LabPC, tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.split() == [str(FRAMES)] * 2
     assert len(table.read_text().splitlines()) == FRAMES + 1
-    # The package reads the same where it is installed.
+    # The installed package reads the same results.
     stream = open_stream(results)
     assert stream.sizes["frame"] == FRAMES
     assert np.isfinite(stream["real_contact_area"]).any()
 
 
 def test_live_numbers_need_no_other_package(lab: LabPC, tmp_path: Path) -> None:
-    """UDP, OSC, serial line and triggers; ZeroMQ and LSL are named as what is to be installed."""
+    """UDP, OSC, serial lines and triggers need no other package; for ZeroMQ and LSL the package to install is named."""
     terminal, line = os.openpty()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
@@ -95,7 +95,7 @@ def test_live_numbers_need_no_other_package(lab: LabPC, tmp_path: Path) -> None:
         ended = lab.run(*stream, *out, *when)
         assert ended.returncode == 0, ended.stderr
         assert [json.loads(receiver.recv(4096))["frame"] for _ in range(60)] == list(range(60))
-    assert os.read(terminal, 9) == b"1"  # in half a period the contact grows once
+    assert os.read(terminal, 9) == b"1"  # the contact grows once in half a period
     os.close(terminal)
     os.close(line)
     for kind, package in (("zeromq:tcp://127.0.0.1:9", "pyzmq"), ("lsl:a", "pylsl")):

@@ -1,4 +1,4 @@
-"""What a bundle carries of the package: the rooms that the player needs, as they are, and nothing that needs torch."""
+"""Tests of the modules that a bundle carries: those that the player needs, unchanged, and none that needs torch."""
 
 import struct
 import subprocess
@@ -49,13 +49,13 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _play(bundle: Path, file: Path, *absent: str) -> subprocess.CompletedProcess[str]:
-    """Play a recording as the bundle does; its frames are saved as played.npy beside it."""
+    """Play a recording as the bundle does, and save its frames as played.npy beside it; return the ended process."""
     command = [sys.executable, "-c", _IN_A_BUNDLE, str(file), str(file.with_name("played.npy")), *absent]
     return subprocess.run(command, cwd=bundle, capture_output=True, text=True)
 
 
 def _sample(kind: str, folder: Path, chosen: int = 0) -> Path:
-    """Write a sample of a format; return the file to open."""
+    """Write a sample of a format; return the path of the file to open."""
     (folder / "made").mkdir()
     sample = samples(kind, folder / "made")[chosen]
     for name, data in sample.files.items():
@@ -65,7 +65,7 @@ def _sample(kind: str, folder: Path, chosen: int = 0) -> Path:
 
 @pytest.mark.parametrize(("kind", "chosen"), [("cine", 0), ("cine", 1), ("mraw", 0), ("npy", 1), ("tiff", 0)])
 def test_a_bundle_reads_what_the_package_reads(kind: str, chosen: int, bundle: Path, tmp_path: Path) -> None:
-    """From the second frame on, bit for bit."""
+    """A bundle reads the frames of a recording from the second one on, bit for bit as the package reads them."""
     file = _sample(kind, tmp_path, chosen)
     ended = _play(bundle, file)
     assert ended.returncode == 0, ended.stderr
@@ -91,7 +91,7 @@ def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
 
 
 def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
-    """A stream would try again for half a minute."""
+    """A damaged frame of a recording ends the stream at once; a lost camera would be tried again for half a minute."""
     file = _sample("cine", tmp_path)
     data = bytearray(file.read_bytes())
     (table,) = struct.unpack_from("<I", data, 32)
@@ -126,7 +126,7 @@ def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
 
 
 def test_every_carried_module_finds_what_it_loads(bundle: Path) -> None:
-    """From the files of the bundle alone, with NumPy, onnxruntime and tifffile."""
+    """Every carried module can be imported from the files of the bundle, with NumPy, onnxruntime and tifffile only."""
     code = """
 import sys
 from importlib import import_module
@@ -156,7 +156,7 @@ def test_the_library_goes_along_where_it_was_built(
 
 def test_the_scene_to_fill_in_has_views_of_the_size_of_the_bundle() -> None:
     template = (resources.files("fingerflow.export") / "template" / "scene.toml").read_text(encoding="utf-8")
-    assert scene_for(template, 512, 640).count("[640, 1280]") == 1  # what the template has
+    assert scene_for(template, 512, 640).count("[640, 1280]") == 1  # the columns of the template itself
     views = tomllib.loads(scene_for(template, 192, 240))["views"]
     assert views["contact"] == {"rows": [0, 192], "columns": [240, 480]}
     assert views["topography"] == {"rows": [0, 192], "columns": [0, 240]}

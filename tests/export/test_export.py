@@ -1,4 +1,4 @@
-"""Export to ONNX: a small bundle that holds what it promises, and refusals that leave nothing behind."""
+"""Tests of the export to ONNX: a small bundle is complete, and a refused export leaves nothing behind."""
 
 import hashlib
 import json
@@ -94,13 +94,13 @@ def test_verification_covers_every_output(bundle_of_trials: Path) -> None:
 
 
 def test_the_bundle_states_the_numbers_of_a_built_in_frame(bundle_of_trials: Path) -> None:
-    """Strictly JSON, and those of another texture where points are none."""
+    """bundle.json is strict JSON and states the numbers of the built-in frame, in which some points are NaN."""
     expected = json.loads((bundle_of_trials / "bundle.json").read_text(), parse_constant=pytest.fail)["expected"]
     frame = built_in(HEIGHT, WIDTH, 8, POINTS, 21)
     known = np.isfinite(frame.points[:, 0])
     assert 0.8 < known.mean() < 0.9
     numbers = {name: np.array(values, float) for name, values in expected["numbers"].items()}
-    # What is known of the texture: where each point lies, but for what its template leans before it is corrected.
+    # The texture gives the true position of each point; before the correction a template has a bias.
     truth = frame.expected[known] - 0.2
     for name, error in (("found", 0.1), ("corrected", 0.06)):
         np.testing.assert_array_equal(np.isfinite(numbers[name][:, 0]), known)
@@ -154,7 +154,7 @@ def test_an_existing_folder_is_kept(tmp_path: Path) -> None:
 
 
 def test_float64_reference_is_another_precision() -> None:
-    """The verification compares with numbers that are really computed in float64."""
+    """The verification compares with numbers that are computed in float64 throughout."""
     recipe = load_recipe(Path(__file__).parents[2] / "export" / "fast.toml")
     fields = build(recipe, torch.float64)["fields"]
     case = complete_inputs(recipe, cases(recipe, 1)[0])

@@ -1,4 +1,4 @@
-"""Recipes: the ones that are shipped, and what is wrong with others."""
+"""Tests of recipes: the shipped ones are valid, and errors of others are named."""
 
 from pathlib import Path
 
@@ -17,7 +17,9 @@ def test_shipped_recipes_are_valid(path: Path) -> None:
 
 
 def test_a_bundle_has_by_default_what_the_engine_opens(tmp_path: Path) -> None:
-    """And nothing else: each graph is exported, verified and carried to the lab."""
+    """By default a bundle has the graphs that the engine opens and no others, because each graph is exported, verified
+    and carried to the lab.
+    """
     (tmp_path / "recipe.toml").write_text("[views]\nheight = 512\nwidth = 640\n")
     assert {*load_recipe(tmp_path / "recipe.toml").export.graphs} == {*GRAPHS}
 

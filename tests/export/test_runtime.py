@@ -1,4 +1,4 @@
-"""Modules executed by ONNX Runtime: called like the module itself, with the same results."""
+"""Tests of modules run by ONNX Runtime: they are called like the module itself and give the same results."""
 
 import os
 import warnings
@@ -19,7 +19,9 @@ class Pair(NamedTuple):
 
 
 class Scaled(nn.Module):
-    """Takes and gives what the graphs do: named tuples, None, settings, tensors of one recording and of all."""
+    """Takes and returns what graphs take and return: named tuples, None, settings, tensors of one recording and
+    of all.
+    """
 
     def __init__(self, factor: float) -> None:
         super().__init__()
@@ -35,7 +37,7 @@ class Scaled(nn.Module):
 
 
 class Spread(nn.Module):
-    """Of points, that are none where they are NaN: their distances from the mean, and what goes through."""
+    """Returns the distances of points from their mean, the mean, and the pair; points may be NaN."""
 
     point_axes: ClassVar = {"points": 1, "pair": 2}
 
@@ -58,7 +60,7 @@ def runtime(tmp_path: Path) -> OnnxRuntime:
 @pytest.mark.long
 @pytest.mark.parametrize("second", [False, True])
 def test_a_module_gives_the_same(runtime: OnnxRuntime, second: bool) -> None:
-    """By the same graphs for one recording and for several."""
+    """ONNX Runtime gives the results of the module, with the same graphs for one recording and for several."""
     module = Scaled(3.0)
     executed = runtime(module)
     generator = torch.Generator().manual_seed(2)
@@ -79,7 +81,7 @@ def test_a_module_gives_the_same(runtime: OnnxRuntime, second: bool) -> None:
 
 
 def test_how_many_points_there_are_decides_on_no_graph(runtime: OnnxRuntime) -> None:
-    """Until there are more than fit."""
+    """The same graph serves any number of points, until more points are given than it has room for."""
     module = Spread()
     executed = runtime(module)
     generator = torch.Generator().manual_seed(3)
@@ -107,7 +109,7 @@ def test_what_takes_long_is_said_once(runtime: OnnxRuntime, monkeypatch: pytest.
 
 
 def test_graphs_are_kept_for_the_next_time(runtime: OnnxRuntime) -> None:
-    """By settings, buffers and shapes."""
+    """Graphs are kept by settings, buffers and shapes, and not exported again."""
     frames = torch.ones(1, 4, 6)
     pair, matrix = Pair(frames, None), torch.eye(2, 3)[None]
     runtime(Scaled(3.0))(frames, pair, matrix)
@@ -146,7 +148,7 @@ def test_a_folder_that_others_may_fill_is_not_used(tmp_path: Path, monkeypatch: 
         user = os.getuid()
         monkeypatch.setattr("os.getuid", lambda: user + 1000)
         own = tmp_path / f"fingerflow-graphs-{user + 1000}"
-        own.mkdir()  # by the present user, who is not that one
+        own.mkdir()  # the folder belongs to the present user
     elif made == "writable for all":
         own.chmod(0o777)
     elif made == "a link":

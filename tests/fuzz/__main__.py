@@ -1,8 +1,9 @@
-"""`python -m tests.fuzz`: reads damaged files by every reader and counts how that ends.
+"""Read damaged files with every reader and count how this ends: `python -m tests.fuzz`.
 
 Each input is made from a small real file by a seeded generator and read in a process with a limit of memory and of
-processor time. `read` and `own error`, which names the file, are right; everything else is printed with the number that
-makes it again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1 --keep folder`.
+processor time. The outcomes `read` and `own error`, which names the file, are right; every other outcome is printed
+with the number that makes its input again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1 --keep
+folder`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from tests.fuzz.worker import damaged, write
 OUTCOMES = ("read", "own error", "unnamed", "traceback", "memory", "hang", "crash")
 GOOD = ("read", "own error")
 ROOT = Path(__file__).resolve().parents[2]
-MOST_IDLE_SECONDS = 150.0  # the reader waits for something; longer than it waits itself for the process that walks
+MOST_IDLE_SECONDS = 150.0  # s without work; longer than a reader waits for its own child process
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -48,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     for reader, number, outcome, said in _run(asked.seed, jobs):
         counts[reader][outcome] += 1
         kind = (reader, outcome, said.partition(":")[0])
-        if outcome not in GOOD and kind not in shown:  # one of a kind
+        if outcome not in GOOD and kind not in shown:  # print one of each kind
             shown.add(kind)
             print(f"  {reader} {number}: {outcome}: {said}", flush=True)
         if (reader, number + 1) in {(name, end) for name, _, end in jobs}:
@@ -59,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int, str, str]]:
-    """(reader, number, outcome, what was said) of each input, whatever becomes of the process that reads."""
+    """Yield (reader, number, outcome, message) of each input, whatever happens to the process that reads."""
     while jobs:
         command = [sys.executable, "-m", "tests.fuzz.worker", str(seed), json.dumps(jobs)]
         with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as worker:
@@ -85,14 +86,16 @@ def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int
 
 
 def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tuple[str, int, int]]:
-    """What is left when an input is done; jobs are done in their order."""
+    """Return the jobs that are left after an input; jobs are done in their order."""
     (name, _, end), *others = jobs
     assert name == reader
     return others if number + 1 == end else [(name, number + 1, end), *others]
 
 
 def _lines(worker: subprocess.Popen[bytes], answers: IO[bytes]) -> Iterator[bytes]:
-    """The first comes when samples are made and libraries loaded, which takes as long as the machine is busy."""
+    """Yield the whole lines of the worker. The first arrives after samples are made and libraries loaded, which takes
+    long on a busy machine.
+    """
     with IdleLimit(worker.pid, MOST_IDLE_SECONDS):
         yield from (line for line in answers if line.endswith(b"\n"))
 

@@ -1,4 +1,4 @@
-"""How a file is damaged: by a seeded generator, so that a number of the command gives the same bytes again."""
+"""Damage files by a seeded generator, so that a number of the command gives the same bytes again."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _EXTREMES = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 2**24, 2**31 - 1
              2**63, 2**64 - 1)  # fmt: skip
 _WORDS = (b"0", b"-1", b"1e308", b"nan", b"inf", b"-0", b"99999999999999999999", b"[]", b"{}", b'""', b"null", b"true",
           b"'", b"\xff\xfe", b"\x00", b"[[[[[[[[", b"1,05", b"../..", b"\xc3\xa9", b"1e-320", b"0x10")  # fmt: skip
-_HEADER = 600  # bytes in which most formats say what follows
+_HEADER = 600  # bytes that hold the header of most formats
 
 
 def damage(data: bytes, other: bytes, rng: random.Random) -> bytes:
-    """One to three kinds of damage; `other` is a file of the same kind from which pieces may come."""
+    """Return the data with one to three kinds of damage; pieces may come from `other`, a file of the same kind."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         if data:
             data = rng.choice(_KINDS)(data, other, rng)
@@ -22,7 +22,9 @@ def damage(data: bytes, other: bytes, rng: random.Random) -> bytes:
 
 
 def _place(data: bytes, rng: random.Random) -> int:
-    """Half of the places lie where headers are, at the beginning or, for formats with their index there, the end."""
+    """Return a position in the data; about half of them lie near the beginning or the end, where headers and indices
+    are.
+    """
     reach = min(_HEADER, len(data))
     where = rng.random()
     if where < 0.4:
@@ -47,7 +49,7 @@ def _splice(data: bytes, other: bytes, rng: random.Random) -> bytes:
     source = other if rng.random() < 0.5 and other else data
     start, length = rng.randrange(len(source)), rng.choice((4, 16, 64, 300))
     at = _place(data, rng)
-    cut = at + length if rng.random() < 0.5 else at  # replaced, or put in between
+    cut = at + length if rng.random() < 0.5 else at  # replace bytes, or insert
     return data[:at] + source[start : start + length] + data[cut:]
 
 
@@ -62,7 +64,7 @@ def _extreme_number(data: bytes, other: bytes, rng: random.Random) -> bytes:
     if rng.random() < 0.7:
         at -= at % min(size, 4)
     value = rng.choice(_EXTREMES) % 2 ** (8 * size)
-    if rng.random() < 0.15:  # a number of floating point
+    if rng.random() < 0.15:  # a floating-point number
         packed = struct.pack(order + ("d" if size == 8 else "f"), rng.choice((0.0, -1.0, 1e30, float("nan"))))
     else:
         packed = value.to_bytes(size, "little" if order == "<" else "big")
@@ -70,7 +72,7 @@ def _extreme_number(data: bytes, other: bytes, rng: random.Random) -> bytes:
 
 
 def _word(data: bytes, other: bytes, rng: random.Random) -> bytes:
-    """In texts: a word or number becomes another one."""
+    """Return a text with a word or number replaced by another one."""
     at = _place(data, rng)
     start, end = at, at
     while start and data[start - 1 : start].isalnum():

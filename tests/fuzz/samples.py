@@ -1,4 +1,4 @@
-"""Small real files of every format that is read, as their own libraries write them."""
+"""Small real files of every format that is read, written by the libraries of these formats."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ COLUMNS = {"time": TIMES, "normal": np.linspace(0, 5, 60), "tangential": np.sin(
 
 @dataclass(frozen=True)
 class Sample:
-    """Files by name, of which `damaged` is; `opened` is what the reader is given (a name, or "." for the folder)."""
+    """Files by name: `damaged` is the name of the file to damage, `opened` the name that the reader opens ("." for the
+    folder).
+    """
 
     files: dict[str, bytes]
     damaged: str
@@ -26,7 +28,7 @@ class Sample:
 
 
 def samples(reader: str, folder: Path) -> list[Sample]:
-    """Made in `folder`, which is empty."""
+    """Make the samples of a reader in `folder`, which is empty, and return them."""
     return _MAKERS[reader](folder)
 
 
@@ -223,7 +225,7 @@ def _scene(folder: Path) -> list[Sample]:
 
 
 def _bundle(folder: Path) -> list[Sample]:
-    """A bundle with its scene, the picture of the empty glass and frames to play."""
+    """Return samples of a bundle with its scene, the picture of the empty glass and frames to play."""
     from tests.player.tiny_bundle import frame, write_bundle, write_scene
 
     write_bundle(folder / "bundle")
@@ -252,7 +254,7 @@ def _result(folder: Path) -> list[Sample]:
 
 
 def _stream(folder: Path) -> list[Sample]:
-    """The folder that playing the bundle leaves."""
+    """Return samples of the results folder that playing the bundle leaves."""
     from tests.fuzz.worker import play
 
     _bundle(folder)
@@ -262,7 +264,7 @@ def _stream(folder: Path) -> list[Sample]:
 
 
 def _played(folder: Path) -> list[Sample]:
-    """What the player of a bundle reads by itself."""
+    """Return samples of recordings that the player of a bundle reads by itself."""
     return [*_npy(folder), *_images(folder)[:6]]
 
 

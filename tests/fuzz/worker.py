@@ -1,4 +1,4 @@
-"""Reads damaged files under limits, one after another; the process that watches it sees how each ended."""
+"""Read damaged files under limits, one after another; the process that started this one sees how each ended."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from pathlib import Path
 from tests.fuzz.damage import damage
 from tests.fuzz.samples import HEIGHT, WIDTH, Sample, samples
 
-CPU_SECONDS = 10.0  # an input; good ones take milliseconds
-GROWTH = 2**30  # bytes of address space beyond those of the libraries, for files of a few kB
-RESIDENT = 200 * 2**20  # bytes that were really touched
+CPU_SECONDS = 10.0  # for each input; undamaged files take milliseconds
+GROWTH = 2**30  # bytes of address space more than the libraries take, for files of a few kB
+RESIDENT = 200 * 2**20  # bytes of memory that were touched
 
 
 def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
-    """Reads the inputs `first` to before `end` of each (reader, first, end). Writes a line before and after each input;
-    ends without the second where the reader takes the process along.
+    """Read the inputs from `first` to before `end` of each (reader, first, end); write a line before and after each
+    input. The second line is missing if the reader ends the process.
     """
     answers = os.fdopen(os.dup(1), "w")
     warnings.simplefilter("ignore")
@@ -40,9 +40,9 @@ def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
             kept = folder / reader
             kept.mkdir()
             found[reader] = samples(reader, kept)
-            for sample in found[reader]:  # which are right, and whose reading loads the libraries
+            for sample in found[reader]:  # undamaged, read first so that the libraries are loaded
                 _READERS[reader](write(sample, folder / "whole", sample.files[sample.damaged]))
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries write of damaged files
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries write about damaged files
         os.dup2(1, 2)
         _limit_memory()
         for reader, first, end in jobs:
@@ -52,20 +52,20 @@ def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
                 outcome = _outcome(_READERS[reader], sample, folder / "damaged", data)
                 print(json.dumps({"reader": reader, "number": number, **outcome}), file=answers, flush=True)
                 if outcome["outcome"] == "memory":
-                    return  # its high-water mark stays: the next one needs a new process
+                    return  # the peak stays high: the next input needs a new process
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def damaged(found: list[Sample], reader: str, seed: int, number: int) -> tuple[Sample, bytes]:
-    """The input of this number: which sample, and its bytes."""
+    """Return the input of this number: its sample, and its bytes."""
     rng = random.Random(f"{seed} {reader} {number}")
     sample, other = rng.choice(found), rng.choice(found)
     return sample, damage(sample.files[sample.damaged], other.files[other.damaged], rng)
 
 
 def write(sample: Sample, folder: Path, data: bytes) -> Path:
-    """The files of a sample, one of them as `data`; returns what the reader is given."""
+    """Write the files of a sample, the damaged one with the bytes `data`; return the path that the reader opens."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for name, content in sample.files.items():
@@ -84,7 +84,7 @@ def _outcome(read: Callable[[Path], object], sample: Sample, folder: Path, data:
     from fingerflow.errors import FingerflowError
 
     before = _most_resident()
-    # Of the processor's time, by a signal that ends the process: loops in C are seen too, and a busy machine is not.
+    # A limit of processor time, by a signal that ends the process: it ends loops in C too, whatever else runs.
     signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
     outcome, said = "read", ""
     try:
@@ -104,7 +104,7 @@ def _outcome(read: Callable[[Path], object], sample: Sample, folder: Path, data:
 
 
 def _place(error: BaseException) -> str:
-    """Return the last line of the package that an error came through, and the last of all."""
+    """Return the last line of the package that an error came through, and the last line of all."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if "/fingerflow/" in frame.filename]
     return ", ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in (*own[-1:], frames[-1]))
@@ -119,7 +119,7 @@ def _chain(error: BaseException | None) -> list[BaseException]:
 
 
 def _most_resident() -> int:
-    """Bytes; getrusage would count those of the process that started this one."""
+    """Return the peak of resident memory, bytes; getrusage would count that of the parent process."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024
 
@@ -138,24 +138,25 @@ def _frames(path: Path) -> None:
 def _forces(path: Path) -> None:
     from fingerflow.recordings import open_forces
 
-    unstated = path.name in ("old.mat", "new.mat")  # whose formats have no place for units
+    unstated = path.name in ("old.mat", "new.mat")  # formats without units
     found = open_forces(path, units={"normal": "N", "tangential": "N"} if unstated else None)
     found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
 
 
 def play(bundle: Path) -> Path:
-    """Plays a bundle's own scene as `fingerflow stream` does; the folder of results. Raises PlayerError where it says
-    why not.
+    """Play the scene of a bundle as `fingerflow stream` does; return the folder of results.
+
+    Raises PlayerError with the message of the player if it refuses.
     """
     from fingerflow.errors import PlayerError
     from fingerflow.player import main
 
-    logging.disable()  # not of interest, and it would stay in memory
+    logging.disable()  # log records would stay in memory
     results = bundle.parent / "results"
     shutil.rmtree(results, ignore_errors=True)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
         options = ["--output", str(results), "--page", "off", "--threads", "1"]
-        options += ["--rate", "1e6"]  # a slow one in the scene is none
+        options += ["--rate", "1e6"]  # a slow rate in the scene is not a hang
         if main([str(bundle), *options]):
             raise PlayerError(said.getvalue())
     return results
@@ -179,7 +180,9 @@ def _played(path: Path) -> None:
 
 
 def _called(name: str) -> Callable[[Path], object]:
-    """Return a function that imports `name`, a module:function, and calls it: a process imports what one kind needs."""
+    """Return a function that imports `name`, given as module:function, and calls it, so that a process imports only the
+    modules of its readers.
+    """
     return lambda path: pkgutil.resolve_name(name)(path)
 
 

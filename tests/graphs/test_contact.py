@@ -1,4 +1,4 @@
-"""The contact graph on stripes inside an ellipse: threshold, areas and axes against what was drawn."""
+"""Tests of the contact graph on stripes inside an ellipse: threshold, areas and axes against the drawing."""
 
 import math
 from typing import NamedTuple
@@ -12,16 +12,18 @@ from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.contact.cells import mask_of
 from tests.ops.contact.test_apparent_contact import by_scipy
 
-PERIOD_PX = 14.0  # of ridges 0.45 mm apart
+PERIOD_PX = 14.0  # period of ridges 0.45 mm apart
 EDGE_PX = 0.35  # width of the logistic blur of an edge in focus
 
 
 def drawn(
     semi_axes: tuple[float, float], phase: float = 0.0, angle: float = 0.4, share: float = 0.5, valley: float = 0.04
 ) -> tuple[Tensor, float]:
-    """Light kept (1, 1, H, W) by a contact of straight ridges, and the area px of what touches."""
+    """Return the share of light (1, 1, H, W) kept by a contact of straight ridges, and the true real contact
+    area, px.
+    """
     size = 2 * math.ceil(max(semi_axes)) + 60
-    fine = 4  # to measure the area that touches
+    fine = 4  # subpixels a px, to measure the real contact area
     offsets = (torch.arange(size * fine, dtype=torch.float64) + 0.5) / fine - 0.5 - size / 2 + 0.25
     y, x = torch.meshgrid(offsets, offsets, indexing="ij")
 
@@ -48,7 +50,7 @@ class Measured(NamedTuple):
 def found(
     frames: Tensor, reference: Tensor, graph: ContactGraph | None = None, threshold: Tensor | None = None
 ) -> Measured:
-    """Contact by a threshold, or by that of each frame."""
+    """Return the contact and its threshold: the given one, or one measured in each frame."""
     graph = graph or ContactGraph()
     light, black, _ = LightGraph()(reference, None, torch.zeros(1))
     if threshold is None:
@@ -64,7 +66,9 @@ def measured(light: Tensor, noise: float = 0.0, graph: ContactGraph | None = Non
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 @pytest.mark.parametrize("share", [0.35, 0.5, 0.6])
 def test_threshold_lies_half_way_between_ridge_and_valley(share: float, noise: float) -> None:
-    """One byte of the signal holds 1/204; of a ridge of 5 px, blur and noise leave little plateau."""
+    """The threshold lies half-way between ridge and valley to 0.008; one byte of the signal is 1/204. On ridges of 5 px
+    (share 0.35) blur and noise leave little plateau, and the tolerance is 0.012.
+    """
     light, _ = drawn((120, 95), share=share)
     assert float(measured(light, noise).threshold) == pytest.approx(
         (0.5 + 0.04) / 2, abs=0.008 if share > 0.4 else 0.012
@@ -72,7 +76,9 @@ def test_threshold_lies_half_way_between_ridge_and_valley(share: float, noise: f
 
 
 def test_otsu_alone_would_lie_lower() -> None:
-    """Empty glass is brighter than skin between ridges: the mean of Otsu's classes is biased by it."""
+    """The midpoint between the means of Otsu's classes is too low a threshold, because empty glass is brighter than
+    skin between ridges.
+    """
     light, real_area = drawn((120, 95))
     reference = torch.full_like(light, 180.0)
     frames = (180 * light).round().to(torch.uint8)
@@ -85,7 +91,9 @@ def test_otsu_alone_would_lie_lower() -> None:
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 @pytest.mark.parametrize("semi_axes", [(170, 140), (100, 80)])
 def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
-    """To 0.8 %: of 2 px that the median takes off every end of a ridge, and the pixels of the border."""
+    """The real contact area is found to 0.8 %: the median takes 2 px off every end of a ridge, and border
+    pixels round.
+    """
     for phase in (0.0, 0.25, 0.5, 0.75):
         light, real_area = drawn(semi_axes, phase)
         assert float(measured(light, noise).contact.real_area_px) == pytest.approx(real_area, rel=0.008)
@@ -93,8 +101,10 @@ def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
 
 @pytest.mark.parametrize(("semi_axes", "each", "mean"), [((170, 140), 0.01, 0.004), ((60, 50), 0.04, 0.012)])
 def test_gross_area_and_axes_are_unbiased(semi_axes: tuple[float, float], each: float, mean: float) -> None:
-    """Where the border runs along a ridge or a valley, a picture does not say how far into it: that is half a period at
-    two places, 7 px of 60 or of 170, over a small part of the circumference. It averages out over the phases."""
+    """Gross contact area and axes have an error that averages out over the phases of the ridges. Where the border runs
+    along a ridge or valley, a picture does not show how far into the ridge or valley the contact reaches: half a period
+    at two places, 7 px of 60 or 170 px, over a small part of the circumference.
+    """
     areas, axes = [], []
     for angle in (0.0, 0.8):
         for phase in np.arange(8) / 8:
@@ -109,7 +119,9 @@ def test_gross_area_and_axes_are_unbiased(semi_axes: tuple[float, float], each: 
 
 @pytest.mark.parametrize("size", [5, 9])
 def test_larger_medians_round_the_ends_of_ridges(size: int) -> None:
-    """What the docstring says of them: 5 takes about 1 %, 9 some 4 % of the area of a fingertip."""
+    """Larger medians take off the ends of ridges as their docstring states: about 1 % of the area of a fingertip with 5
+    px, about 4 % with 9 px.
+    """
     light, real_area = drawn((150, 120))
     lost = 1 - float(measured(light, graph=ContactGraph(size)).contact.real_area_px) / real_area
     assert {5: 0.003, 9: 0.015}[size] < lost < {5: 0.02, 9: 0.06}[size]
@@ -143,7 +155,9 @@ def test_noise_is_no_contact() -> None:
 
 
 def test_a_frame_that_touches_everywhere() -> None:
-    """No valley and no glass: with a threshold given, all of it is contact; of its own it has none."""
+    """In a frame with neither valleys nor glass everything is contact by a given threshold, and no threshold can be
+    measured.
+    """
     frames = torch.full((1, 1, 64, 80), 90, dtype=torch.uint8)
     reference = torch.full((1, 1, 64, 80), 180.0)
     assert found(frames, reference).threshold.isnan().all()
@@ -165,7 +179,9 @@ def test_bad_pixels_and_an_unlit_rim_are_no_contact() -> None:
 
 @pytest.mark.parametrize("factor", [1.4, 16.0])
 def test_frames_brighter_than_the_background_have_no_contact(factor: float) -> None:
-    """Another exposure, or 12 bit against 8: there are two classes, but neither lost light."""
+    """Frames brighter than the background, by another exposure or by 12 bit against 8, have two classes of light but no
+    contact, because neither class lost light.
+    """
     light, _ = drawn((60, 50))
     contact, threshold = found(factor * 2 * 180 * light, torch.full_like(light, 180.0))
     assert threshold.isnan().all()
@@ -174,7 +190,9 @@ def test_frames_brighter_than_the_background_have_no_contact(factor: float) -> N
 
 @pytest.mark.parametrize("gain", [0.8, 0.93, 1.2])
 def test_light_that_has_changed_moves_nothing(gain: float) -> None:
-    """The lamp's gain is read from the glass around the contact: areas stay within 0.5 %, the threshold with them."""
+    """The gain of the lamp is measured on the glass around the contact, so that areas stay within 0.5 % and the
+    threshold within 0.004.
+    """
     light, _ = drawn((120, 95))
     steady, changed = measured(light, 2.0), measured(gain * light, 2.0)
     assert float(changed.contact.illumination_gain) == pytest.approx(gain, rel=0.002)
@@ -192,8 +210,9 @@ def test_a_stride_has_nearly_the_threshold_of_all_pixels(stride: int) -> None:
 
 
 def test_region_is_that_of_all_pixels() -> None:
-    """Where the picture does not say where the contact ends, cells say as little as pixels do: over the phases of the
-    ridges both have the same mean, and no less of the truth."""
+    """The gross contact area by cells has the mean error of that by all pixels over the phases of the ridges, and no
+    larger errors.
+    """
     cells, pixels = [], []
     for phase in np.arange(6) / 6:
         contact, _ = measured(drawn((100, 80), float(phase))[0])

@@ -1,4 +1,4 @@
-"""Corners spread evenly, against a plain loop over all pairs of candidates."""
+"""Tests of corners spread evenly, against a plain loop over all pairs of candidates."""
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ BORDER = WINDOW // 2 + 3
 
 
 def texture(seed: int = 0) -> Tensor:
-    """(1, 1, H, W) uint8; ten times as strong on the left as on the right."""
+    """Return texture (1, 1, H, W) of uint8, ten times as strong on the left as on the right."""
     noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=SHAPE), (0, 0), 2.0)
     contrast = np.linspace(40, 4, SHAPE[1])
     return torch.from_numpy((120 + contrast * noise / noise.std()).clip(0, 255).astype(np.uint8))[None, None]
@@ -32,7 +32,7 @@ def places(points: Tensor) -> set[tuple[float, float]]:
 
 
 def largest_alone(frame: Tensor, mask: Tensor, count: int, least: int) -> set[tuple[float, float]]:
-    """Those of all local maxima that lie farthest from a stronger one, across or down, but not within `least` px."""
+    """Return the local maxima that lie furthest from a stronger one, in x or y, and more than `least` px from it."""
     response = corner_response(frame, 5)[0, 0].numpy()
     inner = np.zeros(SHAPE, bool)
     inner[BORDER:-BORDER, BORDER:-BORDER] = True
@@ -63,7 +63,7 @@ def test_those_are_taken_that_are_the_largest_of_the_largest_squares(count: int)
 
 def test_of_fewer_points_nearly_all_are_among_more() -> None:
     few, many = (places(DetectGraph(count, 6.0, WINDOW)(texture(), everywhere())[0]) for count in (60, 90))
-    assert len(few - many) <= 1  # the last of them may lie in equally large squares
+    assert len(few - many) <= 1  # the last points may lie in equally large squares
 
 
 def test_points_are_where_texture_is_weak_too() -> None:
@@ -86,13 +86,15 @@ def test_a_slope_that_the_mask_cuts_is_no_corner() -> None:
     "part",
     [
         (slice(50, 90), slice(60, 110)),
-        (slice(0, 40), slice(100, None)),  # into the edge where nothing is chosen
+        (slice(0, 40), slice(100, None)),  # reaches into the edge, where no point is detected
         (slice(0, 1), slice(0, 1)),
         (slice(0, 0), slice(0, 0)),
     ],
 )
 def test_only_what_the_mask_depends_on_is_looked_at(part: tuple[slice, slice], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same, number for number, as of the whole view."""
+    """Points are detected from the part of the view that the mask needs, with the same numbers as from the
+    whole view.
+    """
     mask = torch.zeros_like(everywhere())
     mask[(..., *part)] = True
     seen: list[int] = []

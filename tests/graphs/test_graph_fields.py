@@ -1,4 +1,4 @@
-"""Fields at points and over the contact: the graph in all its forms beside the ops it is made of."""
+"""Tests of fields at points and over the contact: the graph in all its forms against the ops that it uses."""
 
 import pytest
 import torch
@@ -14,7 +14,9 @@ GAUGE = 70.0
 
 
 def skin(batch: int = 2) -> tuple[Tensor, Tensor]:
-    """Reference positions and displacements (B, 300, 2), px, with points that are missing and one that is alone."""
+    """Return reference positions and displacements (B, 300, 2), px, with missing points and one point far from all
+    others.
+    """
     generator = torch.Generator().manual_seed(0)
     reference = torch.rand(batch, 300, 2, generator=generator) * torch.tensor([340.0, 280.0]) + 100
     gradient = torch.tensor([[0.05, 0.02], [-0.01, 0.08]])
@@ -43,9 +45,9 @@ def test_fields_at_points_are_those_of_local_gradients() -> None:
     assert fields.divergence_std is not None
     assert fields.curl_std is not None
     gradient = fit.gradient.clone()
-    gradient[1, 7] = torch.nan  # what its neighbours say is no measurement of a point that is lost
+    gradient[1, 7] = torch.nan  # a lost point has no gradient, although its neighbours give one
     assert fit.gradient[1, 7].isfinite().all()
-    # Float32 positions of 500 px are rounded to 3e-5 px, over a gauge length of 70 px.
+    # Float32 positions of 500 px are rounded to 3e-5 px; the gauge length is 70 px.
     for ours, expected in (
         (fields.divergence, divergence(gradient)),
         (fields.curl, curl(gradient)),
@@ -74,7 +76,9 @@ def test_one_set_of_points_serves_all_frames() -> None:
 
 
 def test_the_exported_fit_is_that_of_local_gradients() -> None:
-    """At places between the points too, NaN for one, in both precisions."""
+    """The exported fit agrees with `local_gradients` in float32 and float64, also at positions between the points and
+    at NaN.
+    """
     reference, displacement = skin()
     queries = torch.cat((reference[:, :40] + 3, reference[:, 5:8]), dim=1)
     expected = local_gradients(reference.double(), displacement.double(), queries.double(), gauge_length=GAUGE).gradient

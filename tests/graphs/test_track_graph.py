@@ -1,4 +1,4 @@
-"""What tracking adds to the single point: its deformation, what that does to a position, and its neighbours."""
+"""Tests of what the tracking graph adds to single points: deformation, its effect on positions, and neighbours."""
 
 import pytest
 import torch
@@ -17,7 +17,7 @@ TEXTURE = RidgeTexture(centre=(5.0, 4.5))
 
 
 def picture(deformation: Tensor) -> Tensor:
-    """Skin deformed by F about the middle, float, (1, 1, H, W)."""
+    """Return skin deformed by F about the middle, float (1, 1, H, W)."""
     back = torch.linalg.inv(deformation)
 
     def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -33,8 +33,10 @@ def grid() -> Tensor:
 
 
 def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() -> None:
-    """Stretched by 2 %, the edge of a window of 25 px is off by a quarter of a pixel: less than a fifth of what leans
-    is left. At the corners of the cloud the fits are one-sided."""
+    """The correction leaves less than a fifth of the bias of templates that do not know the deformation: with a stretch
+    of 2 % the edge of a window of 25 px is off by a quarter of a pixel. At the corners of the cloud of points fits are
+    one-sided.
+    """
     deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
     points = grid()
     truth = ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
@@ -47,14 +49,15 @@ def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() 
     assert before.square().mean().sqrt() > 0.02
     assert after.square().mean().sqrt() < 0.2 * before.square().mean().sqrt()
     assert (deformed.warp - deformation.float()).abs().amax() < 5e-3
-    assert (deformed.expected - truth).norm(dim=-1).max() < 0.15  # a mean over points that lean
+    assert (deformed.expected - truth).norm(dim=-1).max() < 0.15  # a mean over points with a bias
 
 
 @pytest.mark.parametrize("gain_offset", [True, False])
 def test_the_stated_deviation_does_not_count_the_deformation_as_noise(gain_offset: bool) -> None:
-    """With templates that do not know that the skin stretches, 0.25 px at the edges, the residual has five times the
-    energy of the noise; corrected, variances are those of templates that do know but for a tenth, what is of second
-    order."""
+    """The correction removes the deformation from the stated variance: with templates that do not know a stretch of
+    0.25 px at the edges, the residual has five times the energy of the noise. Corrected variances are those of
+    templates that know the stretch to a tenth, the effect of second order.
+    """
     deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
     points = grid()
     truth = ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
@@ -75,7 +78,7 @@ def test_the_stated_deviation_does_not_count_the_deformation_as_noise(gain_offse
     naive, corrected_variance, known_variance, known_corrected = ratios
     assert naive > 4 * known_variance
     assert 0.9 < corrected_variance / known_variance < 1.15
-    assert 0.99 < known_corrected / known_variance <= 1  # what is known bends nothing
+    assert 0.99 < known_corrected / known_variance <= 1  # a known deformation changes nothing
 
 
 def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() -> None:
@@ -87,7 +90,7 @@ def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() 
     turned = torch.tensor([[1.3, 0.0], [0.0, 1.3]]).expand(1, points.shape[1], 2, 2)
     corrected = DeformationGraph(25)(points, found, templates.numbers, turned).found
     of_key = 0.25 * templates.numbers[..., Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1 : 2].mean(-1)
-    # A deformation that contradicts the displacements leaves no smooth field: that adds to some variances.
+    # A deformation that contradicts the displacements leaves no smooth field, which adds to some variances.
     assert (corrected.variance / of_key).min() > 1 - 1e-3
 
 

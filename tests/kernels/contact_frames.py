@@ -1,4 +1,4 @@
-"""Frames of a contact: ridges within an ellipse, under uneven light, on an empty glass."""
+"""Drawn frames of a contact: ridges within an ellipse, under uneven light, on an empty glass."""
 
 import torch
 from torch import Tensor
@@ -7,8 +7,10 @@ from torch import Tensor
 def contact_frames(
     batch: int, height: int, width: int, dtype: torch.dtype, lights: int = 1
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Frames (batch, 1, H, W), light and black (lights, 1, H, W): a contact that grows from nothing, a lamp that
-    becomes brighter, noise of two counts; a corner without light, and pixels of floating frames that are none.
+    """Return frames (batch, 1, H, W), light and black (lights, 1, H, W).
+
+    The contact grows from nothing, the lamp becomes brighter, and noise is two counts. One corner has no light, and
+    floating frames hold pixels that are NaN or infinite.
     """
     y, x = torch.meshgrid(torch.arange(float(height)), torch.arange(float(width)), indexing="ij")
     generator = torch.Generator().manual_seed(height + width)

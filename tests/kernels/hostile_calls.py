@@ -1,8 +1,8 @@
-"""Every function of kernels with arguments that nobody should give it, each in a child process that may crash.
+"""Calls of every function of kernels with wrong arguments, each in a child process that may crash.
 
-The functions are those of `kernel_calls` and what ops ask of kernels, so that every entry of interface.h is reached.
-Arrays end where memory ends: the page behind them cannot be read. A call is made twice, with other bytes before its
-arrays and in the memory of its results: what comes from there differs.
+The functions are those of `kernel_calls` and those that ops call, so that every entry of interface.h is reached. Arrays
+end where memory ends: the page behind them cannot be read. Each call is made twice, with other bytes before its arrays
+and in the memory of its results, so that results that depend on such bytes differ.
 """
 
 import ctypes
@@ -28,16 +28,16 @@ from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import Call, in_tensors, kernel_calls, reached
 from tests.kernels.short_of_memory import calls
 
-SECONDS, BYTES = 60, 8 << 30  # that a call may take
+SECONDS, BYTES = 60, 8 << 30  # limits of a call
 NO_ACCESS = 0  # PROT_NONE of sys/mman.h
 REFUSED, GIVEN, OTHER, WILD = "refused", "a result", "another result", "wild memory"
-REFUSALS = (TypeError, ValueError, MemoryError, RuntimeError)  # the last of torch: of what is sparse, of memory
-ROUNDS = ("rounds", "cycles", "sweeps", "coarsest")  # of 32 bits: asked for as many, a kernel works for long
+REFUSALS = (TypeError, ValueError, MemoryError, RuntimeError)  # torch's: sparse tensors, memory
+ROUNDS = ("rounds", "cycles", "sweeps", "coarsest")  # of 32 bits: a kernel works for long if asked for so many
 ENTRIES_FOR_TESTS = {"limit_instruction_set", "inject_fault"}
 
 
 class Hostile(NamedTuple):
-    """A call of a function, what has been done to which of its arguments, and whether its result stays the same."""
+    """A call of a function, the change of one of its arguments, and whether the change leaves the result the same."""
 
     function: str
     change: str
@@ -47,7 +47,7 @@ class Hostile(NamedTuple):
 
 
 def plain_calls() -> dict[str, Call]:
-    """One call of every function of kernels that has arrays, as Python gives it."""
+    """Return one correct call of every function of kernels that takes arrays, by name."""
     found = {name: one for name, one in kernel_calls().items() if one.function.__name__ != "<lambda>"}
     known = {one.function.__name__ for one in found.values()}
 
@@ -72,13 +72,13 @@ def plain_calls() -> dict[str, Call]:
 
 
 def missing_entries(plain: dict[str, Call]) -> set[str]:
-    """The entries of the library that no call reaches."""
+    """Return the entries of the library that no call reaches."""
     seen = set().union(*(reached(one) for one in plain.values()))
     return set(library._library() or ()) - seen - ENTRIES_FOR_TESTS
 
 
 def of_array(value: Any) -> Iterator[tuple[str, Any, bool]]:
-    """What may be given in place of an array: a name, the value, and whether it has the same meaning."""
+    """Yield what may be given in place of an array: a name, the value, and whether the result stays the same."""
     tensor = isinstance(value, Tensor)
     like = torch if tensor else np
     if value.ndim:
@@ -155,7 +155,7 @@ def _changed(value: Any, change: str) -> Any:
 
 
 def at_the_end_of_memory(value: Any, filler: int) -> Any:
-    """The same array where the next page cannot be read, after bytes of `filler`; strides stay."""
+    """Return the same array in memory whose next page cannot be read, after bytes of `filler`; strides stay."""
     if isinstance(value, list | tuple):
         parts = [at_the_end_of_memory(one, filler) for one in value]
         return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
@@ -181,7 +181,7 @@ _NUMPY = {getattr(torch, name) for name in ("bool", "uint8", "int16", "uint16", 
 
 
 def called(call: Call, filler: int) -> Any:
-    """The result of a call whose results lie in memory of `filler` bytes."""
+    """Return the result of a call whose results lie in memory of `filler` bytes."""
     plain_empty = arrays.empty
 
     def filled(*given: Any) -> Any:
@@ -210,7 +210,7 @@ def _modules() -> list[Any]:
 
 
 def outcome_in_this_process(call: Call, plain: Call | None) -> tuple[str, str]:
-    """What becomes of a call, which gives what `plain` does."""
+    """Return the outcome of a call in a word and a sentence; its result must be that of `plain`, if given."""
     right = None if plain is None else called(plain, 0)
     try:
         results = [called(call, filler) for filler in (0, 0xFF)]
@@ -231,9 +231,10 @@ def _same(one: Tensor, other: Tensor) -> bool:
 
 
 def outcomes(hostile: list[Hostile], plain: Call) -> Iterator[tuple[Hostile, str, str]]:
-    """Yield each call with its outcome in words; the name of a signal for one that ended the process.
+    """Yield each call with its outcome in words, or the name of the signal that ended its process.
 
-    They are called in a forked child, one after the other; where it ends, another goes on with the next.
+    The calls are made in a forked child, one after the other; if it ends early, another child continues with the next
+    call.
     """
     left = hostile
     while left:

@@ -1,7 +1,7 @@
-"""One call of every function of kernels, with work for several threads: what faults, refusals of memory, arrays in
-place of tensors and the compiler are tried on.
+"""One call of every function of kernels, with work for several threads.
 
-A new function gets a row in `kernel_calls`; tests/kernels/short_of_memory.py names a kernel that nothing here reaches.
+Tests of faults, of refused memory, of NumPy arrays and of the compiler use these calls. A new function gets a row in
+`kernel_calls`; tests/kernels/short_of_memory.py names kernels that no call reaches.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ from tests.embedded import scene
 
 
 class Call(NamedTuple):
-    """A function and its arguments; called, it returns its result with tensors in place of arrays."""
+    """A function and its arguments; calling it returns the result, with tensors in place of arrays."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -35,14 +35,14 @@ def call(function: Callable[..., Any], *arguments: Any, **settings: Any) -> Call
 
 
 def in_tensors(result: Any) -> Any:
-    """The result with a tensor for every array."""
+    """Return the result with a tensor for every array."""
     if isinstance(result, np.ndarray):
         return torch.from_numpy(result)
     return tuple(map(in_tensors, result)) if isinstance(result, tuple) else result
 
 
 def kernel_calls() -> dict[str, Call]:
-    """By the name of the kernel, or of the op that reaches it."""
+    """Return the calls by the name of the kernel, or of the op that reaches it."""
     first, second, points, moved = scene()
     tall = first.repeat(1, 1, 4, 1)
     covered = tall > 110
@@ -55,7 +55,7 @@ def kernel_calls() -> dict[str, Call]:
     corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
-    wide = first.repeat(1, 1, 8, 8).float()  # of flow, whose cells are a fourth
+    wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
     cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
 
     return {
@@ -91,7 +91,7 @@ def kernel_calls() -> dict[str, Call]:
             stiffness=(1.0, 1.0, 1.0),
         ),
         "skin_chain": call(lambda: press(torch.tensor([0.2, 0.6]), elements=9).position),
-        # By themselves: where dense flow reaches them, its threads are there already.
+        # Called by themselves, because the threads exist already where dense flow reaches these kernels.
         "flow_covariance": call(kernels.flow_covariance, cells.repeat(1, 3, 1, 1), one, one, one, 9.0),
         "flow_levels": call(kernels.flow_levels, cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3),
         "flow_to_pixels": call(kernels.flow_to_pixels, cells.repeat(1, 2, 1, 1), cells, *wide.shape[2:]),
@@ -100,7 +100,7 @@ def kernel_calls() -> dict[str, Call]:
 
 
 def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
-    """Functions that take NumPy arrays alone."""
+    """Return calls of the functions that take NumPy arrays only."""
     random = np.random.default_rng(0)
     points = random.uniform(10, 190, (60, 2)).astype(np.float32)
     moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
@@ -128,7 +128,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
 
 @contextmanager
 def entered(seen: Callable[[str, Callable[[], None]], None]) -> Iterator[None]:
-    """Within it `seen` gets the name of every kernel that is entered, and what enters it."""
+    """Within this context call `seen` with the name of every kernel that is entered, and a function that enters it."""
     plain = library.Entry.__call__
 
     def called(self: library.Entry, **given: Any) -> None:
@@ -142,7 +142,7 @@ def entered(seen: Callable[[str, Callable[[], None]], None]) -> Iterator[None]:
 
 
 def reached(call: Callable[[], Any]) -> set[str]:
-    """The names of the kernels that a call enters."""
+    """Return the names of the kernels that a call enters."""
     names: set[str] = set()
 
     def noted(name: str, enter: Callable[[], None]) -> None:

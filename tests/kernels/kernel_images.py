@@ -1,4 +1,4 @@
-"""Images that every compiled kernel is tried on."""
+"""Images on which every compiled kernel is tested."""
 
 import torch
 
@@ -9,7 +9,7 @@ CONTENTS = ["constant", "ramp", "two levels", "random"]
 def images(
     shape: tuple[int, int, int], dtype: torch.dtype, content: str, seed: int = 0, highest: int | None = None
 ) -> torch.Tensor:
-    """(B, 1, H, W) of a dtype: "constant", "ramp", "two levels" or "random"."""
+    """Return images (B, 1, H, W) of a dtype and content: "constant", "ramp", "two levels" or "random"."""
     batch, height, width = shape
     if highest is None:
         highest = 250 if dtype.is_floating_point else min(torch.iinfo(dtype).max, 65535)

@@ -1,11 +1,10 @@
-"""Refuses every request for memory of every kernel, one after the other, and says what became of it: a line a kernel.
+"""Refuse every request for memory of every kernel, one after the other, and print the outcomes, a line for each kernel.
 
 LD_PRELOAD=<failing_new.cpp as a library> python -m tests.kernels.short_of_memory
 
-Each trial is a forked child, whose pool of threads is new, as are the workspaces of its threads: nothing that an
-earlier call has left is there. In the child the request is refused, the op has to raise MemoryError, and to give what
-it gives otherwise when it is called once more. Where the request was one for a thread of the pool, fewer threads do the
-work, and the op gives what it gives otherwise at once.
+Each trial is a forked child with a new pool of threads and new workspaces, so that no memory of an earlier call is
+left. If the request is refused, the op must raise MemoryError, and give its usual result when it is called again. If
+the request was one for a thread of the pool, fewer threads do the work, and the op gives its usual result at once.
 """
 
 import ctypes
@@ -25,15 +24,15 @@ from tests.embedded import CASES, tensors_of
 from tests.kernels.kernel_calls import entered, kernel_calls, reached
 
 THREADS = 3
-FIRST = 16  # requests that are refused one by one; behind them every fourth more than the last
+FIRST = 16  # requests refused one by one; after these, each number is a fourth larger than the last
 RIGHT, FEWER_THREADS, NOT_REFUSED, OTHER_EXCEPTION, OTHER_RESULT = range(5)
 WORDS = ("MemoryError", "fewer threads", "all granted", "another exception", "another result")
-# They work on what they are given, and ask for no memory.
+# Entries for tests, which request no memory.
 FOR_TESTS = {"limit_instruction_set", "inject_fault"}
 
 
 def calls() -> dict[str, Callable[[], Any]]:
-    """What reaches every kernel, by itself and through the ops."""
+    """Return calls that reach every kernel, by itself and through the ops."""
     of_ops: dict[str, Callable[[], Any]] = {name: partial(case.call, *case.inputs) for name, case in CASES.items()}
     return kernel_calls() | of_ops
 
@@ -44,7 +43,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def tried(call: Callable[[], Any], right: Any, wanted: str, number: int, hooks: ctypes.CDLL) -> int:
-    """What became of a call of the op whose kernel `wanted` is refused a request, in a thread that is new."""
+    """Return the outcome of a call in a new thread, while a request of its kernel `wanted` is refused."""
     refused = 0
 
     def refusing(name: str, enter: Callable[[], None]) -> None:
@@ -79,7 +78,7 @@ def tried(call: Callable[[], Any], right: Any, wanted: str, number: int, hooks: 
 
 
 def in_a_child(function: Callable[[], int]) -> str:
-    """What the function says in a forked child, in words, or the signal that ends it."""
+    """Return the outcome of the function in a forked child in words, or the signal that ended the child."""
     child = os.fork()
     if child == 0:
         signal.alarm(60)
@@ -92,12 +91,12 @@ def in_a_child(function: Callable[[], int]) -> str:
 
 
 def main() -> None:
-    warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+    warnings.simplefilter("ignore", DeprecationWarning)  # warnings about forks with threads
     hooks = ctypes.CDLL(None)
     hooks.refuse_request.argtypes, hooks.requests_refused.restype = (ctypes.c_long,), ctypes.c_long
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    torch.get_num_threads = lambda: THREADS  # of the kernels: torch itself has none that a fork could lose
+    torch.get_num_threads = lambda: THREADS  # for the kernels; torch itself has no threads that a fork could lose
     every, by_kernel, results = calls(), {}, {}
     for name, call in every.items():
         for kernel in reached(call):

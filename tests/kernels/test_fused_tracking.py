@@ -1,4 +1,4 @@
-"""The fused kernel against the portable form, in Triton's interpreter where there is no GPU of CUDA."""
+"""Tests of the fused tracking kernel against the portable form, in Triton's interpreter if there is no CUDA GPU."""
 
 import os
 import subprocess
@@ -24,7 +24,7 @@ pytest.importorskip("triton", reason="Triton is not installed: pip install finge
 
 DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 HEIGHT, WIDTH, POINTS, RECORDINGS = 48, 56, 7, 2
-# px and grey levels: sums of a window in another order.
+# px and grey levels: sums over a window are in another order.
 CLOSE = {"rtol": 2e-4, "atol": 2e-5, "equal_nan": True}
 
 Array = np.ndarray[Any, Any]
@@ -32,7 +32,9 @@ Array = np.ndarray[Any, Any]
 
 @pytest.fixture(autouse=True)
 def portable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a GPU without Triton; `fused` changes that."""
+    """Turn off the compiled and the fused kernels, as on a GPU without Triton; the fixture `fused` turns on the fused
+    one.
+    """
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     monkeypatch.setattr(serving, "_is_on_gpu", lambda tensor: False)
 
@@ -43,7 +45,9 @@ def fused(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 
 
 def skin(shift: float, seed: int, levels: float = 255.0) -> Tensor:
-    """Waves of periods from 6 px on, moved by a shift along x and half of it along y: (H, W) of 0 to `levels`."""
+    """Return waves with periods from 6 px on, (H, W) of 0 to `levels`, moved by `shift` along x and half of it
+    along y.
+    """
     random = np.random.default_rng(seed)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     waves = random.uniform(-1, 1, (30, 3))
@@ -52,14 +56,14 @@ def skin(shift: float, seed: int, levels: float = 255.0) -> Tensor:
 
 
 def views(shift: float, kind: torch.dtype) -> Tensor:
-    """Frames (B, 1, H, W) of two skins."""
+    """Return frames (B, 1, H, W) of two skins."""
     levels = 255.0 if kind == torch.uint8 else 4000.0
     whole = torch.stack([skin(shift, seed, levels) for seed in range(RECORDINGS)])[:, None]
     return (whole.round() if kind != torch.float32 else whole).to(kind).to(DEVICE)
 
 
 def points(seed: int = 0) -> Tensor:
-    """Points (B, N, 2): in the middle, near borders, beyond them, none."""
+    """Return points (B, N, 2) px in the middle, near borders, outside, and NaN."""
     random = torch.Generator().manual_seed(seed)
     found = 16 + torch.tensor([WIDTH - 32.0, HEIGHT - 32.0]) * torch.rand(RECORDINGS, POINTS, 2, generator=random)
     found[0, 1] = torch.tensor([torch.nan, 20.0])
@@ -70,7 +74,7 @@ def points(seed: int = 0) -> Tensor:
 
 
 def agree(ours: Found, theirs: Found, scale: float = 1.0) -> None:
-    """The same status, and results to rounding; those of points without a step are not defined."""
+    """Assert that statuses are equal and results agree to rounding."""
     torch.testing.assert_close(ours.status, theirs.status, rtol=0, atol=0)
     for one, other in zip(ours, theirs, strict=True):
         torch.testing.assert_close(one, other, **{**CLOSE, "atol": scale * CLOSE["atol"]})
@@ -90,7 +94,7 @@ LONG = pytest.mark.long  # the interpreter takes seconds
 def test_a_frame(kind: torch.dtype, window: int, gain_offset: bool, fused: Callable[[], None]) -> None:
     templates = prepare_templates(views(0, kind), points(), window, gain_offset=gain_offset)
     near = points() + 0.3
-    near[1, 5] += 2.0  # more than one step away
+    near[1, 5] += 2.0  # further than one step away
     near[1, 6, 0] = torch.nan
     current = views(0.4, kind)
     given = {"noise": torch.tensor([1.0, 3.0], device=DEVICE)} if gain_offset else {}
@@ -104,7 +108,9 @@ def test_a_frame(kind: torch.dtype, window: int, gain_offset: bool, fused: Calla
 
 @LONG
 def test_every_reason(fused: Callable[[], None]) -> None:
-    """Blank skin, a pixel that is none, another skin, contrast that is reversed, a limit that nothing keeps."""
+    """Both forms give the same status for blank skin, a pixel that is NaN, other skin, inverted contrast, and limits
+    that no point keeps.
+    """
     before = views(0, torch.float32)
     before[1, 0, :24] = 100.0
     templates = prepare_templates(before, points(), 11)
@@ -112,18 +118,18 @@ def test_every_reason(fused: Callable[[], None]) -> None:
     other[0, 0, 20:, 30:] = 4000 - other[0, 0, 20:, 30:]
     other[0, 0, 20, 24] = torch.nan
     other[1] = other[0].nan_to_num().roll(9, 1)
-    noise = torch.tensor([1.0, 3000.0], device=DEVICE)  # more than all contrast: no skin differs from another
+    noise = torch.tensor([1.0, 3000.0], device=DEVICE)  # more than all contrast, so that no mismatch is seen
     for limits in ({}, {"forward_backward_limit": 1e-5}, {"rounds": 1, "mismatch_limit": 1.0}, {"noise": noise}):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(serving, "_is_on_gpu", lambda tensor: False)
             expected = find_templates(templates, other, points(), **limits)
         fused()
-        # Of what matches nothing the residual is large.
+        # Residuals of points that match nothing are large.
         agree(find_templates(templates, other, points(), **limits), expected, scale=10)
 
 
 def test_views_smaller_than_a_patch(fused: Callable[[], None]) -> None:
-    """The border is replicated, and nothing is found."""
+    """In views smaller than a patch the border is replicated, and both forms find the same."""
     image = views(0, torch.uint8)[:, :, :12, :14]
     near = torch.rand(RECORDINGS, POINTS, 2, device=DEVICE) * 10
     templates = prepare_templates(image, near, 11)
@@ -133,7 +139,7 @@ def test_views_smaller_than_a_patch(fused: Callable[[], None]) -> None:
 
 
 def follow(engine: TorchEngine) -> list[Followed]:
-    """Two recordings of four and two frames, and of seven and five points, of which some are lost for a frame."""
+    """Follow seven and five points of two recordings of four and two frames; some points are lost in one frame."""
     frames, start = [[views(0.3 * k, torch.uint8)[b] for k in range(5)] for b in range(RECORDINGS)], points()
     frames[0][2][:, :, : WIDTH // 2] = frames[0][2].flip(1)[:, :, : WIDTH // 2]
     many = []
@@ -147,11 +153,11 @@ def follow(engine: TorchEngine) -> list[Followed]:
 
 @LONG
 def test_recordings_of_several_frames(fused: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
-    """One launch follows all; each from its own prediction, to its own last frame."""
+    """One launch tracks all recordings, each from its own prediction and to its own last frame."""
     engine = TorchEngine(EngineSettings(window_px=11), DEVICE)
     expected = follow(engine)
     fused()
-    monkeypatch.setattr(TorchEngine, "_look", None)  # no frame by itself
+    monkeypatch.setattr(TorchEngine, "_look", None)  # frames must not be tracked one by one
     for ours, theirs in zip(follow(engine), expected, strict=True):
         np.testing.assert_array_equal(ours.found.status, theirs.found.status)
         known = theirs.found.status == TrackStatus.TRACKED
@@ -178,7 +184,7 @@ def test_where_it_is_used(fused: Callable[[], None]) -> None:
     assert kernels.fused_serves(samples)
     assert not kernels.fused_serves(samples.double())
     assert not kernels.fused_serves(torch.zeros(1, 3, 3, 59**2))
-    with Ops():  # as where a graph is traced, or its launches are counted
+    with Ops():  # as while a graph is traced or its launches are counted
         assert not kernels.fused_serves(samples)
 
 
@@ -204,7 +210,7 @@ for capability, frames, window, ones in ((87, "*u8", 25, ()), (90, "*i32", 11, (
 
 @LONG
 def test_it_compiles_for_gpus_that_are_not_here(tmp_path: Path) -> None:
-    """To machine code of a Jetson Orin and an H100; it fits into the shared memory of a block."""
+    """The kernel compiles for a Jetson Orin and an H100, and needs at most 48 KiB of shared memory."""
     environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
     environment["TRITON_CACHE_DIR"] = str(tmp_path)
     ended = subprocess.run(

@@ -1,8 +1,9 @@
-"""Compiled and portable forms on hard cases drawn by seed: the same statuses, the same NaN, numbers to a tolerance.
+"""Tests of compiled against portable forms on hard cases drawn by seed: the same statuses, the same NaN, and numbers
+within a tolerance.
 
-Each draw is a pair of frames (ridges of any contrast, saturated or blank, noise from none to more than the ridges; 8
-and 16 bit, floating, with pixels that are none), points all over the frame and beyond it, on whole pixels and on no
-pixel, motion from none to farther than a search goes, and any setting.
+Each draw is a pair of frames (ridges of any contrast, saturated or blank; noise from none to more than the ridges; 8
+and 16 bit and floating, with pixels that are NaN or infinite), points all over the frame and outside it, on whole
+pixels and between them, motion from none to further than a search reaches, and random settings.
 """
 
 from collections.abc import Callable
@@ -32,13 +33,14 @@ pytestmark = [
 
 Portable = Callable[[Callable[[], object]], Any]
 DRAWS, POINTS = 50, 50
-# Of the standard deviation of a position, and px: both forms take the same steps, and rounding of float32 is amplified
-# by a structure tensor that is nearly singular as much as noise is. Most differ by 1e-5 px, that of the coordinates.
+# Tolerances of a position, as a share of its standard deviation and in px. Both forms take the same steps; a nearly
+# singular structure tensor amplifies rounding of float32 as much as noise. Most positions differ by 1e-5 px, the
+# rounding of coordinates.
 OF_DEVIATION, ROUNDING_PX = 0.05, 2e-4
 
 
 class Draw(NamedTuple):
-    """Two frames (B, 1, H, W), points (B, N, 2), and settings."""
+    """Two frames (B, 1, H, W), points (B, N, 2) px, and settings."""
 
     first: Tensor
     second: Tensor
@@ -88,7 +90,7 @@ def _picture(shift: Any, noise: float, contrast: float, size: tuple[int, int], s
 
 
 def same_found(found: Any, expected: Any, case: str) -> int:
-    """The same statuses, NaN and numbers of points (B, N); returns how many have a position."""
+    """Assert that statuses, NaN and numbers of points (B, N) agree; return how many points have a position."""
     differ = (found.status != expected.status).nonzero().tolist()
     said = [(place, int(found.status[*place]), int(expected.status[*place])) for place in differ]
     assert not said, f"{case}: statuses of points {said}"
@@ -119,7 +121,7 @@ def test_tracked_points(instruction_set: int, portable: Portable, base: int) -> 
 
 
 def test_templates_with_a_warp(instruction_set: int, portable: Portable) -> None:
-    """Prepared for any deformation, steep ones too, and found where it leads."""
+    """Templates prepared for any deformation, also large ones, are found alike by both forms."""
     tracked = 0
     for seed in range(DRAWS):
         first, second, points, settings = drawn(seed)
@@ -137,8 +139,8 @@ def test_templates_with_a_warp(instruction_set: int, portable: Portable) -> None
 
 
 def test_searched_windows(instruction_set: int, portable: Portable) -> None:
-    """In saturated pictures too: of places that are equally like, both take the same one. Beyond the frame, where its
-    border is repeated, many are equal along it, and up to one in 500 is decided by rounding.
+    """Of equally similar positions, as in saturated pictures, both forms take the same one. Outside the frame, where
+    its border is repeated, many positions are equal along it, and rounding decides in up to one of 500.
     """
     beyond = differing = 0
     for seed in range(DRAWS):
@@ -153,7 +155,7 @@ def test_searched_windows(instruction_set: int, portable: Portable) -> None:
 
         found, expected = call(), portable(call)
         assert torch.equal(found.isfinite(), expected.isfinite()), f"draw {seed}"
-        # A start for the tracker, good to about a pixel; float32 of a vertex of three scores: 1e-4 px.
+        # The position is a start for the tracker, good to about a pixel; the vertex of three scores is good to 1e-4 px.
         apart = (found - expected).abs().nan_to_num(0.0).amax(-1) > 1e-3
         inside = ((flat > 16) & (flat < torch.tensor([94.0, 74.0]))).all(-1)
         assert not apart[inside].any(), f"draw {seed}: {flat[inside & apart]}"
@@ -188,8 +190,9 @@ def test_no_points_and_no_frames(portable: Portable, shape: tuple[int, int]) -> 
 
 
 def test_flow(instruction_set: int, portable: Portable) -> None:
-    """Of frames without holes, which dense flow does not take; to 5e-4 px: rounding of float32 through all
-    warps, of which these draws show up to 8e-5."""
+    """Dense flow of frames without NaN agrees to 5e-4 px, the rounding of float32 through all warps; these draws differ
+    by up to 8e-5 px.
+    """
     for seed in range(20):
         first, second, _, _ = drawn(seed)
         if not first.isfinite().all():
@@ -208,7 +211,9 @@ def test_flow(instruction_set: int, portable: Portable) -> None:
 
 @pytest.mark.parametrize("size", [(40, 50), (9, 12)])
 def test_windows_searched_outside_the_image(instruction_set: int, portable: Portable, size: tuple[int, int]) -> None:
-    """However far outside, up to numbers that no integer holds: there the border is repeated, and blank."""
+    """Searches outside the image agree, up to positions that no integer can hold: the repeated border is blank
+    there.
+    """
     first, second = (torch.rand(1, 1, *size, generator=torch.Generator().manual_seed(k)) * 100 for k in range(2))
     far = [0.0, 5.0, -5.0, 20.0, -20.0, 50.0, -100.0, 300.0, -1e3, 1e5, -1e9, 2.0**33, 1e19, 1e30, -3e38]
     places = torch.tensor([place for one in far for place in ((one, one), (one, 7.0), (7.0, one))])
@@ -241,14 +246,14 @@ def test_illumination_gain_of_small_images(instruction_set: int, portable: Porta
 
 
 def test_cells_wider_than_a_byte_counts() -> None:
-    """The pixels of a column of a cell are added; of a mask that is full all count."""
+    """All pixels of a full mask count in cells with more rows than a byte can count."""
     mask = torch.ones(1, 1, 600, 300, dtype=torch.bool)
     for cell in (255, 256, 400, 511):
         assert float(apparent_contact(mask, 255, cell).covered_px) == pytest.approx(600 * 300, rel=1e-6)
 
 
 def test_gradients_where_a_covariance_is_not_known(portable: Portable) -> None:
-    """Such a point takes no part in a fit, and has none, in either form."""
+    """In both forms a point whose covariance is not known takes part in no fit and has no gradient."""
     random = torch.Generator().manual_seed(0)
     reference, displacement = 10 * torch.rand(1, 40, 2, generator=random), torch.rand(3, 40, 2, generator=random)
     covariance = torch.eye(2).repeat(3, 40, 1, 1) / 100

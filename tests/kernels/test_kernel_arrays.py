@@ -1,4 +1,4 @@
-"""Kernels take NumPy arrays as they take tensors, and give the same numbers; torch need not be there for it."""
+"""Tests of kernels on NumPy arrays: they give the numbers that they give for tensors, and need no torch."""
 
 import os
 import subprocess
@@ -33,7 +33,7 @@ ONES = np.ones(2, np.float32)
 
 
 def in_numpy(value: Any) -> Any:
-    """The same as copies in NumPy arrays."""
+    """Return the value with copies in NumPy arrays in place of tensors."""
     if isinstance(value, Tensor):
         return value.detach().numpy().copy()
     return type(value)(map(in_numpy, value)) if type(value) in (list, tuple) else value
@@ -44,7 +44,7 @@ def parts(result: Any) -> list[Any]:
 
 
 def assert_same(result: Any, tensors: Any) -> None:
-    """Of the same kind of tuple, shape, dtype and numbers, in NumPy arrays."""
+    """Assert that the result has the same kind of tuple, shapes, dtypes and numbers as `tensors`, in NumPy arrays."""
     assert type(result) is type(tensors) or isinstance(tensors, Tensor)
     for one, other in zip(parts(result), parts(tensors), strict=True):
         if other is None:
@@ -57,7 +57,9 @@ def assert_same(result: Any, tensors: Any) -> None:
 
 
 def test_every_function_gives_what_it_gives_for_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In all that ops ask of kernels, with whatever arguments; bit for bit, as the same code runs."""
+    """For all calls of the ops, every function of kernels gives the same bits for arrays as for tensors, because the
+    same code runs.
+    """
     called: set[str] = set()
 
     def beside(name: str, of_tensors: Callable[..., Any]) -> Callable[..., Any]:
@@ -66,7 +68,7 @@ def test_every_function_gives_what_it_gives_for_tensors(monkeypatch: pytest.Monk
             result = of_tensors(*args, **kwargs)
             assert_same(FUNCTIONS[name](*given[0], **given[1]), result)
             for one, changed in zip(given[0], args, strict=True):
-                if isinstance(changed, Tensor):  # `press_skin` writes to some of them
+                if isinstance(changed, Tensor):  # `press_skin` writes to some of its arguments
                     assert np.array_equal(one, changed.detach().numpy(), equal_nan=one.dtype.kind == "f")
             called.add(name)
             return result
@@ -110,7 +112,7 @@ def test_views_however_they_lie_in_memory() -> None:
 
 
 def test_numbers_that_lie_between_addresses() -> None:
-    """A field of a record of a file: in one piece, but not where numbers of its size lie."""
+    """Unaligned arrays, such as a field of a record of a file, give the same numbers."""
     raw = np.zeros(1 + FRAME.size * 4, np.uint8)
     frames = raw[1:].view(np.float32).reshape(FRAME.shape)
     frames[:] = FRAME
@@ -201,7 +203,7 @@ assert "torch" not in sys.modules
 
 
 def test_without_torch(tmp_path: Path) -> None:
-    """NumPy alone, in a process where torch cannot be imported: bit for bit what tensors give."""
+    """In a process that cannot import torch, kernels on NumPy arrays give the same bits as on tensors here."""
     given, found = tmp_path / "given.npz", tmp_path / "found.npz"
     np.savez(given, frames=FRAME, points=POINTS, variance=ONES)
     environment = {**os.environ, "OMP_NUM_THREADS": "2"}

@@ -1,4 +1,4 @@
-"""Means of blocks and lines: NumPy's form and the compiled one, beside torch's adaptive pooling."""
+"""Tests of means of blocks and lines: the compiled form against NumPy's and against torch's adaptive pooling."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def portable(frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> BlockMeans:
 @pytest.mark.parametrize("dtype", [*kernels.FRAME_KINDS, torch.float64, torch.int16])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_same_means(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], dtype: torch.dtype) -> None:
-    """Of integers bit for bit; of floats sums of doubles run in another order, and torch's are of floats."""
+    """Means of integers are equal bit for bit; sums of floats run in another order, and torch adds in float32."""
     frames = images(shape, dtype, "random")
     found = block_means(frames[:, 0].numpy())
     expected = portable(frames[:, 0].numpy(), monkeypatch)

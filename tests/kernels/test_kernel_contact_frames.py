@@ -1,4 +1,4 @@
-"""The contact of a frame in one call, beside the graphs and ops that it is made of."""
+"""Tests of the contact of a frame in one call, against the graphs and ops that it replaces."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,11 +19,10 @@ from tests.kernels.kernel_images import SHAPES, images
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 Portable = Callable[[Callable[[], object]], Any]
-# Both forms take the same levels; a cell at the border whose density differs by rounding takes some pixels with it.
 
 
 def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tensor) -> None:
-    """Bit for bit as the kernels one after the other."""
+    """Assert that all results are those of the separate kernels, bit for bit."""
     expected = graph(*given)
     assert np.array_equal(found.real_contact_mask, expected.real_contact_mask.numpy())
     assert np.array_equal(found.density_margin, expected.density_margin.numpy(), equal_nan=True)
@@ -52,7 +51,7 @@ def test_same_contact(instruction_set: int, dtype: torch.dtype, median: int) -> 
 
 
 def test_without_a_limit_nothing_touches() -> None:
-    """Not even a pixel that is darker than the dark frame."""
+    """Without a threshold no pixel is in contact, not even one darker than the dark frame."""
     frames, light, black = (tensor.numpy() for tensor in contact_frames(1, 130, 170, torch.uint8))
     limits = np.full(1, np.nan, np.float32)
     found = contact_of_frames(0 * frames, light, black + 5, limits, median_px=3, radius=8, cell=4)
@@ -61,7 +60,7 @@ def test_without_a_limit_nothing_touches() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_same_contact_of_any_image(shape: tuple[int, int, int]) -> None:
-    """Nothing is seen of the empty glass, and half of the pixels touch."""
+    """Both agree on images without visible empty glass, half of whose pixels are in contact."""
     frames = images(shape, torch.uint8, "random")
     light = images((1, *shape[1:]), torch.float32, "random", seed=1)
     limits = torch.full(frames.shape[:1], 0.5)
@@ -72,7 +71,9 @@ def test_same_contact_of_any_image(shape: tuple[int, int, int]) -> None:
 
 
 def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
-    """Views of a larger frame are read in place; others are copied. One frame in bands, and a frame a thread."""
+    """Results are the same for views of a larger frame, which are read in place, and for views that are copied, with
+    one frame in bands or one frame for each thread.
+    """
     whole, light, black = (tensor.numpy() for tensor in contact_frames(5, 130, 170, torch.uint16))
     sizes = {"median_px": 3, "radius": 8}
     every = slice(None)
@@ -110,7 +111,7 @@ def test_same_points_covered(down: int, across: int) -> None:
             x, y = x + float(transform[0, 2]), y + float(transform[1, 2])
             expected = covered(torch.from_numpy(margin), x, y, cell).numpy()
             if transform is moved:
-                # A product of matrices may round otherwise: so may points that lie on the border to 1e-4 px.
+                # A matrix product may round otherwise, which decides for points within 1e-4 px of the border.
                 assert (found != expected).mean() < 0.002
             else:
                 assert np.array_equal(found, expected)

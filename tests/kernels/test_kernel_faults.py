@@ -1,4 +1,4 @@
-"""What a kernel throws, on whichever thread, becomes an exception of Python's, and nothing else happens."""
+"""Tests of errors that a kernel throws on any thread: each becomes an exception of Python, and nothing else happens."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ from tests.kernels.kernel_calls import kernel_calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-NO_MEMORY, ERROR, UNKNOWN, NO_THREAD = 1, 2, 3, 4  # of kernels/parallel.h
+NO_MEMORY, ERROR, UNKNOWN, NO_THREAD = 1, 2, 3, 4  # as in kernels/parallel.h
 ANY, CALLER, POOL = 0, 1, 2
 
 FRAMES = torch.arange(2 * 200 * 64, dtype=torch.int64).remainder(251).to(torch.uint8).reshape(2, 1, 200, 64)
@@ -30,7 +30,7 @@ def no_fault_stays(torch_threads: Callable[[int], None]) -> Iterator[None]:
     kernels.inject_fault(0)
 
 
-#: Their pieces are not given to the pool.
+#: Kernels whose work is not shared by the pool.
 UNDIVIDED = {"covered", "otsu_threshold", "skin_chain"}
 CALLS = {name: call for name, call in kernel_calls().items() if name not in UNDIVIDED} if kernels.serve() else {}
 
@@ -54,7 +54,9 @@ def test_a_fault_has_its_own_exception_and_the_name_of_the_kernel(
 
 @pytest.mark.parametrize("thread", [CALLER, POOL])
 def test_a_fault_on_either_kind_of_thread(thread: int) -> None:
-    """Which thread takes a piece is up to the system: on a busy machine all may go to one kind for a while."""
+    """An error on the calling thread and on a thread of the pool is raised. The system decides which thread does a
+    piece of work, so that the test repeats the call for up to 30 s.
+    """
     frames = FRAMES.repeat(16, 1, 2, 1)
     right, thrown = kernels.median(frames, 9), False
     kernels.inject_fault(NO_MEMORY, -1, thread)
@@ -70,7 +72,7 @@ def test_a_fault_on_either_kind_of_thread(thread: int) -> None:
 
 
 def test_a_system_without_threads() -> None:
-    """Fewer threads do the same work."""
+    """If no thread can be started, fewer threads do the same work."""
     kernels.inject_fault(NO_THREAD)
     torch.set_num_threads(64)
     medians = kernels.median(FRAMES, 9)
@@ -79,7 +81,7 @@ def test_a_system_without_threads() -> None:
 
 
 def test_more_memory_than_there_is() -> None:
-    """A search over 32,000 px takes 4 GB at once, of which the system has been told to give 1."""
+    """A search over 32,000 px, which needs 4 GB at once, raises MemoryError where the system allows 1 GiB."""
     resource = pytest.importorskip("resource", reason="no limits on memory here")
     code = """
 import resource, torch

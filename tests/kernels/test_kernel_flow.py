@@ -1,4 +1,4 @@
-"""Compiled dense flow beside the portable form, in every instruction set."""
+"""Tests of compiled dense flow against the portable form, with every instruction set."""
 
 import itertools
 import math
@@ -27,9 +27,12 @@ Portable = Callable[[Callable[[], Any]], Any]
 def test_flow_where_little_is_known(
     instruction_set: int, portable: Portable, penalty: Penalty, constancy: Constancy, warm: bool
 ) -> None:
-    """A batch, a mask with an island and single pixels, pixels that are not finite, light that changes, skin that
-    leaves the picture: from a given flow, and cold. To 1e-4 px, a hundredth of what noise leaves: sums are rounded
-    otherwise, and every warp begins from the last. Covariance and residual of one warp to a thousandth."""
+    """Both forms agree with a batch, a mask with an island and single pixels, pixels that are NaN or infinite, changed
+    light and skin that leaves the picture, from a given flow and from none.
+
+    Displacements agree to 1e-4 px, a hundredth of the effect of noise: sums are rounded otherwise, and every warp
+    begins from the last. Covariance and residual after one warp agree to a thousandth.
+    """
     shape = (67, 91)
     first, current, truth = (
         torch.cat(some) for some in zip(*(pair(wave, 2.0, seed, shape) for seed in (0, 1)), strict=True)
@@ -41,7 +44,7 @@ def test_flow_where_little_is_known(
     mask = (((x - 45) / 38) ** 2 + ((y - 30) / 24) ** 2 < 1) | ((x - 84).abs() + (y - 60).abs() < 4)
     mask[::13, ::17] = True
     initial = (0.8 * truth).float()
-    initial[:, 1, :, :12] -= 6.0  # leaves at the top
+    initial[:, 1, :, :12] -= 6.0  # skin that leaves at the top
     initial[0, 0, 5:9, 5:9] = math.nan
 
     def found() -> Flow:
@@ -58,8 +61,9 @@ def test_flow_where_little_is_known(
 
 
 def system(height: int, width: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """J, the edges to the right and down, and a mask with holes: a batch of two with different smoothing, tensors from
-    none to far above noise."""
+    """Return J, the edges to the right and down, and a mask with holes: a batch of two with different smoothing and
+    structure tensors from none to far above noise.
+    """
     generator = torch.Generator().manual_seed(height)
     mask = (torch.rand(2, 1, height, width, generator=generator) > 0.1).float()
     size = torch.rand(2, 1, height, width, generator=generator) ** 8
@@ -76,7 +80,7 @@ SIZES = pytest.mark.parametrize(("height", "width"), [(5, 9), (37, 53), (64, 80)
 
 @SIZES
 def test_cycles(instruction_set: int, portable: Portable, height: int, width: int) -> None:
-    """To the rounding of float32, where little of the flow is known."""
+    """Multigrid cycles agree to the rounding of float32 where little of the flow is known."""
     levels, random = pyramid(*system(height, width)), torch.Generator().manual_seed(1)
     pull, flow = (torch.randn(2, 2, height, width, generator=random) * levels[0].inside for _ in range(2))
     known = (torch.rand(2, 1, height, width, generator=random) > 0.5).float() * levels[0].inside
@@ -90,9 +94,11 @@ def test_cycles(instruction_set: int, portable: Portable, height: int, width: in
 
 @SIZES
 def test_preparation(instruction_set: int, portable: Portable, height: int, width: int) -> None:
-    """Levels to some roundings of float32 (determinants of inverses cancel), cells at pixels to rounding, covariance
-    to 1e-4 of the largest: the smaller eigenvalue l of ridges in one direction is a difference of equal numbers, and
-    l ln l, on which it depends, is steep at 0."""
+    """Levels agree to a few roundings of float32, cells at pixels to rounding, and covariances to 1e-4 of the largest.
+
+    Determinants of the inverses cancel. The smaller eigenvalue l of ridges in one direction is a difference of nearly
+    equal numbers, and l ln l, on which the covariance depends, is steep at 0.
+    """
     tensor, right, down, mask = system(height, width)
     variance, alpha = torch.tensor([4.0, 0.2]), torch.tensor([400.0, 30.0]).view(2, 1, 1, 1)
     field = torch.randn(2, 2, height, width, generator=torch.Generator().manual_seed(1))

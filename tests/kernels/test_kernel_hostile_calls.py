@@ -1,4 +1,6 @@
-"""Hostile calls of every function of kernels end in an exception with words or in a right result, never in a crash."""
+"""Test that wrong calls of every function of kernels end in an exception with a message or in a right result, never in
+a crash.
+"""
 
 import sys
 
@@ -12,12 +14,12 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
     pytest.mark.skipif(sys.platform != "linux", reason="forks and pages that cannot be read are Linux's"),
-    pytest.mark.filterwarnings("ignore"),  # of forks beside threads, of casts that overflow
+    pytest.mark.filterwarnings("ignore"),  # forks with threads, casts that overflow
 ]
 
 
 def test_hostile_calls(torch_threads: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)  # a fork has no pool
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)  # a forked child has no pool
     plain = hostile_calls.plain_calls()
     assert not hostile_calls.missing_entries(plain), "give kernel_calls.py a call that reaches these entries"
     count, wrong = 0, []

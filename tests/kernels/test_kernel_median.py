@@ -1,4 +1,4 @@
-"""The compiled median against SciPy, for every instruction set of this processor."""
+"""Tests of the compiled median against SciPy, with every instruction set of this processor."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,9 @@ def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
 def test_random_frames_equal_scipy(
     instruction_sets: list[int], size: int, shape: tuple[int, int], dtype: torch.dtype
 ) -> None:
-    """By networks of minima and maxima, and by tables for windows of 13 px and more."""
+    """The median equals SciPy's for all window sizes: smaller windows use networks of minima and maxima, windows of 13
+    px and more use tables.
+    """
     frames = images((1, *shape), dtype, "random")
     expected = scipy_median(frames, size)
     for most in instruction_sets:
@@ -34,10 +36,12 @@ def test_random_frames_equal_scipy(
 
 @pytest.mark.parametrize("size", [5, 9])
 def test_windows_at_the_edge_of_the_majority(instruction_set: int, size: int) -> None:
-    """0/1 frames with about half ones: by the zero-one principle they tell whether a min/max network selects right."""
+    """The median of 0/1 frames with about half ones is their majority: by the zero-one principle this tests whether a
+    min/max network selects the median.
+    """
     generator = np.random.default_rng(size)
     frames = (generator.random((4, 1, 200, 300)) < 0.5).astype(np.uint8)
-    frames[2] = scipy.ndimage.median_filter(frames[2, 0], 5)  # runs in place of single pixels
+    frames[2] = scipy.ndimage.median_filter(frames[2, 0], 5)  # patches in place of single pixels
     frames[3, 0] = np.add.outer(np.arange(200) // 4, np.arange(300) // 4) % 2
     kernel = np.ones(size)
     ones = scipy.ndimage.convolve1d(frames.astype(int), kernel, axis=2, mode="nearest")

@@ -1,4 +1,4 @@
-"""Every request for memory of every kernel refused: the op raises MemoryError, and works on with the same threads."""
+"""Test that a kernel whose request for memory is refused raises MemoryError, and works again with the same threads."""
 
 import os
 import shutil
@@ -44,8 +44,8 @@ def test_every_request_of_every_kernel_refused(tmp_path: Path) -> None:
     assert len(outcomes) > 25
     for name, words in outcomes.items():
         assert words <= {"MemoryError", "fewer threads", "all granted"}, f"{name}: {words}\n{ran.stderr}"
-    for name in ("covariance", "levels", "to_pixels"):  # called by themselves, large enough
+    for name in ("covariance", "levels", "to_pixels"):  # called by themselves, with work for several threads
         assert "fewer threads" in outcomes[f"flow_{name}"], name
-    # Those that ask for nothing but threads: their results and sums lie in what Python gives them.
+    # Kernels that request threads only: Python gives them the memory of their results and sums.
     without = {name for name, words in outcomes.items() if "MemoryError" not in words}
     assert without <= {"covered", "otsu_threshold"}

@@ -1,4 +1,6 @@
-"""Kernels in forked children, in workers of data loaders, and from several threads at once: right, and no hang."""
+"""Tests of kernels in forked children, in workers of data loaders, and from several threads at once: results are right,
+and no call hangs.
+"""
 
 import subprocess
 import sys
@@ -32,7 +34,7 @@ def is_right():
 
 
 def run(program: str, timeout: float = 90) -> None:
-    """In a process of its own, so that what hangs is a failure."""
+    """Run a program after `BEGIN` in a process of its own, so that a hang is a failure."""
     code = BEGIN + textwrap.dedent(program) + '\nprint("right")\n'
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=timeout)
     assert ran.stdout == "right\n", ran.stdout + ran.stderr
@@ -41,7 +43,9 @@ def run(program: str, timeout: float = 90) -> None:
 @pytest.mark.skipif(not hasattr(__import__("os"), "fork"), reason="no fork here")
 @pytest.mark.parametrize("busy", [False, True], ids=["idle", "another thread at work"])
 def test_a_forked_child_calls_kernels(busy: bool) -> None:
-    """Also where a thread of the parent held the pool's lock, or its own, while it was copied."""
+    """A forked child computes right results, also if a thread of the parent held the lock of the pool, or a lock of its
+    own, during the fork.
+    """
     run(f"""
         stop = False
         def work():
@@ -125,7 +129,7 @@ def test_in_workers_of_a_data_loader(method: str, tmp_path_factory: pytest.TempP
 
 
 def test_from_several_threads_at_once() -> None:
-    """Each its own frames, and its own exception where one fails."""
+    """Each of several threads gets the results of its own frames, and its own exception."""
     run("""
         wrong = []
         def work(seed):

@@ -1,4 +1,4 @@
-"""Arguments that do not fit together are refused by every function of kernels, which names what is wrong."""
+"""Tests that every function of kernels refuses arguments that do not fit together, and names the wrong one."""
 
 import inspect
 from typing import Any
@@ -36,7 +36,7 @@ def as_bytes(value: Any) -> Any:
     return value.view(np.uint8) if isinstance(value, np.ndarray) else value.byte()
 
 
-#: A function, new values of its arguments or what changes them, and the words of the refusal.
+#: A function, new values of its arguments or functions that change them, and the message of the refusal.
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("median", {"frames": torch.Tensor.float}, "float32"),
     ("median", {"frames": lambda one: one[0]}, r"give \(B, 1, H, W\)"),

@@ -1,4 +1,4 @@
-"""The compiled chain beside the portable one: the same steps, and the same numbers to rounding."""
+"""Tests of the compiled skin chain against the portable one: the same steps, and the same numbers to rounding."""
 
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -12,10 +12,10 @@ from fingerflow.models.skin_chain import PressedChain, press
 from fingerflow.models.skin_parameters import PARAMETERS
 
 Portable = Callable[[Callable[[], object]], Any]
-FRICTIONS = torch.tensor([0.0, 0.03, 0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 2.0], dtype=torch.float64)  # more than a vector
+FRICTIONS = torch.tensor([0.0, 0.03, 0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 2.0], dtype=torch.float64)  # more than a register
 
 
-PORTABLE: dict[object, Any] = {}  # of each case once, whatever the instruction sets are
+PORTABLE: dict[object, Any] = {}  # result of each case, the same for all instruction sets
 
 
 def once(portable: Portable, case: object, call: Callable[[], object]) -> Any:

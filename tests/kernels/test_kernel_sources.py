@@ -1,4 +1,4 @@
-"""The C++ by itself: clean under sanitizers, and dispensable where there is no compiler."""
+"""Tests of the C++ sources by themselves: sanitizers find no fault, and the package builds without a compiler."""
 
 import importlib.util
 import os
@@ -16,12 +16,12 @@ pytestmark = pytest.mark.long
 HERE = Path(__file__).parent
 ROOT = HERE.resolve().parents[1]
 
-ISA = "-DFINGERFLOW_ISA=baseline"  # the namespace of what is compiled once a set of instructions
+ISA = "-DFINGERFLOW_ISA=baseline"  # namespace of sources compiled for each instruction set
 SANITIZERS = {"memory": "address,undefined", "threads": "thread"}
 
 
 def compiler_of(flags: tuple[str, ...], folder: Path) -> tuple[str, ...]:
-    """The command that compiles with a sanitizer; skips the test where that cannot be had."""
+    """Return the command that compiles with a sanitizer; skip the test if there is none."""
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
         pytest.skip("no C++ compiler here")
@@ -37,14 +37,17 @@ def compiler_of(flags: tuple[str, ...], folder: Path) -> tuple[str, ...]:
 
 
 def compiled(sources: Sequence[Path], command: tuple[str, ...], folder: Path) -> list[str]:
-    """The objects of sources, in this folder."""
+    """Compile the sources in a new folder; return the paths of the objects."""
     folder.mkdir()
     subprocess.run([*command, "-c", *map(str, sources)], cwd=folder, check=True)
     return sorted(map(str, folder.glob("*.o")))
 
 
 def run(program: Path) -> None:
-    """Threads of a child after a fork are what is tried: the sanitizer must not end it for them."""
+    """Run a program and assert that it has no failures.
+
+    The thread sanitizer must not end the program for threads of a forked child, which the program tests.
+    """
     environment = {**os.environ, "TSAN_OPTIONS": "die_after_fork=0"}
     ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=300, env=environment)
     assert ran.returncode == 0, ran.stdout + ran.stderr
@@ -52,7 +55,9 @@ def run(program: Path) -> None:
 
 
 def kernel_sources(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Those that are compiled once a set of instructions, and the others with the generated ones and the program."""
+    """Return the sources that are compiled for each instruction set, and all others with the generated source and the
+    program.
+    """
     for path in (ROOT / "kernels").glob("generate_*.py"):
         generator = runpy.run_path(str(path))
         (folder / generator["GENERATES"]).write_text(generator["source"](), encoding="utf-8")
@@ -62,9 +67,8 @@ def kernel_sources(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def test_sanitizers_find_no_wrong_access(tmp_path: Path) -> None:
-    """Memory of the images ends right behind them, so that any read or write beyond an edge is seen.
-
-    For the baseline, and with vectors as wide as this processor has them, which the other sources do not know.
+    """The address sanitizer finds no access outside the images, whose memory ends right behind them, for the baseline
+    and for the widest vectors of this processor.
     """
     hot, plain = kernel_sources(tmp_path)
     command = compiler_of(("-O0", f"-fsanitize={SANITIZERS['memory']}"), tmp_path)
@@ -84,7 +88,9 @@ def test_sanitizer_finds_no_race(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sanitizer", SANITIZERS)
 def test_pool_of_threads(sanitizer: str, tmp_path: Path) -> None:
-    """Faults in any piece of any thread, callers side by side, calls within calls, forks."""
+    """The pool of threads has no race and no wrong access with faults in any piece of any thread, parallel callers,
+    nested calls and forks.
+    """
     command = compiler_of(("-O1", f"-fsanitize={SANITIZERS[sanitizer]}"), tmp_path)
     sources = (ROOT / "kernels" / "parallel.cpp", HERE / "pool.cpp")
     subprocess.run([*command, *map(str, sources), "-o", str(tmp_path / "pool")], check=True)

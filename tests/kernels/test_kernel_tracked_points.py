@@ -1,4 +1,4 @@
-"""The kernels of the tracker on NumPy arrays beside the torch graphs and ops that they stand in for."""
+"""Tests of the tracker's kernels on NumPy arrays against the torch graphs and ops that they replace."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +31,9 @@ def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, g
 
 @pytest.mark.parametrize("name", fields.FIELDS)
 def test_the_same_outliers(name: str, instruction_set: int, torch_threads: Threads) -> None:
-    """Of 100,000 a point or two may stand on a limit, where rounding decides."""
+    """Both forms find the same outliers, except for one or two of 100,000 that stand on a limit, where rounding
+    decides.
+    """
     torch_threads(3)
     moved, deviation = fields.measured(fields.FIELDS[name])
     differ = 0
@@ -46,7 +48,9 @@ def test_the_same_outliers(name: str, instruction_set: int, torch_threads: Threa
 
 
 def test_few_points_and_points_that_are_none() -> None:
-    """As many as no whole block, without a place, without neighbours, on a line, in no frame."""
+    """Both forms find the same outliers for few points, points without a position or neighbours, points on a line, and
+    no frame.
+    """
     moved, deviation = fields.measured(fields.press)
     moved, deviation = moved[:2].clone(), deviation[:2].clone()
     deviation[0, :9], deviation[1, 3] = torch.inf, 0.0
@@ -77,7 +81,9 @@ def test_the_same_neighbours() -> None:
 
 @pytest.mark.parametrize(("window", "radius"), [(25, 8), (21, 6), (9, 1), (15, 24)])
 def test_the_same_search_both_ways(window: int, radius: int, instruction_set: int, torch_threads: Threads) -> None:
-    """Bit for bit: the kernels are those of the two searches. Of 8 bit, 16 bit and floating images."""
+    """Bit for bit the same windows are found, there and back, in images of 8 and 16 bit and floating ones, because the
+    kernels are those of the two searches.
+    """
     torch_threads(3)
     key, current = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
     index = torch.arange(40) % 2
@@ -108,7 +114,7 @@ def test_a_search_without_points_and_wrong_ones() -> None:
     found, returns = native.search_and_return(image, image, places[:0], places[:0], **settings)
     assert found.shape == (0, 2)
     assert returns.shape == (0,)
-    found, returns = native.search_and_return(image, image, places, places + 1, **settings)  # blank
+    found, returns = native.search_and_return(image, image, places, places + 1, **settings)  # blank image
     np.testing.assert_array_equal(found, places + 1)
     wrong: list[tuple[tuple[Array, ...], dict[str, Any], str]] = [
         ((image, image[..., :9], places, places), {}, "two of one shape"),
@@ -123,13 +129,15 @@ def test_a_search_without_points_and_wrong_ones() -> None:
 
 
 def topography(press: Any) -> Array:
-    """The view of a frame in contact, without a copy: rows of it do not follow one another in memory."""
+    """Return the topography view (1, 1, H, W) of a frame in contact, not copied, so that its rows are apart in
+    memory.
+    """
     view: Array = press.views["topography"].crop(press.render(3 * press.n_frames // 4))
     return view[None, None]
 
 
 def pictures() -> dict[str, Array]:
-    """Frames (1, 1, H, W) on which points are chosen."""
+    """Return frames (1, 1, H, W) on which points are detected, by name."""
     real = skin((0, 0), 0, (200, 260)).clamp(0, 255).numpy()
     random = np.random.default_rng(0)
     spoilt = real.copy()
@@ -156,8 +164,8 @@ PICTURES = pictures()
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_the_same_points_are_chosen(name: str, instruction_set: int, torch_threads: Threads) -> None:
-    """Responses differ by a unit in the last place, as torch takes roots to that: points that are as strong or as much
-    alone to this rounding may stand for one another. None does here.
+    """Both forms detect the same points. Responses differ by a unit in the last place, the rounding of torch's roots,
+    so that points of equal strength could be exchanged, but none are here.
     """
     torch_threads(3)
     frame = PICTURES[name]
@@ -175,11 +183,13 @@ def test_the_same_points_are_chosen(name: str, instruction_set: int, torch_threa
             number = len(chosen(points))
             assert np.isnan(found.points[number:]).all()
             assert (np.diff(found.response[:number]) <= 0).all()
-    assert not number  # without a mask
+    assert not number  # the last mask is empty
 
 
 def test_points_of_views_and_of_equal_strength() -> None:
-    """Copies of one tile: of points as strong and as much alone those that come first by rows."""
+    """Of points of equal strength in copies of one tile those that come first by rows are taken; views give the same
+    points.
+    """
     tile = PICTURES["8 bit"][0, 0, 40:70, 40:70]
     frame = np.tile(tile, (5, 6))[None, None]
     everywhere = np.ones(frame.shape[2:], bool)

@@ -1,4 +1,4 @@
-"""The compiled tracker beside the portable one."""
+"""Tests of the compiled tracker against the portable one."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from tests.kernels.twins import points_inside, skin_of_bytes
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-# Positions of a few hundred px in float32 are 3e-5 px apart; sums run in another order.
+# Float32 positions of a few hundred px have steps of 3e-5 px; sums are in another order.
 TOLERANCE_PX = 1e-4
 
 
@@ -25,7 +25,7 @@ def same(found: Tracks, expected: Tracks) -> None:
     assert torch.equal(found.status == TrackStatus.TRACKED, tracked)
     assert (found.points[tracked] - expected.points[tracked]).abs().max() < TOLERANCE_PX
     assert (found.error[tracked] - expected.error[tracked]).abs().max() < TOLERANCE_PX
-    # The residual is a difference of sums of squares, a hundredth of them and less: float32 leaves some percent of it.
+    # The residual is a difference of sums of squares a hundred times as large, so that float32 leaves some percent.
     torch.testing.assert_close(found.covariance[tracked], expected.covariance[tracked], rtol=2e-2, atol=2e-6)
     assert found.points[~tracked].isnan().all()
     assert found.covariance[~tracked].isnan().all()
@@ -42,7 +42,9 @@ def test_the_order_of_points_and_threads_do_not_matter(torch_threads: Callable[[
 
 
 def test_followed_in_one_call_as_one_after_the_other() -> None:
-    """Eight frames in which a point speeds up, and one that cannot be seen in three of them."""
+    """Both forms track eight frames in one call alike, while the skin speeds up and some points are hidden in three
+    frames.
+    """
     frames = torch.cat([skin_of_bytes((0.05 * k * k, -0.1 * k), k) for k in range(9)])
     frames[4:7, :, 60:110, 90:150] = 128
     points, settings = points_inside()[0].numpy(), EngineSettings(window_px=21, gain_offset=False)
@@ -80,7 +82,9 @@ def test_templates_of_either_form() -> None:
 
 
 def test_compiled_templates_are_found_portably() -> None:
-    """As when a graph that was prepared eagerly is traced, or runs on tensors without memory."""
+    """Templates prepared by the compiled form are found by the portable one, as when a graph is traced after its
+    preparation, or runs on tensors without memory.
+    """
     frames = skin_of_bytes((0, 0)), skin_of_bytes((0.6, -0.3), 1)
     kept = prepare_templates(frames[0], points_inside())
     expected = find_templates(kept, frames[1], points_inside())

@@ -1,4 +1,4 @@
-"""What every op with a compiled twin promises: both forms agree, with any instruction set, strides and threads."""
+"""Tests of every op with a compiled twin: both forms agree, with any instruction set, strides and number of threads."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ Portable = Callable[[Callable[[], object]], Any]
 
 
 def changed(given: Any, change: Callable[[Tensor], Tensor]) -> Any:
-    """The same arguments with every tensor changed."""
+    """Return the same arguments with every tensor changed."""
     if isinstance(given, Tensor):
         return change(given)
     if isinstance(given, tuple):
@@ -28,7 +28,7 @@ def changed(given: Any, change: Callable[[Tensor], Tensor]) -> Any:
 
 
 def assert_close(found: Any, expected: Any, tolerance: Tolerance = (0.0, 0.0), **by_name: Tolerance) -> None:
-    """Of one dtype and shape; whole numbers and flags are the same, as is what is NaN."""
+    """Assert equal dtypes and shapes, equal integers, flags and NaN, and floats within the tolerance."""
     if isinstance(found, tuple):
         names = getattr(found, "_fields", [""] * len(found))
         for name, one, other in zip(names, found, expected, strict=True):
@@ -64,7 +64,9 @@ def largest(twin: Twin) -> tuple[Callable[..., Any], tuple[Any, ...]]:
 
 @pytest.mark.parametrize("name", TWINS)
 def test_the_compiled_form_serves(name: str) -> None:
-    """Otherwise the portable form would be compared with itself, or NaN with NaN."""
+    """The compiled form is used and most results are finite; otherwise the portable form would be compared with itself,
+    or NaN with NaN.
+    """
     op, given = largest(TWINS[name])
     assert reached(lambda: op(*given))
     for tensor in tensors_of(op(*given)):
@@ -73,7 +75,9 @@ def test_the_compiled_form_serves(name: str) -> None:
 
 @pytest.mark.parametrize("name", TWINS)
 def test_threads_and_strides_change_nothing(name: str, torch_threads: Callable[[int], None]) -> None:
-    """Bit for bit, for one thread or several, which share frames or bands of one, and views of any strides."""
+    """Results are the same bit for bit with one thread or several, which share frames or bands of one frame, and for
+    views of any strides.
+    """
     op, given = largest(TWINS[name])
     torch_threads(1)
     expected = op(*given)
@@ -102,7 +106,7 @@ def test_frames_of_a_batch_do_not_know_each_other(name: str) -> None:
 
 
 def one_of(number: int) -> Callable[[Tensor], Tensor]:
-    """What takes one frame of a batch; a tensor of one frame serves all."""
+    """Return a function that takes frame `number` of a batch; a tensor of one frame serves all frames."""
     return lambda one: one[number : number + 1] if len(one) > 1 else one
 
 

@@ -1,4 +1,4 @@
-"""Whether the compiled kernels serve, and that the package works without them."""
+"""Tests of whether the compiled kernels serve, and of the package without them."""
 
 import logging
 import os

@@ -1,4 +1,4 @@
-"""Fields of frames from NumPy arrays, beside the graph of the same name."""
+"""Tests of fields of frames from NumPy arrays against the fields graph."""
 
 from collections.abc import Callable
 from typing import Any
@@ -90,8 +90,8 @@ def same(found: FrameFields, expected: graphs.Fields, atol: dict[str, float], rt
 def test_same_fields(
     portable: Portable, points: int, references: int, noisy: bool, entered: bool, measure: str
 ) -> None:
-    """With the same kernels to the rounding of cosines and of sums of four numbers; in double without them to that of
-    fits, of which those at the border have points on one side only.
+    """With compiled kernels, fields agree to the rounding of cosines and of sums of four numbers. Against the portable
+    form in float64 they agree to the rounding of fits, some of which, at the border, have points on one side only.
     """
     case = Case(points, noisy=noisy, entered=entered, references=references)
     found = case.found(measure)
@@ -100,14 +100,14 @@ def test_same_fields(
         assert np.isfinite(found.divergence).mean() > 0.7
         assert np.isfinite(found.median).sum() >= 10
     if entered:
-        return  # a position between two points may have the field of either: see test_kernel_area_medians.py
-    # A position at a limit may count here and not there: a rank of 800, and its share.
+        return  # a position between two points may have the field of either
+    # A position at a limit may count in one form only: one rank of 800, and its share.
     limits = {"": 1e-5, "median": 1e-4, "median_std": 1e-4, "known_share": 3 / 800}
     same(found, portable(lambda: case.expected(measure, torch.float64)), limits, 1e-3)
 
 
 def test_views(torch_threads: Callable[[int], None]) -> None:
-    """Of any strides, and of protected arrays, which stay as they are; on any number of threads."""
+    """Views of any strides and read-only arrays give the same fields, with any number of threads."""
     case = Case(700, noisy=True, entered=True)
     whole = case.found("green_lagrange")
     views = Case(700, noisy=True, entered=True)

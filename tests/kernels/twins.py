@@ -1,4 +1,4 @@
-"""Every op that has a compiled twin, with inputs on which both forms are compared: a new twin gets a row in `TWINS`."""
+"""Every op that has a compiled twin, with inputs on which both forms are compared. A new twin gets a row in `TWINS`."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -46,9 +46,10 @@ class Twin(NamedTuple):
 
     Attributes:
         calls: yields the calls that are compared; the last has work for several threads.
-        tolerance: of floating results, bit for bit by default.
+        tolerance: of floating-point results; bit for bit by default.
         by_name: tolerances of single fields of the result.
-        in_double: the portable form computes in float64 from the same numbers, as sums round in either form.
+        in_double: whether the portable form computes in float64 from the same numbers, because sums round in both
+            forms.
     """
 
     calls: Callable[[], Iterator[Call]]
@@ -62,19 +63,19 @@ def random(*shape: int, seed: int = 1) -> Tensor:
 
 
 def sparse(shape: tuple[int, int, int], share: float) -> Tensor:
-    """A mask (B, 1, H, W) with this share of single pixels."""
+    """Return a mask (B, 1, H, W) with this share of single pixels."""
     return images(shape, torch.uint8, "random", highest=249) < 250 * share
 
 
 def blobs(shape: tuple[int, int, int], share: float) -> Tensor:
-    """A mask (B, 1, H, W) with this share of patches of about 4 px."""
+    """Return a mask (B, 1, H, W) with this share of patches of about 4 px."""
     batch, height, width = shape
     coarse = sparse((batch, height // 4 + 2, width // 4 + 2), share)
     return coarse.repeat_interleave(4, 2).repeat_interleave(4, 3)[..., 1 : 1 + height, 2 : 2 + width]
 
 
 def lit(shape: tuple[int, int, int], batch: int) -> tuple[Tensor, Tensor]:
-    """Light and black (batch, 1, H, W): some pixels are not lit."""
+    """Return light and black (batch, 1, H, W); some pixels have no light."""
     light, black = (images((batch, *shape[1:]), torch.float32, "random", seed=seed) for seed in (1, 2))
     return (0.9 * light - 20).clamp(min=0), 0.04 * black
 
@@ -89,7 +90,9 @@ ODD = torch.tensor([torch.nan, torch.inf, -torch.inf, 0.0, -3.0, 3e38, 1e-42])
 
 
 def quotients() -> Iterator[Call]:
-    """Of frames of every kind by one reference and by their own, in which some numbers are none."""
+    """Yield calls with frames of every kind, one reference for all or one for each, and some values that are NaN or
+    infinite.
+    """
 
     def image(kind: torch.dtype, *shape: int, seed: int) -> Tensor:
         values = 250 * random(*shape, seed=seed)
@@ -134,9 +137,10 @@ def thresholds() -> Iterator[Call]:
 
 
 def regions() -> Iterator[Call]:
-    """Of patches, and of ridges within an ellipse, with a hole and dirt, on frames of sizes that are no whole cells.
+    """Yield calls with patches, and with ridges within an ellipse, with a hole and dirt, on frames that are no whole
+    number of cells.
 
-    None of these has a pixel so near the limit that rounding decides on which side it lies (0.4 has two).
+    No pixel lies so near the limit that rounding decides on its side; a share of 0.4 would have two.
     """
     settings = ((1, None), (2, None), (8, None), (8, 8), (30, 4), (255, 4))
     for share, shape, (radius, cell) in product((0.0, 0.1, 0.45, 0.7, 1.0), SHAPES, settings):
@@ -178,7 +182,9 @@ def contact_thresholds() -> Iterator[Call]:
 
 
 def thresholds_of_hard_frames() -> Iterator[Call]:
-    """Smaller than windows and cells; empty glass, one grey level, no light and no frame."""
+    """Yield calls with frames smaller than windows and cells, an empty glass, one grey level, no light, and no
+    frame.
+    """
     for shape, (median, stride) in product(SHAPES, ((3, 1), (15, 8), (5, 3))):
         light = torch.full((1, 1, *shape[1:]), 250.0)
         op = partial(contact_threshold, median_px=median, stride_px=stride)
@@ -190,7 +196,9 @@ def thresholds_of_hard_frames() -> Iterator[Call]:
 
 
 def whole_frames(op: Callable[[Tensor], Tensor]) -> Iterator[Call]:
-    """Of every kind; the rows of high frames are sampled. Some pixels are none."""
+    """Yield calls with frames of every kind, some so high that their rows are sampled, and some pixels NaN or
+    infinite.
+    """
     shapes = ((1, 3, 3), (2, 3, 64), (1, 64, 3), (3, 33, 35), (0, 8, 8), (1, 200, 130), (2, 300, 400))
     for dtype, shape in product((torch.uint8, torch.uint16, torch.int32, torch.float32), shapes):
         yield op, (images(shape, dtype, "random"),)
@@ -200,7 +208,7 @@ def whole_frames(op: Callable[[Tensor], Tensor]) -> Iterator[Call]:
 
 
 def deformed_windows() -> Iterator[Call]:
-    """All over two frames of waves and beyond, one of them at NaN, two on the border that is left."""
+    """Yield calls with windows all over two frames of waves and outside, one of them at NaN and two at the border."""
     y, x = torch.meshgrid(torch.arange(90.0), torch.arange(120.0), indexing="ij")
     wave = 120 + 60 * torch.sin(0.5 * x + 0.2 * y) + 40 * torch.cos(0.3 * y - 0.1 * x)
     places = random(60, 2) * torch.tensor([119.0, 89.0])
@@ -219,8 +227,8 @@ def skin(
     noise: float = 1.0,
     deformation: Tensor | None = None,
 ) -> Tensor:
-    """Ridges moved by a shift, with noise, float32 (1, 1, H, W); a deformation about the middle leads to undeformed
-    ones.
+    """Return ridges moved by a shift, with noise, as float32 (1, 1, H, W); `deformation`, about the middle, maps the
+    picture to undeformed ridges.
     """
     y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in size), indexing="ij")
     if deformation is not None:
@@ -232,17 +240,17 @@ def skin(
 
 
 def skin_of_bytes(shift: tuple[float, float], seed: int = 0, deformation: Tensor | None = None) -> Tensor:
-    """`skin` of 150 x 190 px with noise of 2 grey levels, uint8."""
+    """Return `skin` of 150 x 190 px with noise of 2 grey levels, as uint8."""
     return skin(shift, seed, (150, 190), noise=2.0, deformation=deformation).round().clamp(0, 255).to(torch.uint8)
 
 
 def points_inside(batch: int = 1, count: int = 60) -> Tensor:
-    """Points (batch, count, 2) on no pixel, 30 px from the border of `skin_of_bytes` or more."""
+    """Return points (batch, count, 2) between pixels, 30 px or more from the border of `skin_of_bytes`."""
     return 30 + random(batch, count, 2, seed=3) * torch.tensor([130.0, 90.0])
 
 
 def places_in_skin(count: int = 40) -> Tensor:
-    """Points (count, 2) all over the frame, some with their templates beyond its border."""
+    """Return points (count, 2) all over the frame, some with templates that reach over its border."""
     return random(count, 2, seed=3) * torch.tensor([189.0, 150.0])
 
 
@@ -259,14 +267,14 @@ def searches() -> Iterator[Call]:
 
 
 WARPS = (
-    [[1.0, 0.0], [0.066, 1.0]],  # a vector of samples needs taps of five rows, or of six
+    [[1.0, 0.0], [0.066, 1.0]],  # a vector of samples needs taps of five or six rows
     [[1.0, 0.0], [0.07, 1.0]],
     [[1.0, 0.01], [-0.066, 1.0]],
     [[1.6, 0.0], [0.0, 0.7]],
     [[0.6, 0.2], [0.1, 1.5]],
     [[-1.0, 0.05], [0.02, 1.0]],  # mirrored
     [[0.0, -1.0], [1.0, 0.0]],  # a quarter turn
-    [[0.0, 0.0], [0.0, 0.0]],  # none
+    [[0.0, 0.0], [0.0, 0.0]],  # zero
     [[1.0, 1.0], [1.0, 1.0]],
     [[torch.nan, 0.0], [0.0, 1.0]],
 )
@@ -274,13 +282,15 @@ FAR_OFF = [[torch.nan, 5.0], [torch.inf, 5.0], [-300.0, 20.0], [1e9, 1e9], [-3e3
 
 
 def predicted(*given: Any, **settings: Any) -> Any:
-    """`track_points` with predictions and deformations as the last of its tensors."""
+    """Return `track_points` of the tensors, the last two of which are predictions and deformations."""
     *frames_and_points, initial, warp = given
     return track_points(*frames_and_points, initial=initial, warp=warp, **settings)
 
 
 def tracks() -> Iterator[Call]:
-    """Of any window, motion, deformation, contrast and kind of frames; with holes, and of points that are nowhere."""
+    """Yield calls with any window, motion, deformation, contrast and kind of frames, with NaN pixels, and with points
+    outside the frame.
+    """
     first, second, points = skin_of_bytes((0, 0)), skin_of_bytes((0.6, -0.3), 1), points_inside()
     for window, free in product((5, 15, 17, 21, 31, 33, 47), (False, True)):
         yield partial(track_points, window=window, gain_offset=free), (first, second, points)
@@ -298,10 +308,10 @@ def tracks() -> Iterator[Call]:
     for far in (0.0, 0.7):
         guess = points + torch.tensor([0.6 + far, -0.3])
         yield partial(predicted, mismatch_limit=0.5), (first, second, points, guess, leaning)
-    # Steps by the template's structure are 1 / gain too long: Newton's are not.
+    # Steps by the structure tensor of the template are too long by 1 / gain; Newton's steps are not.
     for gain, warp in product((0.45, 2.1), (None, torch.eye(2).expand(1, 60, 2, 2))):
         yield predicted, (first.float(), gain * skin_of_bytes((0.3, -0.2), 1).float(), points, None, warp)
-    # The backward check of a searched point begins where its own search ended.
+    # The backward check of a searched point begins where its search ended.
     for warp in (None, torch.tensor([[1.01, 0.01], [-0.01, 0.99]]).expand(1, 60, 2, 2)):
         yield partial(predicted, search=12), (first, skin_of_bytes((9.3, -6.6), 1), points, None, warp)
     nowhere = torch.tensor([FAR_OFF])
@@ -316,7 +326,7 @@ def tracks() -> Iterator[Call]:
 
 
 def corrections() -> Iterator[Call]:
-    """Of a press with noise, of whose points some are lost and one has no place."""
+    """Yield calls with a press with noise, some points of which are lost and one has no position."""
     for count, frames in ((700, 1), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0), (300, 4)):
         random = np.random.default_rng(0)
         start = random.uniform((40, 40), (500, 440), (1, count, 2))
@@ -338,7 +348,7 @@ def corrections() -> Iterator[Call]:
 
 
 def corners() -> Iterator[Call]:
-    """In texture with saturation at either end, in tiles that repeat every response, on lines, in masks."""
+    """Yield calls with saturated texture, tiles that repeat every response, lines, and masks."""
 
     def texture(*shape: int) -> Tensor:
         noise = 3 * random(*shape) - 1
@@ -361,12 +371,14 @@ def corners() -> Iterator[Call]:
     masks = random(2, 1, 80, 90) > 0.4
     for mask, border in product((masks, masks[:1], torch.zeros_like(masks)), (0, 1, 20, 1000)):
         yield partial(detect_corners, border=border), (texture(2, 1, 80, 90), 50, 4.0, mask)
-    # More candidates than are sorted at once.
+    # More candidates than are sorted at a time.
     yield partial(detect_corners, window=3, quality=0.0, noise=0.0), (texture(1, 1, 300, 400), 10**4, 1.0)
 
 
 def local_fits(dtype: torch.dtype, gauge: float, unit: float) -> Iterator[Call]:
-    """Of one geometry for all frames and of their own; points, values and queries that are none or far away."""
+    """Yield calls with one geometry for all frames and with one for each; some points, values and queries are NaN or
+    far away.
+    """
 
     def fit(points: Tensor, values: Tensor, queries: Tensor, variance: Tensor | None) -> Any:
         return local_gradients(points * unit, values, queries * unit, gauge_length=gauge * unit, variance=variance)
@@ -405,8 +417,10 @@ def local_fits(dtype: torch.dtype, gauge: float, unit: float) -> Iterator[Call]:
 
 
 def area_fields(with_others: bool) -> Iterator[Call]:
-    """Rough displacements, ellipses in the cloud, over its border and beyond it, of all sizes; a third of the points
-    apart, if `with_others`, some of them without fields.
+    """Yield calls with rough displacements and ellipses of all sizes in the cloud of points, over its border and
+    outside.
+
+    If `with_others`, a third of the points have fields of their own, some of them NaN.
     """
     sizes = ((0, 0.0, True), (50, 0.0, False), (700, 0.3, True), (700, 0.0, True), (700, 0.0, False))
     for measure, (points, unknown, noisy) in product(STRAIN_MEASURES, sizes[2:] if with_others else sizes):
@@ -450,15 +464,17 @@ def strains_of_triangles() -> Iterator[Call]:
 
 
 def of_fits(dtype: torch.dtype, radius: float) -> dict[str, Tolerance]:
-    """A hundred roundings of sums of up to 300 products, times the worst ratio of radius to spread, squared."""
+    """Return tolerances of a hundred roundings of sums of up to 300 products, times the worst ratio of radius to
+    spread, squared.
+    """
     rounding = 100 / 0.1**2 * torch.finfo(dtype).eps
     sizes = {"value": 1.0, "gradient": 1 / radius, "centroid_offset": radius, "covariance": 1 / radius**2}
     return {name: (rounding, rounding * size) for name, size in sizes.items()}
 
 
-#: Of regions: a cell at the border whose density differs by rounding takes some pixels with it.
+#: Tolerances of regions: if rounding changes the density of a cell at the border, some pixels change sides.
 REGION = {"density_margin": (2e-5, 2e-5), "angle": (2e-5, 1e-2)}
-#: Of areas: a position at a limit may count in one form and not in the other, one of 800.
+#: Tolerances of areas: one position of 800, at a limit, may count in one form only.
 AREA = {"known": (0.0, 3 / 800), "std": (2e-2, 1e-6)}
 TWINS = {
     "median_filter": Twin(medians),
@@ -473,14 +489,14 @@ TWINS = {
     "halved_image": Twin(partial(whole_frames, halved_image)),
     "spline_coefficients": Twin(partial(whole_frames, spline_coefficients)),
     "estimate_noise": Twin(partial(whole_frames, estimate_noise), (1e-5, 1e-7)),
-    # To what rounding of a place, 1e-5 px, is on slopes of 50 grey levels a px.
+    # Positions are rounded to 1e-5 px, on slopes of 50 grey levels per px.
     "sample_windows": Twin(deformed_windows, (0.0, 2e-3), in_double=True),
-    "search_windows": Twin(searches, (0.0, 1e-2)),  # a start for the tracker, good to about a pixel
-    # Positions of a few hundred px in float32 are 3e-5 px apart. The residual is a difference of sums of squares, a
-    # hundredth of them and less: float32 leaves some percent of it.
+    "search_windows": Twin(searches, (0.0, 1e-2)),  # px: a start for the tracker
+    # Float32 positions of a few hundred px have steps of 3e-5 px. The residual is a difference of sums of squares a
+    # hundred times as large, so that float32 leaves some percent.
     "track_points": Twin(tracks, (0.0, 1e-4), {"covariance": (2e-2, 2e-6)}),
-    # Positions to two units in the last place. Portable fits are products of matrices: a few units of 1e-5 of a
-    # gradient off where points are few; extrapolated, and squared in the covariance, a third more.
+    # Positions agree to two units in the last place. Portable fits are matrix products, whose gradients differ by a few
+    # 1e-5 where points are few, and by a third more where they are extrapolated, or squared in the covariance.
     "correct_points": Twin(
         corrections,
         (1e-5, 1.3e-4),
@@ -494,7 +510,7 @@ TWINS = {
         for dtype, gauge, unit in product((torch.float32, torch.float64), (2.5, 40.0), (1e-6, 1.0, 1e6))
     },
     "area_medians": Twin(partial(area_fields, False), (1e-4, 1e-4), AREA, in_double=True),
-    # A position between two points, as far from both, may have the field of either: a rank more or less of 800.
+    # A position equally far from two points may have the field of either: one rank of 800.
     "area_medians of points apart": Twin(partial(area_fields, True), (0.0, 1e-3), AREA, in_double=True),
     "triangle_strain": Twin(
         strains_of_triangles, (1e-5, 1e-5), {"energy": (1e-5, 0.0), "energy_std": (1e-5, 0.0)}, in_double=True

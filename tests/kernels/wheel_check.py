@@ -1,4 +1,4 @@
-"""Run by cibuildwheel in an empty environment: are the kernels in the wheel, and do both forms agree?"""
+"""Check, run by cibuildwheel in an empty environment, that a wheel has the kernels and that both forms agree."""
 
 import torch
 

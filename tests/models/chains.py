@@ -1,4 +1,4 @@
-"""One chain and its beginning, for tests of the parts of the skin model."""
+"""Helpers for tests of the parts of the skin model: a chain and its initial state."""
 
 import numpy as np
 import torch

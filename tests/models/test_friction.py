@@ -1,4 +1,4 @@
-"""Dahl's friction against a numerical solution, its limits, its energy, its slopes, and the printed stray factor."""
+"""Tests of Dahl's friction: numerical solution, limits, energy, slopes, and the printed factor "s"."""
 
 import math
 
@@ -19,7 +19,7 @@ def slide(before: Array | float, slid: Array | float, last: Array | float, n: fl
 
 
 def rate(force: float, sign: float, limit: float, n: float, stiffness: float = 500.0) -> float:
-    """dF/dx of equation 7."""
+    """Return dF/dx of equation 7."""
     u = 1 - sign * force / limit
     return stiffness * abs(u) ** n * math.copysign(1, u)
 
@@ -38,7 +38,9 @@ def test_the_closed_form_solves_equation_7(n: float, before: float, slid: float)
 
 @pytest.mark.parametrize("n", [0.0, 0.3, 0.7, 1.0, 2.0])
 def test_steps_do_not_matter_and_the_stiffness_at_rest_is_sigma_0(n: float) -> None:
-    """1 or 200 steps end at the same force; the stray factor "s" of print would make it another quantity."""
+    """One step and 200 steps end at the same force, and the initial stiffness is sigma_0; the printed factor "s" would
+    change the dimension.
+    """
     force = np.array([-0.03])
     for _ in range(200):
         force = slide(force, 5e-7, 0.05, n).force
@@ -62,7 +64,7 @@ def test_the_limit_is_kept_when_it_falls_and_direction_is_no_matter() -> None:
 
 @pytest.mark.parametrize("n", [0.0, 0.5, 0.7, 1.0, 3.0])
 def test_energy_is_never_created(n: float) -> None:
-    """What random slides under random limits take is at least what F^2 / (2 sigma_0) gains."""
+    """Random slides under random limits take at least the work that the stored energy F^2 / (2 sigma_0) gains."""
     draw = np.random.default_rng(1)
     force, energy, lost = np.zeros(40), 0.0, 0.0
     for _ in range(20):
@@ -73,7 +75,7 @@ def test_energy_is_never_created(n: float) -> None:
         assert (cut <= before).all()
         for _ in range(100):
             after = slide(force, slid / 100, limit, n).force
-            work += (force + after) / 2 * slid / 100  # by the trapezium, to its error
+            work += (force + after) / 2 * slid / 100  # by the trapezoidal rule
             force = after
         dissipated = work - (np.square(force) / 1000 - cut)
         assert (dissipated >= -4e-4 * np.abs(work)).all()
@@ -83,7 +85,7 @@ def test_energy_is_never_created(n: float) -> None:
 
 @pytest.mark.parametrize("n", [0.0, 0.7, 1.0, 1.8])
 def test_slopes_are_those_of_the_force(n: float) -> None:
-    """By differences, where nothing switches."""
+    """Slopes equal finite differences of the force away from switching points."""
     draw = np.random.default_rng(7)
     before, slid = 0.02 * draw.standard_normal(200), 1e-4 * draw.standard_normal(200)
     first, last = 0.05 * draw.random((2, 200))

@@ -1,4 +1,4 @@
-"""Epochs of a simulated tribometer: which half periods count, and the coefficient they were made with."""
+"""Tests of friction epochs on a simulated tribometer: the selected half periods, and the known coefficient."""
 
 import math
 
@@ -14,9 +14,10 @@ Trace = dict[str, Tensor]
 
 
 def trace(rate: float = 2000.0, noise: float = 0.02, seconds: float = 8.0) -> Trace:
-    """Strokes of 2 s to the left and 2 s to the right; mu = 0.9 - 0.2 amplitude / um where the envelope rises.
+    """Return signals of strokes of 2 s to the left and to the right with mu = 0.9 - 0.2 amplitude / um where the
+    envelope rises.
 
-    Where it falls, friction is another one, and so it is to the right: neither may come in.
+    Where the envelope falls and on strokes to the right friction is different, and must not be used.
     """
     generator = np.random.default_rng(5)
     time = np.arange(round(rate * seconds)) / rate
@@ -44,7 +45,9 @@ def found() -> FrictionEpochs:
 
 
 def test_epochs_are_the_rising_halves_to_the_left(found: FrictionEpochs) -> None:
-    """8 periods a stroke of 2 s; the one that lies across a turn is left out."""
+    """Epochs are the rising halves of the envelope on strokes to the left: 8 per stroke of 2 s, without those across a
+    turn.
+    """
     starts = found.start / 2000
     rises = (np.arange(0, 32) - 1.0 / (2 * math.pi)) / 4
     expected = [rise for rise in rises if rise >= 0 and rise % 4 >= 0.003 and rise % 4 + 0.125 <= 1.997]
@@ -54,7 +57,7 @@ def test_epochs_are_the_rising_halves_to_the_left(found: FrictionEpochs) -> None
 
 
 def friction_at_the_bins() -> list[float]:
-    """Of the middle of each bin, as far as the envelope reaches: 0 to 3 um."""
+    """Return the friction coefficient at the middle of each bin, within the range of the envelope (0 to 3 um)."""
     edges = np.clip(EDGES.numpy(), 0, 3e-6)
     return [float(mu) for mu in 0.9 - 0.1e6 * (edges[1:] + edges[:-1])]
 
@@ -70,7 +73,9 @@ def test_the_coefficient_falls_with_the_amplitude(found: FrictionEpochs) -> None
 
 
 def test_the_sinusoid_does_not_bias_the_bins() -> None:
-    """Without noise: a sinusoid dwells at its ends, where the middle phase of a bin has 0.024 more or less."""
+    """The sinusoidal envelope does not bias the bins: the envelope dwells at its ends, where the value at the middle
+    phase of a bin is 0.024 off.
+    """
     edges = torch.linspace(0, 3.0001e-6, 7, dtype=torch.float64)
     middles = 1e6 * (edges[1:] + edges[:-1]) / 2
     exact = trace(noise=0.0)
@@ -82,7 +87,7 @@ def test_the_sinusoid_does_not_bias_the_bins() -> None:
 
 
 def test_the_other_halves_would_be_seen() -> None:
-    """Turned round, the same trace gives the friction of the other strokes: 0.5 more."""
+    """With reversed positions the same trace gives the friction of the other strokes, 0.5 more."""
     turned = trace()
     turned["position"] = -turned["position"]
     median, _, _ = friction_epochs(**turned, edges=EDGES).over_epochs()

@@ -1,4 +1,4 @@
-"""Stress at depth against closed forms in 60 digits, against equilibrium, and against each published error."""
+"""Tests of stress at depth against closed forms in 60 digits and equilibrium, and of each published error."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fingerflow.models.half_space import stress
 
-PLACES = [0.0, 0.1, 0.4999, 0.5, 0.6, 3.0, -70.0]  # strip widths from the middle
+PLACES = [0.0, 0.1, 0.4999, 0.5, 0.6, 3.0, -70.0]  # in strip widths from the middle
 DEPTHS = [1e-6, 1e-3, 0.1, 1.0, 2.1, 10.0, 300.0]
 STRIP = torch.tensor([-0.5, 0.5], dtype=torch.float64)
 ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
@@ -24,7 +24,7 @@ def strip_exactly(y: float, z: float, load: str) -> list[float]:
     """Return the stresses under a load of 1 on -1/2 to 1/2 by antiderivatives of the four kernels."""
     with mpmath.workdps(60):
         y, z = mpmath.mpf(y), mpmath.mpf(z)
-        # Of 2 r^k z^(3-k) / R^4, k = 0 to 3.
+        # Antiderivatives of 2 r^k z^(3-k) / R^4, k = 0 to 3.
         primitives = [
             lambda r: r * z / (r * r + z * z) + mpmath.atan(r / z),
             lambda r: -z * z / (r * r + z * z),
@@ -57,7 +57,7 @@ def test_many_strips_are_the_sum_of_each() -> None:
 
 
 def test_batches_and_depth_maps_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Loads (time, set, M) on edges that move, at a map of places, cut into small pieces."""
+    """Loads (time, set, M) on moving edges give the same stresses at a map of positions in one piece and in many."""
     generator = torch.Generator().manual_seed(2)
     edges = torch.rand(4, 1, 6, generator=generator, dtype=torch.float64).cumsum(-1)
     pressure = torch.rand(4, 3, 5, generator=generator, dtype=torch.float64)
@@ -74,7 +74,9 @@ LOADED = (tensor(-1.0, -0.2, 0.3, 1.5), tensor(1.0, 0.4, 2.0), tensor(-0.5, 0.2,
 
 
 def test_stress_is_in_equilibrium() -> None:
-    """d sigma_y / dy + d tau / dz = 0 = d tau / dy + d sigma_z / dz, by differences of fourth order."""
+    """Stresses satisfy d sigma_y / dy + d tau / dz = 0 and d tau / dy + d sigma_z / dz = 0, by differences of fourth
+    order.
+    """
     y, z = torch.linspace(-2, 2, 23, dtype=torch.float64)[:, None], torch.linspace(0.3, 3, 7, dtype=torch.float64)
     step = 1e-3
 
@@ -90,7 +92,7 @@ def test_stress_is_in_equilibrium() -> None:
 
 
 def test_the_surface_carries_the_load() -> None:
-    """sigma_z -> -p and tau -> -q, also where published shear has neither."""
+    """At the surface sigma_z -> -p and tau -> -q; the published shear satisfies neither."""
     edges, pressure, traction = LOADED
     middle = (edges[1:] + edges[:-1]) / 2
     found = stress(middle, 1e-13, *LOADED)
@@ -99,7 +101,7 @@ def test_the_surface_carries_the_load() -> None:
 
 
 def test_total_load_at_every_depth() -> None:
-    """Planes carry the whole force: integrals of sigma_z and tau over y are minus the loads; also far away."""
+    """Integrals of sigma_z and tau over y are minus the total loads at every depth."""
     edges, pressure, traction = LOADED
     widths = edges.diff()
     for z in (0.2, 1.0, 5.0):
@@ -112,14 +114,14 @@ def test_total_load_at_every_depth() -> None:
 
 
 def test_decays_as_a_line_load_does() -> None:
-    """Far below, sigma_z = -2 P / (pi z): halved at twice the depth."""
+    """At large depth sigma_z = -2 P / (pi z), as under a line load."""
     total = (LOADED[1] * LOADED[0].diff()).sum().item()
     for z in (1e3, 2e3):
         assert stress(0.0, z, *LOADED[:2]).sigma_z.item() == pytest.approx(-2 * total / (math.pi * z), rel=1e-3)
 
 
 def test_below_a_hertzian_line_contact() -> None:
-    """Johnson, equations 4.45: on the axis under p0 sqrt(1 - s^2 / a^2), from 4000 strips."""
+    """Stresses on the axis under p0 sqrt(1 - s^2 / a^2), from 4000 strips, equal Johnson's equations 4.45."""
     edges = torch.sin(torch.linspace(-math.pi / 2, math.pi / 2, 4001, dtype=torch.float64))
     pressure = (1 - ((edges[1:] + edges[:-1]) / 2) ** 2).sqrt()
     z = torch.tensor([0.05, 0.5, 0.78, 2.0, 10.0], dtype=torch.float64)
@@ -136,13 +138,15 @@ def test_below_a_hertzian_line_contact() -> None:
 
 
 def quadrature(kernel: Callable[[Tensor, float], Tensor], y: float, z: float) -> float:
-    """Of pressure 1 on the strip."""
+    """Return the integral of a kernel for a pressure of 1 on the strip."""
     s = (torch.arange(200000, dtype=torch.float64) + 0.5) / 200000 - 0.5
     return -2 / math.pi * kernel(y - s, z).mean().item()
 
 
 def test_shear_is_odd_in_the_distance_and_not_squared() -> None:
-    """The published script squares (x - s) in the shear of a pressure, so that shear is the same on both sides."""
+    """The shear under a pressure is odd in x - s; the published script squares this distance, so shear has the same
+    sign on both sides.
+    """
     z, y = 0.4, 0.7
     for sign in (1, -1):
         found = stress(sign * y, z, STRIP, ONE).tau_yz.item()
@@ -154,7 +158,7 @@ def test_shear_is_odd_in_the_distance_and_not_squared() -> None:
 
 
 def test_traction_counts_in_all_three() -> None:
-    """The published script leaves the tangential load out."""
+    """A tangential load changes all three stresses; the published script omits it."""
     with_traction, without = stress(0.7, 0.4, STRIP, ONE, ONE), stress(0.7, 0.4, STRIP, ONE)
     assert all(abs(a.item() - b.item()) > 0.05 for a, b in zip(with_traction, without, strict=True))
 

@@ -1,4 +1,4 @@
-"""The half-sphere laid flat, against 60 digits and against what the paper says of it."""
+"""Tests of the flattened half-sphere against 60 digits and against statements of the paper."""
 
 import math
 
@@ -25,7 +25,7 @@ ALL = (radial_strain, arc_length, contact_radius)
 
 
 def test_the_printed_difference_has_no_digit_left() -> None:
-    """Equations 9 and 10 as printed, at delta = 1e-12 R: why they are not computed that way."""
+    """Equations 9 and 10 as printed lose all digits at delta = 1e-12 R; the code uses another form."""
     t = 1e-12
     arc, radius = math.acos(1 - t), math.sqrt(1 - (1 - t) ** 2)
     assert abs((arc - radius) / arc / (t / 3) - 1) > 0.5
@@ -48,7 +48,7 @@ def test_broadcasts() -> None:
     strain = radial_strain(depth, radius)
     assert strain.shape == (4, 3)
     assert strain.dtype == torch.float64
-    # Vectors and single numbers may be computed by other instructions, which round otherwise.
+    # Vectors and single numbers may use different instructions, which round differently.
     assert strain[2, 1].item() == pytest.approx(radial_strain(depth[2, 0], radius[1]).item(), rel=1e-14)
 
 

@@ -1,4 +1,6 @@
-"""The model of partial slip: both directions, the branch that loading follows, limits, and what the paper misprints."""
+"""Tests of the partial-slip model: both directions, the branch that loading follows, limits, and the
+paper's misprints.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from fingerflow.models.partial_slip import (
     stuck_area,
 )
 
-# mu_k below, at, just beside, above mu_s; at and beyond 2 mu_s; and none.
+# mu_k below mu_s, 0, equal to mu_s, just below, above, at and beyond 2 mu_s, and little below a large mu_s.
 FRICTION = [(0.8, 0.5), (0.8, 0.0), (0.8, 0.8), (0.8, 0.8 * (1 - 1e-9)), (0.8, 1.2), (0.8, 1.6), (0.8, 2.4), (3.0, 2.9)]
 
 
@@ -32,7 +34,9 @@ def test_the_load_of_the_area_of_a_load_is_the_load(mu_s: float, mu_k: float) ->
 
 @pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
 def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -> None:
-    """To 1e-12, and where the load hardly depends on the area as well as float64 can hold that load."""
+    """Area to load to area returns the area to 1e-12; where the load hardly depends on the area, to the rounding of the
+    load in float64.
+    """
     smallest = smallest_area(mu_s, mu_k)
     areas = smallest + (1 - smallest) * torch.linspace(0, 1, 2001, dtype=torch.float64)
     back = stuck_area(load_ratio(areas, mu_s, mu_k), mu_s, mu_k)
@@ -74,7 +78,7 @@ def test_where_the_equation_is_linear_so_is_the_curve() -> None:
 
 
 def test_small_loads_keep_their_digits() -> None:
-    """1 - d^2 is T/(2 mu_s N) for a small load; the textbook root subtracts nearly equal numbers there."""
+    """For small loads 1 - d^2 is T / (2 mu_s N); the textbook root subtracts nearly equal numbers there."""
     load = 1e-9
     assert 1 - stuck_area(load, 0.8, 0.5).item() == pytest.approx(load / 1.6, rel=1e-6)
 
@@ -97,7 +101,7 @@ def test_the_printed_inversion_is_not_an_inversion() -> None:
 
 
 def test_a_minimal_area_needs_more_static_than_kinetic_friction() -> None:
-    """The abstract says the reverse."""
+    """A critical area exists only if static friction exceeds kinetic friction; the abstract states the reverse."""
     assert critical_stuck_area(0.8, 0.5).item() == pytest.approx(0.3 / 1.1)
     assert critical_stuck_area(0.8, 0.8) == 0
     assert critical_stuck_area(0.8, 0.0) == 0.5
@@ -112,7 +116,9 @@ def test_no_critical_area_beyond_a_half_or_below_zero() -> None:
 @pytest.mark.parametrize(("mu_s", "mu_k"), [(0.8, 0.5), (0.8, 1.3), (0.7, 0.0)])
 @pytest.mark.parametrize("area", [0.0, 0.11, 0.36, 0.9, 1.0])
 def test_the_traction_adds_up_to_the_load(area: float, mu_s: float, mu_k: float) -> None:
-    """The pressure (2 N / A) (1 - r^2) over rings of 2 r dr: inside mu_s times that at the border, around it mu_k p."""
+    """The traction integrates to the load: mu_s times the pressure at the border inside the stick region, mu_k p around
+    it, under the pressure (2 N / A) (1 - r^2).
+    """
     inside, _ = quad(lambda r: mu_s * 2 * (1 - area) * 2 * r, 0, area**0.5)
     around, _ = quad(lambda r: mu_k * 2 * (1 - r * r) * 2 * r, area**0.5, 1)
     assert load_ratio(area, mu_s, mu_k).item() == pytest.approx(inside + around, abs=1e-9)

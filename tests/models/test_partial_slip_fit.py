@@ -1,4 +1,4 @@
-"""mu_s and mu_k from noisy trials, their intervals, and which curve it was."""
+"""Tests of mu_s and mu_k fitted to noisy trials, their intervals, and the choice between curves."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ from tests.slip_trials import simulate_trial
 def loading(
     mu_s: float, mu_k: float, seed: int, noise: float = 0.01
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """179 frames of slow loading up to just below the critical load, d^2 and T/N with independent errors."""
+    """Return d^2 and T/N, with independent errors, of 179 frames of slow loading up to just below the critical load."""
     trial = simulate_trial(mu_s, mu_k, seed, area_noise=noise, load_noise=noise / 2, oscillation=0)
     frames = slice(0, 179)
     return trial.stuck_area[frames], trial.load_ratio[frames]
@@ -31,7 +31,9 @@ def test_without_noise_the_coefficients_are_exact() -> None:
 
 
 def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
-    """80 trials at 90 %: 72 expected; fewer than 63 or more than 79 would come once in a hundred times or less."""
+    """Intervals of 90 % contain the truth in 63 to 79 of 80 trials: 72 are expected, other numbers have a probability
+    of 1 % or less.
+    """
     hits = np.zeros(4)
     errors = []
     for seed in range(80):
@@ -42,13 +44,13 @@ def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
         assert (fit.level, fit.resamples, fit.seed) == (0.9, 200, seed)
     assert ((hits >= 63) & (hits <= 79)).all(), hits
     error = np.array(errors)
-    # No bias beyond a standard deviation of a single trial.
+    # The bias is below the standard deviation of a single trial.
     assert (np.abs(error.mean(0)) < error.std(0)).all()
     assert (error.std(0) < (0.006, 0.015)).all()
 
 
 def test_noise_of_the_area_moves_the_fit_little() -> None:
-    """The model bends, so noise of d^2 biases it. At 0.03 mu_s comes out 0.004 high, without the correction 0.006."""
+    """Noise of d^2 biases the nonlinear fit: 0.03 raises mu_s by 0.004, and by 0.006 without the correction."""
     errors = []
     for seed in range(60):
         trial = simulate_trial(0.8, 0.5, seed, frame_rate=300, area_noise=0.03, load_noise=0.003, oscillation=0)
@@ -125,7 +127,7 @@ def test_the_curve_that_made_the_data_is_named(
     with np.errstate(invalid="ignore"):  # NaN beyond full slip
         area = curve(load)
     load, area = load[np.isfinite(area)], area[np.isfinite(area)]
-    # Full slip comes over the last frames: without them a contact that holds has no curve.
+    # Full slip occurs in the last frames: without them a sticking contact determines no curve.
     area, load = np.append(area, area[-1] * np.array([0.7, 0.4, 0.2])), np.append(load, [load[-1]] * 3)
     area = np.clip(area + 0.01 * draw.standard_normal(area.size), 0, 1)
     comparison = compare_curves(area, load + 0.004 * draw.standard_normal(load.size))

@@ -1,4 +1,6 @@
-"""The verdict of a trial: by the change point, as printed, by the model, and what cannot be judged."""
+"""Tests of the verdict on a trial: by the change point, by the printed rule, by the model, and trials without a
+verdict.
+"""
 
 from dataclasses import asdict
 
@@ -31,7 +33,7 @@ def test_an_area_that_vanishes_abruptly() -> None:
 
 
 def test_the_largest_area_in_the_corridor_is_the_papers_number() -> None:
-    """Without noise: the model's own d^2 where T/N enters the corridor."""
+    """Without noise the largest area in the corridor is the model's d^2 where T/N enters the corridor."""
     trial = simulate_trial(0.8, 0.4, seed=0, frame_rate=1000, area_noise=0, load_noise=0, oscillation=0)
     verdict = judged(trial)
     at_edge = stuck_area(0.95 * 0.8**2 / 1.2, 0.8, 0.4).item()
@@ -44,7 +46,9 @@ def test_the_largest_area_in_the_corridor_is_the_papers_number() -> None:
 
 @pytest.mark.parametrize("mu_k", [0.8, 0.9, 1.2])
 def test_an_area_that_fades_is_not_taken_for_one_that_vanishes(mu_k: float) -> None:
-    """The limit of 0.05 in print belongs to a misprinted curve: with it every one of these vanishes abruptly."""
+    """A fading area diminishes. With the printed limit of 0.05, which belongs to a misprinted curve, trials with mu_k <
+    1 vanish abruptly.
+    """
     verdict = judged(simulate_trial(0.8, mu_k, seed=4))
     assert verdict.outcome == verdict.model_outcome == "diminishes"
     assert verdict.printed_outcome == ("vanishes abruptly" if mu_k < 1 else "diminishes")
@@ -62,7 +66,7 @@ def test_where_the_limits_come_from() -> None:
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
 @pytest.mark.parametrize("loading", [1.5, 3.0])
 def test_the_papers_own_fading_line_diminishes(rate: float, noise: float, loading: float) -> None:
-    """d^2 = 1 - T/(mu N) is at 0.05 where it enters the corridor, and by every rule it vanishes without a collapse."""
+    """The paper's line d^2 = 1 - T/(mu N), which enters the corridor at 0.05, diminishes by every rule."""
     draw = np.random.default_rng(1)
     time = np.arange(0, loading + 1, 1 / rate)
     load = np.minimum(time / loading, 1)
@@ -76,14 +80,16 @@ def test_the_papers_own_fading_line_diminishes(rate: float, noise: float, loadin
 @pytest.mark.parametrize("collapse_ms", [130, 310])
 @pytest.mark.parametrize("last", [0.10, 0.15, 0.22, 0.34])
 def test_an_area_that_falls_in_a_straight_line(last: float, collapse_ms: float, rate: float) -> None:
-    """The paper's range, without the model's curve, by which only 0.34 vanishes abruptly."""
+    """An area that falls in a straight line to a value in the paper's range vanishes abruptly; by the model only 0.34
+    does.
+    """
     for noise in (0.0, 0.01):
         trial = simulate_trial(
             0.8, 0.4, 1, rate, collapse_ms=collapse_ms, area_noise=noise, load_noise=noise / 2, oscillation=0, last=last
         )
         verdict = judged(trial)
         assert verdict.outcome == verdict.printed_outcome == "vanishes abruptly"
-        if last != 0.22:  # in the corridor d^2 is 0.26 then, at the model's limit
+        if last != 0.22:  # d^2 is then 0.26 in the corridor, the limit of the model
             assert verdict.model_outcome == ("vanishes abruptly" if last > 0.3 else "diminishes")
         assert verdict.critical_area == pytest.approx(last, abs=0.02)
         assert abs(verdict.critical_area - last) < 2 * verdict.critical_area_std < 0.05
@@ -100,7 +106,8 @@ def test_a_trial_that_fades_far_below_both_limits() -> None:
 
 
 def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
-    """Any friction, rate, duration and noise; one in ten with an unsteady force, one in ten without full slip.
+    """Return a trial of random friction, rate, duration and noise, and its outcome; one in ten has an unsteady force,
+    one in ten no full slip.
 
     With `linear` the area falls in a straight line to 0.10 to 0.34, as in the paper.
     """
@@ -127,7 +134,9 @@ def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
 @pytest.mark.long
 @pytest.mark.parametrize("linear", [True, False])
 def test_a_hundred_random_trials(linear: bool) -> None:
-    """At least 95 right of straight lines and of the model's curves; d^2 and duration within their deviations."""
+    """At least 95 of 100 random trials are judged right, for straight lines and for curves of the model; d^2 and
+    duration agree within their deviations.
+    """
     wrong, model_wrong, areas, times, errors = [], 0, [], [], []
     for seed in range(100):
         trial, truth = random_trial(seed, linear)
@@ -167,7 +176,7 @@ def test_frames_without_a_number_change_nothing_but_their_count() -> None:
 
 
 def test_a_jump_of_one_frame_changes_nothing() -> None:
-    """Stick-slip of 5 px in one frame: nothing seems stuck there, and the force dips."""
+    """Single frames of stick-slip, in which no skin seems to stick and the force dips, do not change the verdict."""
     trial = simulate_trial(0.8, 0.4, seed=7)
     area, load = trial.stuck_area.copy(), trial.load_ratio.copy()
     for frame in (60, 100, 150, 178):
@@ -179,7 +188,7 @@ def test_a_jump_of_one_frame_changes_nothing() -> None:
 
 
 def sawtooth(trial: SimulatedTrial) -> np.ndarray:
-    """T/N that builds up and lets go five times a second."""
+    """Return a T/N that builds up and drops five times per second."""
     return trial.load_ratio * (1 - 0.25 * (5 * trial.time % 1))
 
 

@@ -1,4 +1,6 @@
-"""What a press must show: balance, symmetry, convergence, friction that only takes, the same rest by another method."""
+"""Tests of a press of the skin chain: balance, symmetry, convergence, dissipative friction, and the same rest by
+another method.
+"""
 
 import math
 from dataclasses import replace
@@ -38,7 +40,7 @@ def test_a_mirrored_press_to_rounding(pressed: PressedChain) -> None:
 
 
 def test_both_halves_are_one_skin(pressed: PressedChain) -> None:
-    """The published term in nu pushes them apart as blocks: all of the way in one step at the middle element."""
+    """Displacement is continuous at the middle; the published term in nu moves both halves apart as blocks."""
     along = pressed.displacement[..., 0].diff(dim=-1)
     middle = along.shape[-1] // 2
     whole = 2 * pressed.displacement[..., 0].amax(-1)
@@ -55,7 +57,9 @@ def test_more_friction_less_divergence(pressed: PressedChain) -> None:
 
 
 def test_friction_points_against_the_motion(pressed: PressedChain) -> None:
-    """The published script's pushes each element further on its way: the edge of the contact moves more, not less."""
+    """Friction opposes the motion; friction in the published script acts along the motion, so the edge of the contact
+    moves further.
+    """
     away = pressed.displacement[1:, :, 0]
     force = pressed.friction_force[1:]
     strong = force.abs() > 0.05 * force.abs().amax(-1, keepdim=True)
@@ -96,8 +100,9 @@ def test_parameter_sets_in_a_batch() -> None:
 
 
 def test_forces_balance_in_every_member_of_a_batch() -> None:
-    """11 members, so the last lanes are half empty: each to 1e-6 of its own load, and what presses the elements is that
-    load, though loads differ by 30 and stiffnesses by 4."""
+    """In a batch of 11 members, which leaves SIMD lanes half empty, forces balance to 1e-6 of each member's load,
+    although loads differ by 30 and stiffnesses by 4.
+    """
     load = torch.logspace(-1, 0.5, 11, dtype=torch.float64)
     tissue = LAB.tissue_stiffness * torch.linspace(0.5, 2, 11, dtype=torch.float64)
     skin = replace(LAB, tissue_stiffness=tissue, contact_stiffness=100 * tissue)
@@ -109,7 +114,9 @@ def test_forces_balance_in_every_member_of_a_batch() -> None:
 
 
 def test_converges_with_the_number_of_elements() -> None:
-    """To 1601 elements at the places of 101: errors fall with an order near 2 (contact begins between elements)."""
+    """Errors at the positions of 101 elements, relative to 1601 elements, fall with an order near 2 (contact begins
+    between elements).
+    """
     counts = (101, 201, 401, 801)
     fine = press(0.3, elements=1601, tolerance_m=2e-8).position[::16]
     errors = [
@@ -122,13 +129,15 @@ def test_converges_with_the_number_of_elements() -> None:
 
 
 def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even steps of a load that rises without new contact: errors fall by 4 with each halving, friction included."""
+    """With even steps of a rising load without new contact, errors fall by 4 with each halving of the step, friction
+    included.
+    """
     chain = chain_of(elements=41)._replace(bone_damping=1.0)
     mu = np.full(41, 0.05)
     first = begun(chain)
     skin_implicit.advance(chain, first, mu, constant_load(3.0), 0.2, 1e-9, 0.0)
     load = skin_implicit.Load(np.array([0.0, -3.0]), np.array([0.02, -2.95]))
-    monkeypatch.setattr(skin_implicit, "NEWTON", 1e-15)  # of a tolerance of 1 m
+    monkeypatch.setattr(skin_implicit, "NEWTON", 1e-15)  # relative to a tolerance of 1 m
     monkeypatch.setattr(skin_implicit, "_step_factor", lambda error: 1.0)
 
     def end(count: int) -> np.ndarray:
@@ -154,8 +163,10 @@ def test_the_tolerance_rules_the_error() -> None:
 
 
 def test_the_same_rest_by_explicit_runge_kutta() -> None:
-    """SciPy's method of order 5 on the rates of Dahl's force: after 30 ms the same places to 10 nm, the same forces."""
-    chain = chain_of(elements=41)._replace(bone_damping=5.0)  # a slow bone: longer steps are stable
+    """SciPy's Runge-Kutta method of order 5 gives the same positions to 10 nm and the same friction
+    forces after 30 ms.
+    """
+    chain = chain_of(elements=41)._replace(bone_damping=5.0)  # a slowly moving bone: longer steps are stable
     mu, load, implicit = np.full(41, 0.3), constant_load(3.0), begun(chain)
     skin_implicit.advance(chain, implicit, mu, load, 0.03, 1e-9, 0.0)
     place, rubbed = runge_kutta(chain, mu, load.first, 0.03)
@@ -165,14 +176,16 @@ def test_the_same_rest_by_explicit_runge_kutta() -> None:
 
 
 def test_energy_is_only_lost() -> None:
-    """Work of the load = stored + lost in dampers + lost in friction, and that is never negative, step by step."""
+    """The work of the load equals the stored energy plus the losses in dampers and friction, and friction never returns
+    energy in any step.
+    """
     chain = chain_of(elements=61)
     mu, load, state = np.full(61, 0.15), constant_load(3.0, along=0.3), begun(chain)
     nodes, rubbed = nodes_of(chain), np.zeros(61)
     lost, damped, worst = 0.0, 0.0, 0.0
     for span in np.diff(np.concatenate(([0.0], np.geomspace(1e-7, 0.05, 400)))):
         skin_implicit.advance(chain, state, mu, load, span, 2e-9, 0.0)
-        taken = (rubbed + state.friction) / 2 * (state.nodes - nodes)[:-1, 0]  # by the trapezium
+        taken = (rubbed + state.friction) / 2 * (state.nodes - nodes)[:-1, 0]  # by the trapezoidal rule
         gained = (state.friction**2 - rubbed**2) / (2 * chain.friction_stiffness)
         worst = min(worst, float((taken - gained).sum()))
         lost += float(taken.sum())
@@ -190,12 +203,12 @@ def test_a_tangential_load_is_carried_by_friction() -> None:
     assert pulled.friction_force.sum().item() == pytest.approx(-0.5, rel=1e-6)
     assert pulled.bone[0] > 0
     over = press(0.1, elements=41, tangential_n=1.0, longest_s=0.02)
-    assert over.balance > 0.1  # no rest: it says so
+    assert over.balance > 0.1  # not at rest: the balance shows it
     assert over.friction_force.sum().item() == pytest.approx(-0.3, rel=0.02)
 
 
 def test_a_force_trace() -> None:
-    """To 3 N and back."""
+    """A force trace to 3 N and back is followed, alone and in a batch."""
     time = torch.tensor([0.0, 0.5, 1.0, 1.5], dtype=torch.float64)
     load = torch.tensor([0.0, 3.0, 3.0, 0.0], dtype=torch.float64)
     found = follow(1.0, time, load, elements=101)
@@ -219,10 +232,10 @@ def test_what_has_no_derivative_says_so() -> None:
 
 
 def test_stress_at_depth_beside_the_papers_20_percent() -> None:
-    """At 2 mm and mu = 1.0 against 0.2 this model has 1.00, where the paper reports 1.20.
+    """The stress at 2 mm with mu = 1.0 is 1.00 of that with mu = 0.2, where the paper reports 1.20.
 
-    At 0.2 nearly all elements stick already: Dahl's sigma_0, not mu, limits what friction holds. Even against none at
-    all the load is the same 3 N, and at 2 mm, a contact's half length down, little is left of how it is shared out.
+    At 0.2 nearly all elements stick already: Dahl's sigma_0, not mu, limits the friction force. Even without friction
+    the load is the same 3 N, and at 2 mm, half a contact length deep, its distribution matters little.
     """
     found = press(torch.tensor([0.0, 0.2, 1.0], dtype=torch.float64))
     edges, pressure, traction = found.strips()
@@ -237,10 +250,12 @@ def test_stress_at_depth_beside_the_papers_20_percent() -> None:
 
 
 def test_the_frictionless_press_nears_the_half_sphere_laid_flat() -> None:
-    """Contact length against the geometry of the indentation: a^2 = 2 R delta for skin without links."""
+    """The contact length of a frictionless press nears the geometry of the indentation, a^2 = 2 R delta for skin
+    without links.
+    """
     found = press(0.0, load_n=torch.tensor([0.25, 1.0, 3.0], dtype=torch.float64))
     flat = 2 * (2 * 8e-3 * -found.bone[:, 1]).sqrt()
-    short = 1 - found.contact_length / flat  # links carry some of the edge over 3 elements
+    short = 1 - found.contact_length / flat  # links carry part of the load at the edge over 3 elements
     assert bool((short > 0).all() & (short < 0.15).all() & (short.diff() < 0).all())
     # A bed of springs under a parabola: the force grows with the indentation to the power 1.5.
     power = (found.normal_force.sum(-1).log().diff() / (-found.bone[:, 1]).log().diff()).tolist()

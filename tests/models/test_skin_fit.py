@@ -1,4 +1,4 @@
-"""Friction and stiffness recovered from simulated curves, with intervals that hold them."""
+"""Tests of friction and stiffness fitted to simulated curves, with intervals that contain the truth."""
 
 from dataclasses import replace
 
@@ -60,7 +60,9 @@ def test_stiffness_from_contact_alone() -> None:
 
 
 def test_a_friction_under_which_nearly_all_sticks_has_a_wide_interval() -> None:
-    """At 0.5 the upper end is some times the lower one; at 0.06 with the same noise it is not twice that."""
+    """If nearly all elements stick (friction 0.5) the upper end of the interval is more than three times the lower one;
+    at 0.06 with the same noise it is less than twice.
+    """
     ratios = []
     for friction in (0.06, 0.5):
         found = fit_skin(LOADS, *curves(friction, LAB, 7), **ERRORS, elements=201)

@@ -1,4 +1,6 @@
-"""Forces against the energy they come from, the matrix against forces, the undeformed chain, parameter sets."""
+"""Tests of forces against their energy, of the matrix against forces, of the undeformed chain, and of
+parameter sets.
+"""
 
 from dataclasses import replace
 
@@ -30,7 +32,9 @@ def test_undeformed_is_at_rest() -> None:
 
 
 def test_links_pull_back_as_equation_4_does_not() -> None:
-    """Printed as -k_m (U_(i-1) - 2 U_i + U_(i+1)), which would push an element further out."""
+    """Links pull an element back; the printed sign of -k_m (U_(i-1) - 2 U_i + U_(i+1)) would push the element further
+    out.
+    """
     chain = chain_of()
     nodes = nodes_of(chain)
     nodes[20] += (1e-5, 1e-5)
@@ -42,7 +46,7 @@ def test_links_pull_back_as_equation_4_does_not() -> None:
 
 
 def test_the_matrix_is_the_slope_of_the_forces() -> None:
-    """damping I + c K, by differences; the solution solves it."""
+    """The matrix damping I + c K equals finite differences of the forces, and the solution solves its equations."""
     chain = chain_of(elements=9)
     nodes = bent(chain)
     before = 1e-3 * np.random.default_rng(3).standard_normal(9)
@@ -84,7 +88,9 @@ def test_the_half_circle_is_mirrored_to_the_last_bit(count: int) -> None:
 
 
 def test_parameter_sets_are_those_of_print_and_of_the_lab() -> None:
-    """k_m and k_t are kN/m, which print has as "kNm"; the lab's formula gives the printed k_m."""
+    """Parameter sets equal those of the paper and of the lab: k_m and k_t are in kN/m (printed as "kNm"), and the lab's
+    formula gives the printed k_m.
+    """
     paper, lab = PARAMETERS["paper"], PARAMETERS["lab"]
     assert (paper.membrane_stiffness, paper.tissue_stiffness, paper.damping) == (2500.0, 130.0, 0.1)
     assert lab.membrane_stiffness == pytest.approx(1.54e6 * 8e-3 * 20e-6 / (np.pi * 8e-3 / 500) / 2)

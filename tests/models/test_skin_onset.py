@@ -1,4 +1,4 @@
-"""What a camera sees of the chain: displacement and divergence since each point's contact."""
+"""Tests of the displacement and divergence since the contact of each point, as a camera sees them."""
 
 import math
 
@@ -12,8 +12,11 @@ TIMES = 201
 
 
 def stretching(elements: int) -> PressedChain:
-    """An undeformed row of skin that is laid down from the middle at 1 mm a unit of time while what is down stretches:
-    x(t) = xi (1 + c (t - xi)) for t > xi, so u = c xi (t - xi), and du/dxi + u/xi = c (2 t - 3 xi)."""
+    """Return a press of undeformed skin that is laid down from the middle at 1 mm per unit of time while skin on the
+    plate stretches.
+
+    x(t) = xi (1 + c (t - xi)) for t > xi, so u = c xi (t - xi), and du/dxi + u/xi = c (2 t - 3 xi).
+    """
     c = 0.02
     time = torch.linspace(0, 1, TIMES, dtype=torch.float64)
     place = torch.linspace(-1.2, 1.2, elements, dtype=torch.float64)
@@ -28,8 +31,10 @@ def stretching(elements: int) -> PressedChain:
 
 @pytest.mark.parametrize("elements", [240, 241])
 def test_a_stretch_that_is_known(elements: int) -> None:
-    """Displacement to 2.5e-5: between two times 0.005 apart places are taken as linear; the onset is a kink of c xi.
-    The divergence to 1e-4, a difference of neighbours 0.01 apart; on the axis this field has a kink of its own."""
+    """A known stretch is found: displacement to 2.5e-5, as positions are interpolated linearly between times 0.005
+    apart and the onset is a kink of c xi; divergence to 1e-4, from neighbours 0.01 apart. On the axis this field has a
+    kink itself.
+    """
     found, time = since_onset(stretching(elements)), torch.linspace(0, 1, TIMES, dtype=torch.float64)
     k = 160
     place = torch.linspace(-1.2, 1.2, elements, dtype=torch.float64)[elements // 2 :]
@@ -40,7 +45,7 @@ def test_a_stretch_that_is_known(elements: int) -> None:
         found.displacement[k][inside], (0.02 * place * (time[k] - place))[inside], rtol=0, atol=2.5e-5
     )
     assert found.displacement[k][place > time[k] + 0.02].isnan().all()
-    # Half of the area lies inside of t / sqrt 2.
+    # Half of the area lies within t / sqrt 2.
     assert found.area_median[k].item() == pytest.approx(0.02 * (2 - 3 / math.sqrt(2)) * time[k].item(), abs=3e-4)
     # Over the disc of radius s: 2 u / s = 2 c (t - s).
     assert found.mean_within(0.5)[k].item() == pytest.approx(0.02 * time[k].item(), abs=3e-4)

@@ -1,4 +1,4 @@
-"""The delayed strain against closed solutions, at steps small and large."""
+"""Tests of the delayed strain against closed solutions, with small and large steps."""
 
 import math
 
@@ -12,7 +12,9 @@ E, RATE, NU = 1.1e6, 100.0, 0.4
 
 @pytest.mark.parametrize("step", [1e-9, 1e-5, 3e-3, 0.5])
 def test_a_ramp_of_stress_exactly(step: float) -> None:
-    """sigma_y = c t: e = c / E (t - tau (1 - exp(-t / tau))); the stress across it pulls in by nu."""
+    """A ramp sigma_y = c t gives e = c / E (t - tau (1 - exp(-t / tau))) along y and -nu times that across, whatever
+    the step.
+    """
     time = step * torch.arange(9, dtype=torch.float64)
     found = viscoelastic_strain(5e3 * time, 0 * time, time)
     expected = [5e3 / E * _lag(float(t)) for t in time]
@@ -28,7 +30,7 @@ def _lag(time: float) -> float:
 
 
 def test_a_held_stress_needs_no_small_steps() -> None:
-    """One step of 30 ms ends where 3000 do, at (1 - exp(-3)) of the elastic strain."""
+    """One step of 30 ms ends where 3000 steps do, at (1 - exp(-3)) of the elastic strain."""
     for count in (1, 3000):
         time = torch.linspace(0, 0.03, count + 1, dtype=torch.float64)
         held = torch.full((count + 1, 2), 1e3, dtype=torch.float64)
@@ -37,7 +39,7 @@ def test_a_held_stress_needs_no_small_steps() -> None:
 
 
 def test_the_corner_is_at_16_hz_and_not_at_100() -> None:
-    """At 100 / (2 pi) Hz the amplitude is down to 1 / sqrt 2; at the printed 100 Hz to a sixth."""
+    """The gain falls to 1 / sqrt 2 at 100 / (2 pi) Hz, and to a sixth at the printed corner of 100 Hz."""
     for frequency, gain in ((RATE / (2 * math.pi), 1 / math.sqrt(2)), (100.0, 1 / math.hypot(1, 2 * math.pi))):
         time = torch.linspace(0, 0.3, 6001, dtype=torch.float64)
         stress = torch.sin(2 * math.pi * frequency * time)

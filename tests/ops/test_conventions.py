@@ -1,6 +1,6 @@
-"""The Convention block of every public op: axes, sign, pixel centre, dtype, NaN and border are as it states.
+"""Tests of the Convention block of every public op: axes, sign, pixel centre, dtype, NaN and border are as stated.
 
-A new op takes a line of `KINDS`, `SIGNS`, `OF_NAN` and `BORDERS`.
+A new op needs an entry in `KINDS`, `SIGNS`, `OF_NAN` and `BORDERS`.
 """
 
 import inspect
@@ -17,7 +17,7 @@ from tests.embedded import CASES, HEIGHT, WIDTH, expected, scene, tensors_of
 
 ENTRIES = ["axes", "sign", "pixel centre", "dtype", "NaN", "border"]
 
-#: What the inputs and results of an op are, from which follows what a mirror does to them.
+#: Kinds of the inputs and results of an op, which determine how a mirror changes them.
 KINDS = {
     "curl": ("gradient", "pseudo"),
     "dense_flow": ("image image", "field matrices image"),
@@ -35,7 +35,7 @@ KINDS = {
     "triangle_gradients": ("places - vectors", "gradient"),
 }
 
-#: dtype of the result, given those of the inputs that are images or numbers.
+#: dtype of the result as a function of the dtypes of the inputs that are images or numbers.
 DTYPES: dict[str, Callable[..., torch.dtype]] = {
     "that of the input.": lambda *given: given[0],
     "widest of the inputs.": lambda *given: max(given, key=lambda dtype: dtype.itemsize),
@@ -70,7 +70,7 @@ def block_of(name: str) -> dict[str, str]:
 
 
 def mirrored(value: Any, kind: str, axis: int) -> Any:
-    """Return a value as it is of the mirrored picture, x to W - 1 - x (axis 0) or y to H - 1 - y (axis 1)."""
+    """Return a value of the mirrored image, x to W - 1 - x (axis 0) or y to H - 1 - y (axis 1)."""
     sign = torch.ones(2).index_fill(0, torch.tensor(axis), -1)
     last = torch.tensor([WIDTH - 1.0, HEIGHT - 1.0])
     across = (-1, -2)[axis]
@@ -100,8 +100,8 @@ def test_every_op_states_its_convention(name: str) -> None:
 @pytest.mark.parametrize("axis", [0, 1], ids="xy")
 @pytest.mark.parametrize("name", ops.__all__)
 def test_axes_and_pixel_centres_by_a_mirror(name: str, axis: int) -> None:
-    """The mirrored picture gives mirrored results: x goes to W - 1 - x, for centres at whole numbers, and u to -u, as x
-    comes first. The rounding of points of 50 px in float32, and where an iteration stops, remain.
+    """A mirrored image gives mirrored results: x goes to W - 1 - x, as pixel centres are whole numbers, and u to -u, as
+    x comes first. The tolerance covers the rounding of positions of 50 px in float32 and the end of iterations.
     """
     given, found = (kinds.split() for kinds in KINDS[name])
     inputs = tuple(mirrored(one, kind, axis) for one, kind in zip(inputs_of(name), given, strict=True))
@@ -116,7 +116,9 @@ def test_axes_and_pixel_centres_by_a_mirror(name: str, axis: int) -> None:
 @pytest.mark.parametrize("mixed", [False, True], ids=["alike", "mixed"])
 @pytest.mark.parametrize("name", ops.__all__)
 def test_dtype(name: str, mixed: bool, dtype: torch.dtype) -> None:
-    """Of inputs of one dtype, and of those where only the last, such as the points, has it and others are float32."""
+    """The result has the stated dtype, both if all inputs have one dtype and if only the last input (such as the
+    points) has another dtype than float32.
+    """
     inputs = list(inputs_of(name))
     values = ("image", "field", "gradient", "places", "vectors")
     kinds = KINDS[name][0].split()
@@ -143,7 +145,8 @@ STRIPE = image_of(slice(30, 44), slice(None))
 
 
 def stretched() -> tuple[Tensor, Tensor, Tensor]:
-    """Return waves, the same stretched by 3 % in x and compressed by 2 % in y about pixel (16, 16), and the truth.
+    """Return waves, the same waves stretched by 3 % in x and compressed by 2 % in y about pixel (16, 16), and the
+    truth.
 
     The true displacement is (1, 2, H, W) px at whole pixels: centres half a pixel off would shift it by 0.015 px.
     """
@@ -172,14 +175,14 @@ def off_by_flow() -> Tensor:
 
 
 def swirl() -> Tensor:
-    """Return share of the solenoidal part in a rotation from x towards y within a disc."""
+    """Return the share of the solenoidal part in a rotation from x towards y within a disc."""
     y, x = torch.meshgrid(torch.arange(-20.0, 21.0), torch.arange(-20.0, 21.0), indexing="ij")
     field, disc = torch.stack((-y, x))[None], (x.square() + y.square() < 324)[None, None]
     parts = ops.helmholtz_hodge(field, disc)
     return (parts.solenoidal * field)[disc.expand_as(field)].sum() / field[disc.expand_as(field)].square().sum()
 
 
-#: (what is computed, its true value, tolerance): sign and order of axes by examples known in closed form.
+#: (computation, true value, tolerance): sign and order of axes by examples known in closed form.
 SIGNS: dict[str, tuple[Callable[[], Any], Any, float]] = {
     "curl": (lambda: ops.curl(GRADIENT), 0.04, 1e-12),
     "dense_flow": (off_by_flow, [0.0, 0.0], 0.007),
@@ -244,7 +247,7 @@ def test_sign(name: str) -> None:
 
 
 def elementwise(op: Callable[[Tensor], Tensor], given: Tensor) -> None:
-    """NaN stays in its element, and each element stands alone."""
+    """Check that a NaN affects only its own element, and that each element gives the same result alone."""
     broken = given.clone()
     broken[0, 3, 0] = torch.nan
     found, wanted = op(broken), op(given)
@@ -297,7 +300,7 @@ def nan_corners() -> None:
     found = ops.detect_corners(frame(), 5000, 1.0, window=7, noise=0.0)
     x, y = found.points[found.valid].long().T
     assert len(x) > 20
-    assert not around(4)[0, 0, y, x].any()  # half a window, and the pixel that the gradient needs
+    assert not around(4)[0, 0, y, x].any()  # half a window and one pixel of the gradient
     assert found.points[~found.valid].isnan().all()
 
 
@@ -315,7 +318,7 @@ def nan_tracks() -> None:
     assert tracks.status[0, 0] != 0
     far = (points - torch.tensor([AT[3], AT[2]]).float()).abs().amax(-1) > 5 + 3 + 1
     assert far.any()
-    torch.testing.assert_close(tracks.points[far], clean.points[far], rtol=0, atol=2e-3)  # the estimate of the noise
+    torch.testing.assert_close(tracks.points[far], clean.points[far], rtol=0, atol=2e-3)  # the noise estimate differs
 
 
 def nan_flow() -> None:
@@ -440,7 +443,9 @@ def border_triangles() -> None:
 
 
 def border_parts() -> None:
-    """Of a disc that expands, the irrotational part is all, up to its rim; a condition there would take some away."""
+    """Check that an expanding disc is irrotational up to its rim; a boundary condition would remove part of the flow
+    there.
+    """
     y, x = torch.meshgrid(torch.arange(-20.0, 21.0), torch.arange(-20.0, 21.0), indexing="ij")
     field, disc = torch.stack((x, y))[None], (x.square() + y.square() < 324)[None, None]
     rim = (disc & (x.square() + y.square() > 225)).expand_as(field)
@@ -449,7 +454,7 @@ def border_parts() -> None:
 
 
 BORDERS: dict[str, Callable[[], None]] = {
-    **{name: OF_NAN[name] for name in ("curl", "divergence", "green_lagrange", "strain_energy_density")},  # stand alone
+    **{name: OF_NAN[name] for name in ("curl", "divergence", "green_lagrange", "strain_energy_density")},  # elementwise
     "dense_flow": border_flow,
     "detect_corners": border_corners,
     "helmholtz_hodge": border_parts,

@@ -1,4 +1,4 @@
-"""Arguments that an op does not take are refused by an error that names what was found and what is needed."""
+"""Tests that ops refuse invalid arguments with an error that names the value found and the value needed."""
 
 import math
 from collections.abc import Callable
@@ -30,7 +30,7 @@ POINTS, TRIANGLES, GRID = torch.zeros(2, 5, 2), torch.tensor([[0, 1, 2]]), torch
 FIELD, GRADIENT, STRAIN = torch.ones(1, 2, 9, 9), torch.zeros(2, 2), torch.zeros(3)
 MEASURES = "green_lagrange, as_printed, infinitesimal"
 
-#: Arguments that an op takes.
+#: Valid arguments of each op.
 FITTED: dict[Callable[..., Any], dict[str, Any]] = {
     area_medians: {
         **{"reference": POINTS[:1], "displacement": POINTS[:1], "center": torch.zeros(1, 2)},
@@ -50,7 +50,7 @@ FITTED: dict[Callable[..., Any], dict[str, Any]] = {
     rigid_residual: {"points": POINTS, "displacement": POINTS},
 }
 
-#: An op, the arguments that are changed, and the words of the error.
+#: (op, arguments that are changed, pattern of the error message).
 REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.normalize_illumination, {"reference": IMAGE.repeat(3, 1, 1, 1)}, r"reference has shape \(3, 1, 9, 9\)"),
     (ops.normalize_illumination, {"dark": IMAGE[..., 1:]}, r"dark has shape \(1, 1, 9, 8\)"),

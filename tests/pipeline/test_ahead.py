@@ -1,4 +1,4 @@
-"""Batches that are computed ahead of the one in use."""
+"""Tests of batches that are computed ahead of the current one."""
 
 import threading
 
@@ -8,7 +8,7 @@ from fingerflow.pipeline.run import _compute_ahead
 
 
 def test_results_come_in_order_and_one_is_under_way() -> None:
-    """While the first result is in use the second is computed, and no third one."""
+    """While the first result is in use, the second is computed, but not the third."""
     begun: list[int] = []
     second = threading.Event()
 

@@ -1,6 +1,7 @@
-"""The main job on a short synthetic press: what is run for which output, and what its numbers count from.
+"""Tests of the pipeline on a short synthetic press: the stages that run for an output, and the reference of its
+numbers.
 
-tests/test_press_accuracy.py compares them with truth.
+tests/test_press_accuracy.py compares the numbers with truth.
 """
 
 import json
@@ -33,7 +34,7 @@ from tests.small_trials import edit_scene
 
 @pytest.fixture(scope="session")
 def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A press of 24 frames in all: the same movement as at 300 fps, in larger steps."""
+    """Write a press of 24 frames, the same motion as at 300 frames/s in larger steps, and return its folder."""
     folder = tmp_path_factory.mktemp("press") / "press"
     write_recording(folder, Press(n_frames=24, frame_rate=24.0, frames_before_trigger=2))
     edit_scene(folder, {}, stream=False)
@@ -73,7 +74,7 @@ def test_displacement_counts_from_the_way_to_the_onset(result: xr.Dataset) -> No
 
 
 def test_global_displacement_takes_each_component(result: xr.Dataset) -> None:
-    """The lab's script takes the x median twice."""
+    """Global displacement is the median of each component; the lab's script takes the x median twice."""
     expected = np.nanmedian(result["displacement"].values[-1], axis=0)
     np.testing.assert_allclose(result["global_displacement_vector"].values[-1], expected)
     assert result["global_displacement"].values[-1] == pytest.approx(np.hypot(*expected))
@@ -83,7 +84,7 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
     for name, values in result.data_vars.items():
         assert values.attrs["units"], name
         assert values.attrs["long_name"], name
-    others = set(by_name(SLIP, SENSOR_SLIP))  # of other kinds of scene
+    others = set(by_name(SLIP, SENSOR_SLIP))  # outputs of other kinds of scene
     assert {name for name in OUTPUTS if VARIABLES[name].unasked} - others <= set(map(str, result.data_vars))
     assert json.loads(result.attrs["settings"])["tracking"]["window_px"] == 25
 
@@ -96,7 +97,7 @@ def test_backward_and_previous_track_too(scene: Scene, press: Path) -> None:
     material = truth.material(truth.topography_positions(pixels[-1]), len(pixels) - 1)
     found = np.isfinite(pixels[0]).all(-1)
     error = (pixels[0] - truth.topography_pixels(truth.positions(material, 0)))[found]
-    # From frame to frame, and with 23 large steps whose deformation is not modelled, errors add up.
+    # Errors add up from frame to frame over 23 large steps, whose deformation is not modelled.
     assert found.mean() > 0.8
     assert np.median(np.linalg.norm(error, axis=1)) < 0.3
 
@@ -106,14 +107,14 @@ def test_area_alone_looks_at_the_topography_once_to_check_frames(scene: Scene, m
     crop = View.crop
 
     def counted(self: View, frames: np.ndarray) -> np.ndarray:
-        if frames.ndim == 3 and len(frames):  # of the recording, not of a check of sizes
+        if frames.ndim == 3 and len(frames):  # frames of the recording, not a check of sizes
             seen.append(self)
         return crop(self, frames)
 
     monkeypatch.setattr(View, "crop", counted)
     monkeypatch.setattr(TrackingStage, "begin", None)
     areas = process(scene, ["real_contact_area"])
-    # Which frames count does not depend on what was asked for.
+    # The frame check reads both views whatever the requested output.
     assert seen.count(scene.views.topography) == 3
     assert seen.count(scene.views.contact) > 6
     assert "position" not in areas
@@ -154,7 +155,7 @@ def test_results_survive_the_disk_and_a_failed_write_leaves_nothing(
 
 
 def test_frames_are_selected_by_time(result: xr.Dataset, tmp_path: Path) -> None:
-    """In memory and read again; also after a choice of frames, and with the number of the frame as before."""
+    """Frames are selected by time in memory, from a file and after a selection of frames, and keep their numbers."""
     save_result(result, tmp_path / "result.h5")
     times = result["time"].values
     for given in (result, load_result(tmp_path / "result.h5"), result.isel(frame=slice(2, None))):
@@ -198,7 +199,9 @@ def test_no_recording_is_closed_while_it_is_read(
     error: type[BaseException],
     torch_threads: Callable[[int], None],
 ) -> None:
-    """Tracking fails while the next frames are on their way in another thread: a video decoder would crash."""
+    """No recording is closed while another thread still reads the next frames after an error: a video decoder would
+    crash.
+    """
     ahead, readers, at_close = threading.Event(), set[int](), []
     read, close = FileRecording._read_frame, FileRecording.close
 
@@ -206,7 +209,7 @@ def test_no_recording_is_closed_while_it_is_read(
         if threading.current_thread() is threading.main_thread():
             return read(recording, index)
         readers.add(index)
-        if index >= 8:  # of the second batch
+        if index >= 8:  # frames of the second batch
             ahead.set()
             time.sleep(0.05)
         frame = read(recording, index)
@@ -233,7 +236,7 @@ def test_no_recording_is_closed_while_it_is_read(
 
 
 def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], None]) -> None:
-    """With two of them batches are read ahead, and pieces of work shared out."""
+    """Results do not depend on the number of threads; with two, batches are read ahead and work is divided."""
     results = []
     for threads in (1, 2):
         torch_threads(threads)
@@ -284,7 +287,7 @@ def test_swapped_views_are_named(scene: Scene) -> None:
 
 
 def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -> None:
-    """Contact and motion from one picture: what two equal views with the identity between them give."""
+    """A scene with a single view gives the same results as two equal views related by the identity."""
     text = (press / "scene.toml").read_text(encoding="utf-8")
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         text = text.replace(f'"{name}"', f'"{(press / name).as_posix()}"')
@@ -302,7 +305,9 @@ def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -
 
 
 def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scene, press: Path) -> None:
-    """Other points, followed as well: sharpening raises noise, and points are followed in what was recorded."""
+    """Points seeded in the enhanced image differ and are tracked to 1.2 of the error: sharpening raises noise, but
+    tracking uses the recorded image.
+    """
     tracking = replace(scene.tracking, points_from="enhanced")
     plain, enhanced = (process(one, ["position_px"]) for one in (scene, replace(scene, tracking=tracking)))
     truth = rebuild_scene(press).truth

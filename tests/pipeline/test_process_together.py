@@ -1,4 +1,4 @@
-"""Recordings computed together against each by itself."""
+"""Tests of recordings processed together against each processed alone."""
 
 from functools import partial, wraps
 from inspect import signature
@@ -29,17 +29,19 @@ _FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 24
 _TRIALS = (
     Press(n_frames=10, semi_axes=(1.3, 1.1), **_FRAME),
     Press(n_frames=10, semi_axes=(1.2, 1.1), shift=(-0.2, 0.1), **_FRAME),
-    Press(n_frames=6, semi_axes=(1.1, 1.0), gradient=((-0.02, 0.01), (0.0, -0.03)), **_FRAME),  # ends sooner
+    Press(n_frames=6, semi_axes=(1.1, 1.0), gradient=((-0.02, 0.01), (0.0, -0.03)), **_FRAME),  # fewer frames
 )
 _POINTS = (40, 60, 33)
-# px: portable products of matrices are summed in another order when there are more of them, and the fit of a gradient
-# divides that by a window.
+# px: portable matrix products of larger batches sum in another order, and the fit of a gradient divides that
+# rounding by a window.
 _ROUNDING = {"position_px": 1e-4, "divergence": 2e-5, "curl": 2e-5, "real_contact_area": 0.0, "median_divergence": 2e-5}
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three trials in frames of one size, with other skin motion, numbers of points and of frames."""
+    """Write three trials with frames of one size but different motion, points and numbers of frames; return their scene
+    files.
+    """
     found = []
     for trial, points in zip(_TRIALS, _POINTS, strict=True):
         folder = tmp_path_factory.mktemp("trial") / "recording"
@@ -50,7 +52,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture
 def portable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on an accelerator, for which there are no compiled kernels."""
+    """Disable the compiled kernels, as on an accelerator."""
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
 
 
@@ -63,7 +65,9 @@ def alone(scenes: list[Path]) -> list[xr.Dataset]:
 
 
 def compare(found: xr.Dataset, expected: xr.Dataset, rounding: dict[str, float] | None = None) -> None:
-    """All variables bit for bit, or those that are named to so much."""
+    """Check that all variables are equal bit for bit or, with `rounding`, that the named variables agree to these
+    tolerances.
+    """
     assert set(found) == set(expected)
     for name in found if rounding is None else rounding:
         if rounding is None:
@@ -76,7 +80,7 @@ def compare(found: xr.Dataset, expected: xr.Dataset, rounding: dict[str, float] 
 
 @pytest.fixture
 def batches(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[int]]:
-    """How many frames, or recordings, each call of a graph is of, from now on."""
+    """Return a dictionary that records the batch size of each call of a graph."""
     seen: dict[str, list[int]] = {}
     for graph, image in ((ContactGraph, "frames"), (TrackGraph, "view")):
         sizes = seen[graph.__name__] = []
@@ -110,7 +114,7 @@ def test_one_call_of_a_graph_is_of_all_recordings(
         np.testing.assert_array_equal(one["status"].values, other["status"].values)
         compare(one, other, _ROUNDING)
     assert {name: max(sizes) for name, sizes in batches.items()} == {"ContactGraph": 22, "TrackGraph": 3}
-    # Together they take as many calls as the one that needs most, but for the frames that each looks at beforehand.
+    # Together they take as many calls as the longest one, except for the frames that each checks beforehand.
     assert len(batches["TrackGraph"]) <= most["TrackGraph"]
     assert sum(size > 1 for size in batches["ContactGraph"]) == 2
     assert not caplog.messages
@@ -124,7 +128,7 @@ def test_the_same_again_is_the_same_bit_for_bit(scenes: list[Path]) -> None:
 
 @pytest.mark.parametrize("engine", ["native", "torch"])
 def test_compiled_kernels_give_each_its_own_numbers(scenes: list[Path], engine: str) -> None:
-    """Bit for bit, also in files."""
+    """Recordings processed together equal those processed alone bit for bit, in memory and in files."""
     folder = scenes[0].parent.parent
     files = [folder / f"{engine}-{place}.h5" for place in range(3)]
     expected = [process(scene, device="cpu", engine=engine) for scene in scenes]
@@ -148,7 +152,7 @@ def test_other_settings_are_asked_by_themselves(scenes: list[Path], batches: dic
 def test_captured_modules_and_frames_decoded_ahead(
     scenes: list[Path], monkeypatch: pytest.MonkeyPatch, some: slice
 ) -> None:
-    """As on a GPU: modules are recorded and replayed, and a second thread reads."""
+    """Results stay the same with captured modules and a second thread that decodes frames, as on a GPU."""
     expected = alone(scenes[some])
     replayed: list[str] = []
 
@@ -166,7 +170,7 @@ def test_captured_modules_and_frames_decoded_ahead(
 
 @pytest.mark.usefixtures("portable")
 def test_what_fails_for_all_is_computed_one_by_one(scenes: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the memory of an accelerator holds one recording and not two."""
+    """A batch that does not fit in memory is computed one recording at a time."""
     expected = alone(scenes[:2])
     forward, refused = TrackGraph.forward, []
 
@@ -184,7 +188,7 @@ def test_what_fails_for_all_is_computed_one_by_one(scenes: list[Path], monkeypat
 
 @pytest.mark.usefixtures("portable")
 def test_an_error_of_one_is_its_own(scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wherever it comes from: a scene, or a call that was joined with those of others."""
+    """An error in one recording, from its scene or from a batched call, does not affect the others."""
     forward = TrackGraph.forward
 
     def breaks(self: TrackGraph, templates: Any, view: Tensor, prediction: Tensor) -> Any:
@@ -208,7 +212,9 @@ def test_an_error_of_one_is_its_own(scenes: list[Path], tmp_path: Path, monkeypa
 def test_an_interrupt_ends_all(
     scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: type[BaseException]
 ) -> None:
-    """In a call of all, at once; nothing is left of their files, and torch is as before."""
+    """An interrupt in a batched call ends all recordings at once, removes their files and leaves torch's modes
+    unchanged.
+    """
 
     def stops(self: TrackGraph, *given: Any) -> Any:
         raise stop

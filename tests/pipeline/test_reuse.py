@@ -1,4 +1,4 @@
-"""Again from an earlier result: the data of a fresh run bit for bit, and nothing computed that need not be."""
+"""Tests of the reuse of an earlier result: equal to a fresh run bit for bit, without unnecessary computation."""
 
 import json
 import shutil
@@ -38,7 +38,7 @@ SMALL = {
     "semi_axes": (1.3, 1.1),
 }  # fmt: skip
 PICTURES = {"frame_check", "contact", "tracking"}
-#: A change of the scene, and the stages that it touches, of a press with all its outputs.
+#: Change of the scene of a press (old text, new text), and the stages to compute again for all outputs.
 CHANGES: dict[str, tuple[str, str, set[str]]] = {
     "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"displacement", "fields", "strain"}),
     "strain measure": ('strain = "green_lagrange"', 'strain = "infinitesimal"', {"displacement", "fields", "strain"}),
@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
-    """Names of the stages that have begun."""
+    """Return a set that collects the names of the stages that have begun."""
     found: set[str] = set()
     for stage in _every_stage():
         monkeypatch.setattr(stage, "begin", _noting(stage.begin, found))
@@ -75,7 +75,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 
 def _every_stage() -> set[type[Stage]]:
-    """Also those that a kind of scene or a setting puts in the place of others."""
+    """Return all stage classes, including the alternatives used by a kind of scene or a setting."""
     by_setting = ("dense_flow_slip",)
     return {one for instead in ((), KINDS["soft_sensor"].instead, by_setting) for one in all_stages(instead)}
 
@@ -93,7 +93,7 @@ def scene_with(folder: Path, old: str, new: str, name: str = "changed.toml") -> 
 
 
 def assert_same(found: xr.Dataset, expected: xr.Dataset) -> None:
-    """Bit for bit, with units, definitions and warnings."""
+    """Check that two results are equal bit for bit, with units, definitions and warnings."""
     assert set(found.data_vars) == set(expected.data_vars)
     for name in map(str, expected.variables):
         one, other = found[name], expected[name]
@@ -134,7 +134,7 @@ def test_into_the_file_that_it_is_from(folder: Path, tmp_path: Path, ran: set[st
     assert_same(again, process(scene))
     again.close()
     ran.clear()
-    assert_same(process(scene, earlier=path), process(scene))  # of a result that was itself taken over
+    assert_same(process(scene, earlier=path), process(scene))  # from a result that was itself reused
 
 
 def test_outputs_that_were_not_there_are_computed(folder: Path, ran: set[str]) -> None:
@@ -154,7 +154,7 @@ def test_outputs_that_were_not_there_are_computed(folder: Path, ran: set[str]) -
 
 
 def test_a_file_with_other_content_is_a_change(folder: Path, ran: set[str]) -> None:
-    """The name of the file stays."""
+    """A file with other content under the same name counts as a change."""
     scene = load_scene(folder / "scene.toml")
     forces = folder / "forces.csv"
     before = forces.read_text(encoding="utf-8")
@@ -163,7 +163,7 @@ def test_a_file_with_other_content_is_a_change(folder: Path, ran: set[str]) -> N
         forces.write_text("\n".join([heading, *rows[:-1]]) + "\n", encoding="utf-8")
         process(scene, ["normal_force", "strain"], earlier=folder / "result.h5")
         assert "loading" in ran
-        assert "contact" in ran  # whose reference frame is that of the largest force
+        assert "contact" in ran  # its reference frame is the one with the largest force
     finally:
         forces.write_text(before, encoding="utf-8")
 
@@ -203,7 +203,7 @@ def test_results_of_other_code_are_computed_again(folder: Path, ran: set[str], m
 def test_results_of_another_engine_are_computed_again(
     folder: Path, tmp_path: Path, ran: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They agree to rounding, and what is taken over is the same bit for bit."""
+    """Results of another engine agree only to rounding and are computed again, as reuse is bit for bit."""
     scene, wanted = load_scene(folder / "scene.toml"), ["real_contact_area"]
     path = tmp_path / "torch.h5"
     by_torch = process(scene, wanted, engine="torch", to=path)
@@ -219,7 +219,7 @@ def test_results_of_another_engine_are_computed_again(
 
 
 def test_keys_know_all_code_that_stages_run() -> None:
-    """Rooms that `stages` may import, and what those may; but for messages."""
+    """Cache keys cover all packages that `stages` may import, directly or indirectly, except messages of errors."""
     reached, known = set[str](), {*fingerflow.pipeline.reuse._CODE, "stages"}
     left = ["stages"]
     while left:
@@ -251,7 +251,9 @@ def test_the_scene_of_a_result(folder: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: set[str]) -> None:
-    """Without a scene it is that of the result; the result may be replaced."""
+    """The command prints which results are reused. Without a scene the command uses the scene of the result, which may
+    be replaced.
+    """
     shutil.copytree(folder, tmp_path / "press")
     result, scene = tmp_path / "press" / "result.h5", tmp_path / "press" / "scene.toml"
     arguments = ["process", str(scene), "--from", str(result)]
@@ -260,7 +262,7 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     assert "displacement" in found.stdout
     assert not ran & PICTURES
     edit_scene(scene.parent, {"depth_mm = 2.0": "depth_mm = 3.0"})
-    found = CliRunner().invoke(app, ["process", "--from", str(result)])  # which now names the copied scene
+    found = CliRunner().invoke(app, ["process", "--from", str(result)])  # the result now names the copied scene
     assert "computed: strain, since fields.depth_mm was 2.0 and is 3.0" in found.stdout
     assert "taken from" in found.stdout
     with xr.open_dataset(result, engine="h5netcdf") as stored:
@@ -269,13 +271,13 @@ def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: s
     assert "name a scene file" in str(nothing.exception)
 
 
-# What stages say that they depend on, against what they look at.
+# Settings that stages declare, against settings that they read.
 
 _at = threading.local()
 
 
 class Watched:
-    """A part of a scene that notes, for the stage at work, which of its keys are read."""
+    """Proxy of a part of a scene that records which keys the current stage reads."""
 
     def __init__(self, part: Any, place: str, seen: dict[str, set[str]]) -> None:
         self._watched = (part, place, seen)
@@ -305,7 +307,7 @@ class Watched:
 
 @pytest.fixture
 def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
-    """By stage, the keys that it reads while it is made, begins, steps and finishes."""
+    """Return the keys that each stage reads while it is created, begins, steps and finishes."""
     seen: dict[str, set[str]] = {}
     for stage in _every_stage():
         for part in ("__init__", "begin", "step", "finish"):
@@ -349,7 +351,7 @@ def _declared(stage: type[Stage], at: dict[type[Stage], type[Stage]]) -> Iterato
 
 
 def _press(folder: Path) -> tuple[Path, list[str] | None]:
-    """With all its outputs, and what only other settings read."""
+    """Write a press with settings that only non-default values read; return its scene file and all its outputs."""
     write_recording(folder, Press(**SMALL))
     others = {'points_from = "recorded"': 'points_from = "enhanced"', '"reference_frame"': '"per_frame"'}
     scene = load_scene(edit_scene(folder, others))
@@ -375,7 +377,9 @@ def _gel(folder: Path) -> tuple[Path, list[str] | None]:
 def test_stages_look_at_no_setting_that_they_do_not_name(
     make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
 ) -> None:
-    """Beside those of the stages before them, of which they ask: a setting that none names would not be missed."""
+    """A stage reads only settings declared by this stage or a stage before; otherwise a change of a setting would go
+    unnoticed.
+    """
     path, outputs = make(tmp_path / "trial")
     scene = load_scene(path)
     stages = {one.name: one for one in plan(outputs, scene).stages}

@@ -1,4 +1,4 @@
-"""A stream of the tiny bundle, run as the command line runs it, by the compiled library."""
+"""Fixture of a stream of the tiny bundle, run by the compiled library as the command line runs it."""
 
 import json
 import logging
@@ -24,7 +24,9 @@ def _together(bundle: Bundle, *_: Any) -> NativeEngine:
 
 
 class Ended(NamedTuple):
-    """Exit code, summary (empty after an error), what was said and logged, and the results if there are any."""
+    """The end of a stream: exit code, summary (empty after an error), the text of stderr and of the log, and the
+    results if there are any.
+    """
 
     code: int
     summary: dict[str, Any]
@@ -50,14 +52,14 @@ class Stream:
         caplog.set_level(logging.INFO)
 
     def camera(self, make: Callable[[], Any]) -> tuple[str, str]:
-        """The arguments that make a factory of the test the camera."""
+        """Return the arguments of the command line that make a factory of the test the camera."""
         module = ModuleType("camera_of_the_test")
         module.make = make  # type: ignore[attr-defined]
         self._monkeypatch.setitem(sys.modules, module.__name__, module)
         return "--camera", f"{module.__name__}:make"
 
     def frames(self, frames: Iterable[Any]) -> tuple[str, str]:
-        """A camera that gives these frames; an exception among them is raised."""
+        """Return the arguments for a camera that gives these frames; an exception among them is raised."""
         left = iter(frames)
 
         def grab() -> Any:
@@ -69,9 +71,11 @@ class Stream:
         return self.camera(lambda: grab)
 
     def parallel(self, frames: int | None) -> tuple[str, ...]:
-        """The arguments for so many frames beside each other, as ONNX Runtime computes them; none for None.
+        """Return the arguments for `frames` frames computed side by side, as ONNX Runtime computes them; no arguments
+        for None.
 
-        The compiled library stands in its place: what a frame gives counts two frames later, or more.
+        The compiled library takes the place of ONNX Runtime; key frames and restarts take effect two frames later, or
+        more.
         """
         if frames is None:
             return ()
@@ -87,7 +91,9 @@ class Stream:
         return Ended(code, json.loads(said.out) if said.out else {}, said.err + self._caplog.text, results)  # type: ignore[arg-type]
 
     def refused(self, *arguments: str) -> str:
-        """What is said of a stream that ends with an error of the user and leaves no results."""
+        """Return the text of stderr and of the log of a stream that ends with an error of the user and leaves no
+        results.
+        """
         ended = self.run(*arguments)
         assert ended.code == 2
         assert ended.results is None

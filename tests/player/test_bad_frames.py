@@ -1,4 +1,5 @@
-"""Frames that cannot be, in a stream: a press is played with each kind of them, and `process` is asked about the same.
+"""Tests of bad frames in a stream: a press and a slide are played with each kind of bad frame, and `process` is run on
+the same frames.
 
 The trials and their settings are those of tests/small_trials.py, played by the compiled library.
 """
@@ -29,14 +30,14 @@ from tests.small_trials import (
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 
-# Alone, two and three in a row, where templates are looked at, at the end.
+# Frames alone, two and three in a row, at an evaluation of the templates, and at the end.
 PLACES = [3, 9, 17, 18, 30, 41, 55, 56, 57, 71]
 ALONE = [3, 9, 17, 30, 41, 49, 55, 64]  # one of each kind
 Frames = np.ndarray[Any, Any]
 
 
 class Small(NamedTuple):
-    """A trial, its frames, and what a stream of the clean recording says."""
+    """A trial, its bundle and frames, and the results of a stream of its clean recording."""
 
     folder: Path
     bundle: Path
@@ -78,7 +79,7 @@ def _status_of(records: Frames) -> dict[int, str]:
 
 
 def _assert_unknown(records: Frames, places: list[int]) -> None:
-    """In those frames: NaN, or the status of a point that says why."""
+    """Assert that the measured values of these frames are NaN, and that the status of each point gives the reason."""
     told = {"time", "latency"}
     for name in records.dtype.names or ():
         if records.dtype[name].base.kind == "f" and name not in told:
@@ -88,13 +89,15 @@ def _assert_unknown(records: Frames, places: list[int]) -> None:
 
 
 def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -> None:
-    """Areas to the last digit, as the threshold is given and pictures are the same. Points and fields depend on frames
-    before: templates are looked at, and onsets seen, in the next frame that counts.
+    """Assert that all other frames of a press have the values of the clean run.
 
-    Points: within three standard deviations of the difference of two estimates, sqrt(2) of the stated one, beside what
-    prediction and renewal leave (0.01 px, tests/test_engines_agree.py); nearly all within the latter alone. The median
-    divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). A point's:
-    :func:`_divergence_tolerance`.
+    Areas are equal to the last digit, because the threshold is given and the pictures are the same. Points and fields
+    depend on earlier frames: templates are evaluated, and onsets seen, in the next usable frame.
+
+    Tolerance of points: three standard deviations of the difference of two estimates (sqrt(2) of the stated one), plus
+    0.01 px for prediction and renewal (tests/test_engines_agree.py); 99 in 100 lie within the 0.01 px alone. Of the
+    median divergence: 2.5 um/mm, less than 2.3 of its stated deviations (docs/accuracy.md). Of the divergence of a
+    point: :func:`_divergence_tolerance`.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
@@ -117,20 +120,20 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
 
 
 def _assert_slide_as_before(small: Small, records: Frames, places: list[int]) -> None:
-    """Skin that slides by px a frame has gone further after a gap: some points are lost for some frames, which say so.
+    """Assert that all other frames of a slide have nearly the values of the clean run.
 
-    Areas are the clean run's to the last digit. Of the points, as long as half of them are followed, one in twenty may
-    be lost besides; of those that are found 98 in 100 lie within three standard deviations of the difference of two
-    estimates, or 0.01 px: the rest was found again where skin has moved on, by a template that is older than the clean
-    run's. The median divergence is known in the same frames, but for one in which fields cover hardly enough of the
-    contact, to the error that the README states. As more skin leaves the view, which points are found again turns on
-    little.
+    The skin slides by several px a frame, so that it has gone further after a gap and some points are lost for some
+    frames, which their status says. Areas are equal to the last digit. Points are compared while more than half of them
+    are tracked: at most 12 in 100 tracked points may be lost besides, and 98 in 100 of the points that both runs find
+    lie within three standard deviations of the difference of two estimates, or 0.01 px. The rest was found again after
+    the skin had moved on, by a template older than that of the clean run. The median divergence is known in the same
+    frames, except for one in which fields hardly cover enough of the contact, to the error that the README states.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
         np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
     good = good[(clean["status"][good] == 0).mean(1) > 0.5]
-    good = good[clean["restart"][good] == records["restart"][good]]  # other points are seeded with a restart
+    good = good[clean["restart"][good] == records["restart"][good]]  # a restart seeds other points
     assert len(good) > 30
     lost = (clean["status"][good] == 0) & (records["status"][good] != 0)
     assert lost.mean() < 0.12 * (clean["status"][good] == 0).mean()  # 0.09 on the slide
@@ -141,14 +144,16 @@ def _assert_slide_as_before(small: Small, records: Frames, places: list[int]) ->
     before, after = clean["median_divergence"][good], records["median_divergence"][good]
     assert (np.isnan(after) != np.isnan(before)).sum() <= 1
     known = np.isfinite(before + after)
-    # Ten points more or less of 140 move the median of a field of -160 to 240 um/mm by up to 4.2.
+    # Ten more or fewer of 140 points change the median of a field of -160 to 240 um/mm by up to 4.2 um/mm.
     np.testing.assert_allclose(after[known], before[known], rtol=0, atol=6e-3)
 
 
 def _divergence_tolerance(clean: Frames) -> Frames:
-    """Of each point: an onset in bad frames is seen up to so many frames later as are bad in a row, and the divergence
-    since then is less by what it grows meanwhile; and three standard deviations of the difference of two estimates,
-    from second differences in time, whose variance is 6 sigma^2.
+    """Return the tolerance of the divergence of each point, (POINTS,).
+
+    An onset in bad frames is seen late, by the number of bad frames in a row; the divergence then lacks its growth in
+    those frames. Three standard deviations of the difference of two estimates are added, from second differences in
+    time, whose variance is 6 sigma^2.
     """
     bad = np.isin(np.arange(FRAMES), PLACES)
     late = max(len(run) for run in "".join("x" if one else " " for one in bad).split())
@@ -166,7 +171,9 @@ def test_a_clean_trial_has_no_bad_frame(trial: Small) -> None:
 
 @pytest.mark.parametrize("kind", SPOILED)
 def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
-    """At ten places: its own are NaN with the reason, all others as without it, and nothing is chosen anew."""
+    """The values of bad frames at ten places are NaN with the reason as status; all other frames have the values of the
+    clean run, and no points are seeded again.
+    """
     spoil, status = SPOILED[kind]
     slides = "key_frame" in {event["event"] for event in trial.clean.events}
     frames = trial.frames.copy()
@@ -179,7 +186,7 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
     seeded, expected = (
         [event["frame"] for event in one.events if event["event"] == "restart"] for one in (played, trial.clean)
     )
-    # The slide is about to be seeded again at its end, where a few points more put it off.
+    # The slide is close to a restart at its end, which a few more tracked points delay.
     assert seeded == expected or (slides and seeded == expected[:1])
     told = [event for event in played.events if event["event"] == "not_usable"]
     assert [event["frame"] for event in told] == [k for k in PLACES if k - 1 not in PLACES]
@@ -188,7 +195,9 @@ def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_frames_of_another_moment_count_in_no_number(small: Small, count: int) -> None:
-    """Their points are found, as the skin has hardly moved: the frame behind them tells. So do copies, at once."""
+    """One to three copies in a row of frames from 15 frames earlier count in no number, exact or with other noise.
+    Their points are found, because the skin has hardly moved; the next usable frame shows that the stream has returned.
+    """
     for noise, status in ((other_noise, "jumps_and_returns"), (lambda frame, _: frame, "repeated")):
         frames, places = small.frames.copy(), [first + k for first in (30, 41, 55) for k in range(count)]
         for k in places:
@@ -203,8 +212,9 @@ def test_frames_of_another_moment_count_in_no_number(small: Small, count: int) -
 
 
 def test_a_clean_trial_is_that_of_process(trial: Small) -> None:
-    """The median divergence to the error that the README states, known in the same frames but for one: the slide loses
-    points until two thirds of them are left, where one point more decides.
+    """A stream has the median divergence of `process` to the error that the README states, known in the same frames but
+    for one: the slide loses points until two thirds of them are left, where a single point decides whether a median is
+    known.
     """
     names = ["median_divergence", "median_divergence_std"]
     recorded = fingerflow.process(trial.folder / "trial" / "scene.toml", outputs=names)
@@ -213,14 +223,16 @@ def test_a_clean_trial_is_that_of_process(trial: Small) -> None:
     assert known[0].sum() > 20
     assert (known[0] != known[1]).sum() <= 1
     both = known[0] & known[1]
-    # Of the slide's points up to half are lost where most contact is new: there within the stated deviation.
+    # Where most contact is new up to half of the slide's points are lost: the stated deviation is the tolerance there.
     tolerance = np.fmax(1.7e-3, recorded["median_divergence_std"].values)
     assert (np.abs(found - expected)[both] <= tolerance[both]).all()
 
 
 def test_process_says_the_same_of_the_same_recording(small: Small) -> None:
-    """All kinds in one recording: the same frames, the same reasons, the same areas. Each stands alone: between two
-    others that are bad `process` cannot tell one that is."""
+    """`process` finds the same bad frames with the same reasons and the same areas as a stream, in a recording with one
+    bad frame of each kind. Each stands alone, because `process` cannot recognise a bad frame between two other bad
+    frames.
+    """
     frames = small.frames.copy()
     for k, (spoil, _) in zip(ALONE, SPOILED.values(), strict=True):
         frames[k] = spoil(frames[k])
@@ -240,7 +252,9 @@ def test_process_says_the_same_of_the_same_recording(small: Small) -> None:
 
 @pytest.mark.parametrize("kind", ["black", "saturated"])
 def test_a_stream_begins_with_its_first_picture(small: Small, kind: str) -> None:
-    """Points are chosen there; areas, which know nothing of frames before, are those of the clean run."""
+    """A stream seeds its points in its first usable frame; areas, which do not depend on earlier frames, are those of
+    the clean run.
+    """
     spoil, status = SPOILED[kind]
     frames = small.frames.copy()
     frames[:5] = spoil(frames[0])
@@ -255,8 +269,10 @@ def test_a_stream_begins_with_its_first_picture(small: Small, kind: str) -> None
 
 
 def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
-    """Each frame in which it is measured is black, or dim: it comes from the next ones. 3 mm2 on it is the same to
-    0.004 of the light, as contacts of other sizes give it, and the area to 2 %."""
+    """The threshold is not measured in a bad frame, black or with a dim contact view, but in a later frame. In contacts
+    of more than 4 mm² the threshold is that of the clean run to 0.004 of the light, the scatter between contacts of
+    different size, and the real contact area to 2 %.
+    """
     scene_file = small.folder / "trial" / "scene.toml"
     text = scene_file.read_text()
     scene_file.write_text(text.replace("threshold = 0.27\n", ""))
@@ -284,7 +300,7 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 
 
 def test_what_stays_is_the_new_state(small: Small) -> None:
-    """A lamp that is dimmed for good: every frame counts."""
+    """Every frame counts after the light of the contact view falls to 70 % for good."""
     frames = small.frames.copy()
     frames[40:] = np.stack([dim_contact(one) for one in frames[40:]])
     played = small.play(frames)
@@ -293,7 +309,7 @@ def test_what_stays_is_the_new_state(small: Small) -> None:
 
 
 def test_nothing_found_is_said(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of dark frames alone, and of an empty glass."""
+    """The player says so where all frames are dark, and where no frame shows a contact."""
     small.play(np.full_like(small.frames[:8], 8))
     said = capsys.readouterr().out
     assert "no frame could be measured (8 dark)" in said

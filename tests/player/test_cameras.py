@@ -1,4 +1,4 @@
-"""Cameras: the clock of time stamps, GenICam by a simulated GenTL producer and by a real one, OpenCV, and wrappers."""
+"""Tests of cameras: the clock of their time stamps, GenICam with a simulated and a real GenTL producer, and OpenCV."""
 
 import sys
 from contextlib import contextmanager
@@ -19,19 +19,24 @@ from fingerflow.player.sources.camera_source import open_camera
 
 
 def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
-    """A camera that counts from 100 s, at 250 Hz; transfers of 2 ms and more, and a jam of 40 ms after the fourth."""
+    """The clock takes the shortest transfer as the offset between the clocks of camera and computer, and longer
+    transfers as latency: a camera counts from 100 s at 250 Hz, its transfers take 2 ms and more, and 42 ms after the
+    fourth frame.
+    """
     clock, late = CameraClock(), np.array([3, 2, 4, 2, 42, 38, 34, 2.5]) / 1e3
     stamps = 100 + np.arange(len(late)) / 250
     seen = [clock.see(stamp, 7000 + stamp - 100 + one) for stamp, one in zip(stamps, late, strict=True)]
     intervals, latencies = np.diff([one[0] for one in seen]), 7000 + stamps - 100 + late - [one[1] for one in seen]
     np.testing.assert_allclose(intervals, 1 / 250, atol=1e-9)
-    # From the second frame on the shortest transfer is known: what is more than 2 ms is latency.
+    # From the second frame on the shortest transfer, 2 ms, is known: the time beyond it is latency.
     np.testing.assert_allclose(latencies[1:], late[1:] - 2e-3, atol=1e-9)
     assert clock.has_stamps
 
 
 def test_a_clock_follows_the_drift_of_two_clocks() -> None:
-    """100 ppm over a minute would be 6 ms; within a window of 5 to 10 s it is 1 ms at most."""
+    """A drift of 100 ppm between two clocks adds at most 1 ms to the latency: over the minute of the test the drift is
+    6 ms, but the offset is measured within a window of 5 to 10 s.
+    """
     clock = CameraClock()
     stamps = np.arange(0, 60, 0.02)
     for drift in (1 - 1e-4, 1 + 1e-4):
@@ -62,7 +67,7 @@ def test_time_stamps_of_a_wrapper_are_those_of_the_records(stream: Stream) -> No
 
 
 class Producer:
-    """What harvesters gives of a GenTL producer: one camera whose buffer is used again for every frame."""
+    """Stands in for the Harvester of harvesters: one camera whose buffer is used again for every frame."""
 
     serials: ClassVar = ["17"]
     kind: ClassVar = "Mono8"
@@ -110,7 +115,7 @@ class Producer:
         if stamp is not None:
             buffer.timestamp_ns = stamp
         yield buffer
-        self._buffer[:] = 0  # the camera writes into it again
+        self._buffer[:] = 0  # the camera uses its buffer again
 
     def stop(self) -> None:
         self.events.append("stop")
@@ -181,7 +186,9 @@ def test_a_gentl_camera_of_colours_is_refused(producer: str, monkeypatch: pytest
 
 
 def test_a_real_gentl_producer_by_harvesters() -> None:
-    """The package genicam ships one with three simulated cameras, which give no time stamps."""
+    """Frames are read by harvesters from the GenTL producer of the package genicam, whose three simulated cameras give
+    no time stamps.
+    """
     pytest.importorskip("harvesters", reason="the package harvesters is not installed: only a simulated one is tested")
     found = find_spec("genicam")
     assert found is not None
@@ -201,7 +208,9 @@ def test_a_real_gentl_producer_by_harvesters() -> None:
 
 
 def test_opencv_gives_grey_frames_and_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a file, as there is no camera here: OpenCV opens both alike."""
+    """The camera of OpenCV gives grey frames and time stamps. A video file takes the place of a camera, because OpenCV
+    opens both in the same way.
+    """
     path = str(tmp_path / "a.avi")
     writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"MJPG"), 50.0, (96, 64))
     for grey in (40, 90, 140):

@@ -1,4 +1,4 @@
-"""A disk that is full while a stream writes its results: for a while, and for good."""
+"""Tests of a stream whose disk is full, for a while or for good, while it writes its results."""
 
 import errno
 import os
@@ -24,7 +24,7 @@ FIELDS = [
 
 
 class Disk:
-    """What os.write does while a disk has so many bytes left; the clock is that of the test."""
+    """Replaces `os.write` by a disk with `left` free bytes, and the clock by that of the test."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.left, self.now, self.slept = 10**9, 1000.0, 0.0
@@ -123,7 +123,7 @@ def test_other_errors_are_not_borne(path: Path, disk: Disk, monkeypatch: pytest.
 
 
 def test_results_go_on_where_there_is_room_again(tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every record is there, and the event says how long the disk was full."""
+    """After a disk has been full for a while every record is in the results, and an event says for how long."""
     clock = [0.0]
     monkeypatch.setattr("fingerflow.results.stream_folder.time.perf_counter", lambda: clock[0])
     sink = Sink(tmp_path / "results", {"format": 2, "fields": FIELDS})
@@ -134,7 +134,7 @@ def test_results_go_on_where_there_is_room_again(tmp_path: Path, disk: Disk, mon
     as_bytes = records.view(np.uint8).reshape(40, -1)
     for number in range(40):
         if number == 10:
-            disk.left = 5000  # a record and a fourth
+            disk.left = 5000  # bytes, 1.25 records
         if number == 30:
             disk.left = 10**9
         clock[0] += 0.25
@@ -164,7 +164,7 @@ def test_results_of_a_disk_that_stays_full_are_readable(tmp_path: Path, disk: Di
 
 
 def test_a_disk_that_stays_full_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """/dev/full takes no byte: the stream ends in a sentence."""
+    """A stream whose records go to /dev/full, which takes no byte, ends with exit code 2 and a sentence."""
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full here")
     opened = Sink.open

@@ -1,4 +1,6 @@
-"""Forces of a live sensor beside those of a recording: which sample a frame gets, and where it goes."""
+"""Tests of forces of a live sensor and of a recording: which sample a frame gets, and that records, outputs and
+triggers use it.
+"""
 
 import os
 import sys
@@ -22,7 +24,7 @@ from fingerflow.player.sensors.sensor import ForceSample, sample_of
 
 
 class Recorded:
-    """A sensor that gives these samples at once, and then none."""
+    """A sensor that gives these samples at once and no more after them."""
 
     def __init__(self, samples: list[ForceSample]) -> None:
         self._left = iter(samples)
@@ -46,7 +48,7 @@ def test_a_frame_has_the_sample_nearest_in_time() -> None:
     assert forces.at(0, 10.506)["normal_force"] == 51
     assert forces.at(0, 9.96)["normal_force"] == 0
     assert forces.at(0, 11.03)["normal_force"] == 99
-    # More than 50 ms away it is unknown, not the last one.
+    # More than 50 ms from every sample the force is unknown.
     for unknown in (9.94, 11.05):
         assert np.isnan(list(forces.at(0, unknown).values())).all()
     forces.close()
@@ -71,7 +73,9 @@ def test_other_numbers_of_forces_are_refused() -> None:
 
 
 def test_forces_go_into_records_outputs_and_triggers(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.1 N more in every frame: the trigger is at the frame after the fifth."""
+    """Forces of the scene are in the records, trigger an output, and are sent with it: the force grows by 0.1 N a
+    frame, so that the condition `normal_force > 0.45 N` triggers at frame 5.
+    """
     values = list[dict[str, float]]()
     _module(monkeypatch, take=lambda stamp, given: values.append({"frame": stamp.number, **given}))
     np.save(stream.bundle / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(8)]))
@@ -107,7 +111,7 @@ def test_a_live_sensor_is_in_the_records(stream: Stream, monkeypatch: pytest.Mon
     forces = ("--policy", "every", "--forces", "callback:sensor_of_the_test:make")
     records = stream.run(*stream.camera(lambda: grab), *forces).results.records
     known = np.isfinite(records["normal_force"])
-    assert known.any()  # all, where this machine lets the sensor read every 50 ms
+    assert known.any()  # all frames, if the machine is fast enough to read the sensor every 50 ms
     np.testing.assert_array_equal(records["normal_force"][known], 1.5)
     np.testing.assert_array_equal(records["tangential_force"][known], 0.5)
     assert closed.wait(30)
@@ -123,14 +127,14 @@ def _module(monkeypatch: pytest.MonkeyPatch, **members: Any) -> None:
 def test_a_sensor_on_a_serial_line_gives_a_sample_a_line() -> None:
     terminal, line = os.openpty()
     sensor = open_address(SENSORS, "force sensor", f"serial:{os.ttyname(line)}")
-    os.write(terminal, b"25, 0.1\n1.25, 0.3, 0.4\n2.5\nnone\n")  # the first may have been cut
+    os.write(terminal, b"25, 0.1\n1.25, 0.3, 0.4\n2.5\nnone\n")  # the first line may have been cut
     first, second = sensor.read(), sensor.read()
     assert (first.normal, first.tangential) == (1.25, 0.5)
     assert second.normal == 2.5
     with pytest.raises(ValueError, match="none"):
         sensor.read()
     os.write(terminal, b"3")
-    assert sensor.read() is None  # of a line that has not ended
+    assert sensor.read() is None  # the line has not ended
     os.write(terminal, b".5\n")
     assert sensor.read().normal == 3.5
     sensor.close()
@@ -174,7 +178,7 @@ def test_a_stream_of_lsl_is_a_sensor() -> None:
             break
     assert sample is not None
     assert (sample.normal, sample.tangential) == (2.0, 0.5)
-    assert sample.time == pytest.approx(sent, abs=1.0)  # a sample of a second earlier may be the first to arrive
+    assert sample.time == pytest.approx(sent, abs=1.0)  # the first sample to arrive may be one of a second before
     sensor.close()
 
 

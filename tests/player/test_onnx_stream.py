@@ -1,4 +1,4 @@
-"""A stream by ONNX Runtime: the same numbers at any pace, and with frames computed beside each other."""
+"""Tests of a stream by ONNX Runtime: it has the same numbers at any pace, and with frames computed side by side."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,9 @@ Array = np.ndarray[Any, Any]
 
 
 class Runtime(NamedTuple):
-    """A bundle, and a slide whose threshold is measured: points are lost and chosen again, a key frame replaced."""
+    """A bundle and the scene of a slide whose threshold is measured; its points are lost and seeded again, and its key
+    frame is replaced.
+    """
 
     bundle: Path
     scene: Path
@@ -53,10 +55,12 @@ def test_two_frames_beside_each_other_give_what_one_does(
 
 
 def test_openvino_gives_the_same(runtime: Runtime, alone: player.StreamResults) -> None:
-    """A provider with memory of its own, which copies what is bound: templates must not be stale."""
+    """OpenVINO, which copies bound arrays into its own memory, gives the numbers of the CPU provider: its copies of the
+    templates are not out of date.
+    """
     pytest.importorskip("onnxruntime_ep_openvino", reason="the package onnxruntime-ep-openvino is not installed")
     other = runtime.play("openvino", "--provider", "openvino")
     assert other.header["engine"] == "onnx (OpenVINOExecutionProvider)"
-    first = slice(0, 24)  # frames, of which hardly a point is lost
+    first = slice(0, 24)  # frames in which hardly a point is lost
     for name in ("position_px", "real_contact_area", "gross_contact_area", "median_divergence"):
         np.testing.assert_allclose(other.records[name][first], alone.records[name][first], rtol=2e-3, atol=0.01)

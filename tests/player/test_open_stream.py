@@ -1,4 +1,4 @@
-"""The folder of a stream as a data set, a report and a table."""
+"""Tests of the folder of a stream read as a data set, a report and a table."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,9 @@ from fingerflow.schema.variables import CONTACT, STREAM, TRACKING, by_name
 
 @pytest.fixture
 def played(stream: Stream) -> Path:
-    """Eight frames of ten points, of which three are lost in the last two; the contact grows by 800 px a frame."""
+    """Return the results folder of a stream of eight frames with ten points, of which the last two frames lose three;
+    the contact grows by 800 px a frame.
+    """
     text = stream.scene.read_text()
     matrix = "[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
     assert matrix in text
@@ -52,7 +54,8 @@ def test_values_are_those_of_the_records(played: Path) -> None:
     result = fingerflow.open_stream(played)
     np.testing.assert_array_equal(result["real_contact_area"], np.arange(8) * 200.0)
     np.testing.assert_array_equal(result["contact_threshold"], 0.5)
-    # In mm of the contact view, whatever the topography view is; two pixels are what cells leave of few rows.
+    # The centre is in mm of the contact view, whatever the topography view is. The tolerance of 1 mm is two pixels, as
+    # contact is summed over cells of pixels.
     np.testing.assert_array_equal(
         result["ellipse_center"], fingerflow.player.read_results(played).records["ellipse_center"]
     )

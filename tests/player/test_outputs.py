@@ -1,4 +1,6 @@
-"""Live values on their way out: each output received by what it is made for, triggers, and what is lost is counted."""
+"""Tests of outputs of live values: each output is received by a program of its kind, triggers fire once a rise, and
+lost messages are counted.
+"""
 
 import importlib
 import json
@@ -25,7 +27,7 @@ from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Message, Sender
 from fingerflow.schema.variables import VARIABLES
 
-#: Pixels in contact, a quarter of a mm² each: three times from below 20 mm² to above.
+#: Pixels in contact, a quarter of a mm² each: the area rises above 20 mm² three times.
 PIXELS = [0, 25, 50, 70, 85, 95, 90, 78, 66, 62, 72, 86, 96, 92, 79, 67, 63, 73, 87, 98, 105]
 RISES, DARK = [4, 11, 18], 12
 
@@ -39,7 +41,7 @@ def receiver() -> Iterator[socket.socket]:
 
 
 def _played(stream: Stream, *arguments: str) -> Ended:
-    """Play a file, whose frames all wait for the outputs."""
+    """Play a file of `PIXELS` with frame `DARK` black; every frame waits for the outputs."""
     frames = [frame(contact_px=pixels) for pixels in PIXELS]
     frames[DARK][:] = 0
     np.save(stream.folder / "frames.npy", np.stack(frames))
@@ -64,7 +66,7 @@ def test_udp_carries_every_frame_with_its_times(stream: Stream, receiver: socket
     sent = [json.loads(receiver.recv(4096)) for _ in PIXELS]
     records = ended.results.records
     assert [one["frame"] for one in sent] == list(range(len(PIXELS)))
-    assert sent[DARK]["real_contact_area"] is None  # of the dark frame
+    assert sent[DARK]["real_contact_area"] is None  # unknown in the dark frame
     for one, record in zip(sent, records, strict=True):
         _same(one, record)
         assert one["ellipse_center_x"] == pytest.approx(float(record["ellipse_center"][0]), nan_ok=True) or (
@@ -74,7 +76,7 @@ def test_udp_carries_every_frame_with_its_times(stream: Stream, receiver: socket
         assert one["camera_time"] - ended.summary["first_frame"] == pytest.approx(float(record["time"]), abs=1e-5)
     (facts,) = ended.summary["outputs"]
     assert (facts["sent"], facts["overtaken"], facts["failed"]) == (len(PIXELS), 0, 0)
-    # The time to the output is longer than that to the result, of every frame and so of its quantiles (bins of 1 %).
+    # In every frame, and so in the quantiles (bins of 1 %), the output is later than the result.
     assert facts["latency_ms"]["median"] * 1.02 > ended.summary["latency_ms"]["median"] > 0
     assert json.loads((stream.folder / "results" / "summary.json").read_text())["outputs"] == [facts]
 
@@ -115,7 +117,7 @@ def test_zeromq_reaches_a_pull_socket(stream: Stream) -> None:
         ended = _played(stream, "--send", f"zeromq:tcp://127.0.0.1:{port}")
         reading.join()
     (facts,) = ended.summary["outputs"]
-    # Until the connection stands, messages fail; those that are counted as sent have arrived.
+    # Messages fail until the connection stands; all messages that are counted as sent have arrived.
     assert len(received) == facts["sent"] == len(PIXELS) - facts["failed"]
     for one in received:
         _same(one, ended.results.records[one["frame"]])
@@ -124,7 +126,7 @@ def test_zeromq_reaches_a_pull_socket(stream: Stream) -> None:
 def test_zeromq_without_a_receiver_fails_and_is_counted(stream: Stream) -> None:
     pytest.importorskip("zmq", reason="the package pyzmq is not installed: its output is not tested")
     with socket.socket() as nobody:
-        nobody.bind(("127.0.0.1", 0))  # and does not listen
+        nobody.bind(("127.0.0.1", 0))  # bound, but not listening
         ended = _played(stream, "--send", f"zeromq:tcp://127.0.0.1:{nobody.getsockname()[1]}")
     (facts,) = ended.summary["outputs"]
     assert (facts["sent"], facts["failed"]) == (0, len(PIXELS))
@@ -167,7 +169,7 @@ def test_lsl_is_a_stream_with_labels_units_and_camera_times(stream: Stream) -> N
     for sample, stamp in received:
         record = ended.results.records[int(sample[0])]
         assert sample[area] == pytest.approx(float(record["real_contact_area"]), nan_ok=True)
-        # Both clocks are the monotonic one of the system; 5 ms allow for a change of threads between two readings.
+        # Both clocks are the system's monotonic clock; 5 ms allow for a change of threads between two readings.
         expected = ended.summary["first_frame"] + float(record["time"]) + offset
         assert stamp == pytest.approx(expected, abs=5e-3)
 
@@ -195,7 +197,9 @@ def test_a_trigger_goes_out_once_a_rise_by_udp_and_by_a_serial_line(stream: Stre
 def test_a_serial_line_carries_a_line_of_json_a_frame(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, windows: bool
 ) -> None:
-    """Windows takes pyserial, which opens a pseudo-terminal here as well."""
+    """A serial line carries one line of JSON for each frame, with termios and with pyserial, which Windows uses and
+    which opens a pseudo-terminal here as well.
+    """
     if windows:
         pytest.importorskip("serial", reason="the package pyserial is not installed, which Windows needs")
         monkeypatch.setattr(importlib.import_module("fingerflow.player.serial_line").sys, "platform", "win32")
@@ -218,7 +222,7 @@ def test_a_callback_gets_the_record_too(stream: Stream, monkeypatch: pytest.Monk
 
 
 class Slow:
-    """An output that is busy until it is let go."""
+    """An output that is busy until the test sets `go`; the message of frame 7 fails."""
 
     def __init__(self) -> None:
         self.taken = Channel[int](100)
@@ -239,7 +243,9 @@ def _message(number: int, area: float = 0.0) -> Message:
 
 @pytest.mark.parametrize("sent_within", [0.0, np.inf])
 def test_the_newest_frame_waits_for_an_output_that_is_busy(sent_within: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that wait are sent where an output is so fast that they are sent soon."""
+    """Of the messages that wait for a busy output only the newest is sent, or all if sending all takes less than a
+    limit.
+    """
     monkeypatch.setattr("fingerflow.player.sending._CATCH_UP", sent_within)
     slow = Slow()
     sender = Sender(Destination("slow", slow, ("area",)))
@@ -264,7 +270,7 @@ def test_no_more_than_a_few_hundred_messages_wait(monkeypatch: pytest.MonkeyPatc
             assert slow.taken.get() == 1
     slow.go.set()
     sender.close()
-    assert [slow.taken.get() for _ in range(3)] == [9, 11, 13]  # the newest of the triggers 3, 5 ... 13
+    assert [slow.taken.get() for _ in range(3)] == [9, 11, 13]  # the newest three of the triggers 3, 5 ... 13
     assert (sender.offered, sender.sent, sender.overtaken, sender.failed) == (7, 4, 3, 0)
 
 
@@ -280,7 +286,7 @@ def test_a_file_waits_for_an_output_until_it_is_stopped(monkeypatch: pytest.Monk
     assert not offering.is_alive()
     slow.go.set()
     sender.close()
-    # The one that waits is still sent, if it waited when the queue was closed.
+    # The waiting message is still sent if it waited when the queue was closed.
     assert sender.sent + sender.failed == sender.offered == 4
     assert 1 <= sender.sent <= 2
 

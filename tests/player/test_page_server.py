@@ -1,4 +1,4 @@
-"""The server of the live page against what is not its page, by bare sockets."""
+"""Tests of the server of the live page against clients other than its page, by bare sockets."""
 
 import errno
 import logging
@@ -21,7 +21,7 @@ RESTART = "POST /restart HTTP/1.1\r\nHost: {host}\r\nX-Fingerflow: 1\r\n"
 
 
 class Page:
-    """A page that counts restarts."""
+    """A served page that counts its restarts."""
 
     def __init__(self) -> None:
         self.restarts = 0
@@ -37,13 +37,13 @@ class Page:
         return socket.create_connection(("127.0.0.1", self.port), timeout=20)
 
     def say(self, text: str) -> str:
-        """The answer to a request and whatever follows it, until the server ends the connection."""
+        """Return the answer to a request and everything after it, until the server ends the connection."""
         with self.connect() as client:
             client.sendall(self.signed(text.format(host=self.host)))
             return _rest(client)
 
     def signed(self, text: str) -> bytes:
-        """Requests with the cookie of the page."""
+        """Return the bytes of requests with the cookie of the page."""
         token = self.server.token
         return text.replace(" HTTP/1.1\r\n", f" HTTP/1.1\r\nCookie: {token.cookie}={token.text}\r\n").encode()
 
@@ -67,12 +67,14 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
 
 @pytest.mark.parametrize("host", ["{host}", "localhost:1", "127.0.0.1", "LOCALHOST"])
 def test_names_of_this_computer_are_served(page: Page, host: str) -> None:
-    """Whatever the port: a tunnel has another one."""
+    """Requests to any name of this computer are served, whatever the port: a tunnel has another port."""
     assert page.say(f"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith("HTTP/1.1 200 ")
 
 
 def test_only_the_printed_address_opens_the_page(page: Page) -> None:
-    """Its token becomes a cookie, which the requests of the page then carry."""
+    """Only the printed address opens the page: its token becomes a cookie, and requests without the cookie are
+    refused.
+    """
     token, host = page.server.token, f"Host: {page.host}\r\n\r\n"
     for line, cookie, status in (
         ("GET /", "", 403),
@@ -103,7 +105,9 @@ def test_only_the_printed_address_opens_the_page(page: Page) -> None:
 )
 @pytest.mark.parametrize("line", ["GET /live", "POST /restart"])
 def test_other_names_are_not(page: Page, hosts: str, line: str) -> None:
-    """A site whose name is made to point here reads nothing and restarts nothing."""
+    """Requests to other host names are refused: a site whose name points to this computer reads nothing and restarts
+    nothing.
+    """
     hosts = hosts.replace("{port}", str(page.port))
     answer = page.say(f"{line} HTTP/1.1\r\n{hosts}X-Fingerflow: 1\r\n\r\n")
     assert answer.startswith("HTTP/1.1 421 ")
@@ -130,7 +134,9 @@ def test_a_restart_is_for_one_origin(page: Page, origin: str, status: int) -> No
 @pytest.mark.parametrize("first", ["POST /restart", "POST /other", "GET /live", "GET /nowhere"])
 @pytest.mark.parametrize("body", ["Content-Length: {length}", "Transfer-Encoding: chunked", "Content-Length: 0, 9"])
 def test_a_body_is_never_a_second_request(page: Page, first: str, body: str) -> None:
-    """A form of another site may send any text as its body, this request with its header among them."""
+    """The body of a request is never read as a second request: a form of another site may send any text as its body,
+    such as a request for a restart with the header of the page.
+    """
     second = RESTART.format(host=page.host) + "\r\n"
     head = body.replace("{length}", str(len(second)))
     answer = page.say(f"{first} HTTP/1.1\r\nHost: {page.host}\r\n{head}\r\n\r\n{second}")
@@ -160,7 +166,7 @@ def test_a_client_that_says_nothing_more_is_left(page: Page, begun: str) -> None
 
 
 def test_a_request_that_never_ends_is_left(page: Page) -> None:
-    """A byte now and then is no silence."""
+    """The server ends a connection whose request is never complete, even if a byte arrives every 0.1 s."""
     with page.connect() as client:
         for _ in range(100):
             try:
@@ -181,7 +187,7 @@ def test_clients_beyond_the_limit_are_turned_away(page: Page) -> None:
     finally:
         for client in idle:
             client.close()
-    for _ in range(100):  # and there is room again when they have gone
+    for _ in range(100):  # new connections are accepted when these clients have gone
         try:
             if page.say("GET / HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").startswith("HTTP/1.1 200 "):
                 return
@@ -206,7 +212,9 @@ def test_clients_that_go_away_are_no_news(
 
 
 def test_no_descriptor_left_is_no_busy_loop(page: Page, caplog: pytest.LogCaptureFixture) -> None:
-    """A client that cannot be taken still waits: it is asked for a few times a second, and said once."""
+    """While no file descriptor is left, the server tries to accept a waiting client a few times a second, and logs the
+    error once.
+    """
     asked = 0
 
     def accept(server: Any) -> Any:
@@ -215,7 +223,7 @@ def test_no_descriptor_left_is_no_busy_loop(page: Page, caplog: pytest.LogCaptur
         raise OSError(errno.EMFILE, "Too many open files")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page_module.ThreadingHTTPServer, "get_request", accept)  # before anybody is taken
+        patch.setattr(page_module.ThreadingHTTPServer, "get_request", accept)  # before any client is accepted
         with page.connect() as client:
             client.sendall(b"GET / HTTP/1.1\r\n\r\n")
             threading.Event().wait(1.0)

@@ -1,4 +1,4 @@
-"""Bad input is named: scene, bundle, frames, options; nothing is left behind where nothing ran."""
+"""Tests of wrong scenes, bundles, frames and options: each is named, and no results are left where nothing ran."""
 
 import hashlib
 import json
@@ -29,14 +29,14 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
             "scene.toml: views.contact of the scene is 63 x 96 px, the bundle was exported for 64 x 96",
         ),
         ("mm_per_px = 0.5", "", "calibration.mm_per_px is missing"),
-        # Not measured once in its place: that would be another setting.
+        # A threshold measured once may not take the place of one for each frame.
         (
             "threshold = 0.5",
             'threshold = "per_frame"',
             "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
             'known before it comes: give a number, such as 0.25, or "reference_frame"',
         ),
-        # The graphs count from onset: a stream would show another quantity under the same name.
+        # The graphs refer to onset: a stream would show another quantity under the same name.
         (
             "[contact]",
             "[fields]\nreference = 12\n[contact]",
@@ -55,7 +55,9 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
     ],
 )
 def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -> None:
-    """What a stream cannot play, and examples of what no reader takes (tests/schema/scene_cases.py has all)."""
+    """Scenes that a stream cannot play are refused in a sentence, as are examples of scenes that no reader takes
+    (tests/schema/scene_cases.py has all of them).
+    """
     text = stream.scene.read_text()
     assert old in text
     stream.scene.write_text(text.replace(old, new, 1))
@@ -85,11 +87,12 @@ def test_a_calibration_file_is_read(stream: Stream) -> None:
 
 
 def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
-    """In floating point, as `fingerflow process` has it: 0.5 of the light is lost below half of the 200.25 counts of a
-    line, whose lamp is as bright as that of all others."""
+    """The background is the floating-point mean of the first 64 frames, as in `fingerflow process`. Row 5 has a mean of
+    200.25 counts, so that its pixels of 100 counts have lost more than 0.5 of the light.
+    """
     pictures = np.full((70, HEIGHT, 2 * WIDTH), 200, np.uint8)
     pictures[:16, 5] += 1
-    pictures[64:] = 0  # beyond the first 64
+    pictures[64:] = 0  # frames after the first 64 are not used
     np.save(stream.bundle / "empty.npy", pictures)
     picture = frame()
     picture[5, WIDTH:] = 100
@@ -122,7 +125,9 @@ def test_a_wrong_background_is_named(stream: Stream, pictures: Any, said: str) -
 
 
 def test_the_frames_that_count(stream: Stream) -> None:
-    """Those of the scene, and with their numbers, where its own recording is played; else all."""
+    """The recording of the scene is played in the range that the scene gives, with the numbers of its frames; every
+    other source is played as a whole.
+    """
     np.save(stream.bundle / "frames.npy", np.stack([frame(contact_px=number) for number in range(12)]))
     np.save(stream.bundle / "others.npy", np.stack([frame()] * 12))
     text = stream.scene.read_text()
@@ -141,7 +146,9 @@ def test_the_frames_that_count(stream: Stream) -> None:
 
 
 def test_settings_that_the_bundle_has_decided_otherwise_are_said(stream: Stream) -> None:
-    """In the log and in the results, one sentence each; what agrees is not."""
+    """The log and the results name each setting of the scene that differs from the bundle in one sentence, and no
+    setting that agrees.
+    """
     text = stream.scene.read_text()
     scene_text = """[tracking]
 points = 700
@@ -200,7 +207,9 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
 
 
 def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiled library, where it is asked for; and where it is not, ONNX Runtime is tried, and may not be here."""
+    """An error names the compiled library if it is asked for and absent; without a choice ONNX Runtime is tried, and
+    the error names the package if it is missing.
+    """
     monkeypatch.setattr("fingerflow.engines.choice.is_present", lambda: False)
     said = stream.refused("--source", "synthetic", "--engine", "native")
     assert "--engine native: the compiled library is not there, is turned off, or is of another version" in said
@@ -212,7 +221,7 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
 
 
 def test_numbers_that_are_not_those_of_the_bundle_are_refused(stream: Stream) -> None:
-    """A library that computes wrongly on this computer gives no results."""
+    """A stream is refused if the library computes other numbers of the built-in frame than the bundle states."""
     expected = json.loads((stream.bundle / "bundle.json").read_text())["expected"]
     expected["numbers"]["real_area_px"] *= 1.01
     _rewritten(stream.bundle, expected=expected)

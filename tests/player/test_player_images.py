@@ -1,4 +1,4 @@
-"""A folder of pictures as the source of a stream, and of the empty glass."""
+"""Tests of a folder of pictures as the source of a stream and as its background."""
 
 import numpy as np
 import pytest

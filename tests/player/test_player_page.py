@@ -1,4 +1,4 @@
-"""The live page: what the server answers, and the page itself in a real Chromium.
+"""Tests of the live page: the answers of its server, and the page in Chromium.
 
 `.ci/run` installs a Chromium; elsewhere: `apt-get install chromium`, or `python -m playwright install chromium`.
 """
@@ -26,12 +26,12 @@ from fingerflow.schema.variables import VARIABLES
 
 pytestmark = pytest.mark.long
 
-DARK_EACH = 40  # frames of the source
+DARK_EACH = 40  # one frame of the source in so many is dark
 TOKEN = "token-of-the-test"
 
 
 class Served:
-    """A stream that plays in a thread while the test looks at its page."""
+    """A stream that plays in a thread while the test reads its page."""
 
     def __init__(self, stream: Stream, *arguments: str) -> None:
         with socket.socket() as probe:
@@ -61,7 +61,7 @@ class Served:
         raise AssertionError("the page was never served")
 
     def live(self) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
-        """The facts and arrays that the page draws, once there is a picture among them."""
+        """Return the facts and the arrays that the page draws, once a picture is among them."""
         for _ in range(200):
             _, body = self.ask("GET", "/live")
             (length,) = struct.unpack_from("<I", body)
@@ -92,7 +92,7 @@ def _known_token(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def running(monkeypatch: pytest.MonkeyPatch) -> list[Player]:
-    """The players that run."""
+    """Return a list to which every player is added when it starts to run."""
     run, found = Player.run, list[Player]()
 
     def remember(one: Player) -> dict[str, Any]:
@@ -115,14 +115,14 @@ def served(stream: Stream, running: list[Player], monkeypatch: pytest.MonkeyPatc
     found = Served(stream)
     found.start()
     yield found
-    running[0].stop()  # as its last frame would
+    running[0].stop()  # as after its last frame
     assert found.join().code == 0
 
 
 def test_what_is_served(served: Served) -> None:
     facts, arrays = served.live()
     assert set(facts["not_usable"]) <= {"dark"}
-    assert "shown" not in facts  # which does not change
+    assert "shown" not in facts  # sent once, as it does not change
     status, shown = served.ask("GET", "/shown")
     assert status == 200
     assert json.loads(shown)["real_contact_area"] == VARIABLES["real_contact_area"].shown()
@@ -132,10 +132,10 @@ def test_what_is_served(served: Served) -> None:
     )
     assert arrays["position_px"].shape == (POINTS, 2)
     assert (facts["found"], facts["dropped"]) == (POINTS, 0)
-    assert POINTS - 3 <= facts["tracked"] <= POINTS  # of a finger of a hundred pixels
+    assert POINTS - 3 <= facts["tracked"] <= POINTS  # the finger is a hundred px wide
     assert facts["computed_by"] == "native"
     assert facts["state"] == "running"
-    # At first contact of some fifty pixels 2 % is one of them.
+    # 2 % of a first contact of fifty pixels is one pixel, so that a tolerance of four pixels is added.
     expected_area = pytest.approx(facts["expected"]["real_contact_area"], rel=0.02, abs=4 * facts["mm_per_px"] ** 2)
     assert facts["scalars"]["real_contact_area"] == expected_area
     assert facts["trace_columns"][0] == "time"
@@ -149,7 +149,7 @@ def test_what_is_served(served: Served) -> None:
     assert served.ask("GET", "/etc/passwd")[0] == 404
     status, page = served.ask("GET", "/")
     assert (status, page[:15]) == (200, b"<!doctype html>")
-    assert b"http" not in page  # self-contained: nothing is loaded from elsewhere
+    assert b"http" not in page  # the page loads nothing from elsewhere
     for path, begins in (("/page.css", b":root {"), ("/page.js", b'"use strict";')):
         status, file = served.ask("GET", path)
         assert (status, file[: len(begins)]) == (200, begins)
@@ -157,7 +157,7 @@ def test_what_is_served(served: Served) -> None:
 
 
 def test_a_restart_is_for_the_page_only(served: Served) -> None:
-    """A page of another site may send a POST, but not with this header."""
+    """A POST without the header of the page, which a page of another site can send, restarts nothing."""
     assert served.restarts() == 1
     assert served.ask("POST", "/restart")[0] == 403
     assert served.restarts() == 1
@@ -208,8 +208,8 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('topography') > 20")
-    assert page.is_hidden("#forcesCard")  # of frames without any
-    assert page.evaluate(COLOURS, "contact") > 2  # grey, and what touches in another colour
+    assert page.is_hidden("#forcesCard")  # the stream has no forces
+    assert page.evaluate(COLOURS, "contact") > 2  # grey levels, and contact in another colour
     assert page.evaluate(COLOURS, "areas") > 5
     assert re.fullmatch(rf"\d+ of {POINTS}", page.evaluate(NUMBER, "Points tracked"))
     assert page.evaluate(NUMBER, "Dropped") == "0 frames"
@@ -241,8 +241,8 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     running[0].stop()
     page.wait_for_selector("#state:text-is('ended')")
     assert re.match(r"The stream has ended after \d+ frames, [\d.]+ s. Results: ", page.inner_text("#said"))
-    assert page.get_attribute("#state", "class") == ""  # no alarm
-    # The scale holds nineteen of twenty, whatever one of them is, gives way at once, and comes closer late.
+    assert page.get_attribute("#state", "class") == ""  # not shown as an error
+    # The colour scale covers 95 % of the values, grows at once, and shrinks only after values are far smaller.
     most = [[0.03] * 20 + [9.0], [0.06], [0.05], [0.03], [math.nan], [1e-6]]
     assert page.evaluate(SCALE, most) == pytest.approx([0.05, 0.1, 0.1, 0.05, 0.05, 0.001])
     points, contact = page.evaluate(LEGENDS)
@@ -255,7 +255,9 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
 
 
 def test_a_page_shows_the_forces_of_its_recording(stream: Stream, running: list[Player], browser: Any) -> None:
-    """By `fingerflow stream`, as `process` gives them: of the frame by its number, which begins at the fifth."""
+    """The page of `fingerflow stream` shows the forces of the scene, each that of the frame of its number, from frame 5
+    on.
+    """
     rate, first, count = 50.0, 5, 2000
     np.save(stream.bundle / "frames.npy", np.stack([frame(contact_px=50)] * count))
     times = np.arange(0, count / rate, 1e-3)

@@ -1,4 +1,4 @@
-"""The three files of the live page, as files: what plain reading and a JavaScript parser find."""
+"""Tests of the three files of the live page, read as text and parsed as JavaScript."""
 
 import re
 import shutil
@@ -16,10 +16,10 @@ IDS = re.findall(r'\bid="(\w+)"', HTML)
 
 
 def test_ids_of_the_script_are_in_the_page() -> None:
-    """Those that it asks for by `$("id")`, the only way that it finds elements."""
+    """Every id that the script looks up, always by `$("id")`, is in the page once."""
     asked = set(re.findall(r'\$\("([^"]+)"\)', JS))
     assert {"contact", "topography", "numbers", "state", "said", "restart", "truth"} <= asked
-    drawn = re.findall(r'trace\(live, "(\w+)"', JS)  # which has a card and a legend of its name
+    drawn = re.findall(r'trace\(live, "(\w+)"', JS)  # each trace has a card, a legend and a title of its name
     assert drawn == ["areas", "forces", "divergence"]
     asked |= {name + part for name in drawn for part in ("", "Card", "Legend", "Title")}
     assert asked <= set(IDS)
@@ -29,7 +29,7 @@ def test_ids_of_the_script_are_in_the_page() -> None:
 
 
 def test_nothing_comes_from_elsewhere() -> None:
-    """The page is whole without a network: its files are the server's own."""
+    """The page loads its files from its own server only, and works without a network."""
     assert not re.search(r"https?:|//[a-z]|@import|url\(", HTML + CSS + re.sub(r"//.*", "", JS))
     own = {path.removeprefix("/") for path in page._FILES}
     loaded = re.findall(r'\b(?:src|href)="([^"]+)"', HTML)
@@ -39,7 +39,7 @@ def test_nothing_comes_from_elsewhere() -> None:
 
 
 def test_the_script_reads_what_the_stream_sends() -> None:
-    """Names of arrays and scalars are those of the records, which the table of results gives."""
+    """The names of arrays and scalars in the script are those of the records, which the table of variables defines."""
     from fingerflow.schema.variables import CONTACT, FIELDS, STREAM, TRACKING, by_name
 
     known = {

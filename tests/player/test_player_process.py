@@ -1,4 +1,6 @@
-"""The player as a program of its own: without torch, killed, and started by the package's command line."""
+"""Tests of the player as a process of its own: without torch, killed, interrupted, and started by `fingerflow
+stream`.
+"""
 
 import signal
 import subprocess
@@ -18,12 +20,14 @@ from fingerflow.export.carried_modules import carry_modules
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of an environment that has numpy and onnxruntime only."""
+    """Return the Python of an environment that has only numpy and onnxruntime."""
     return make_environment(tmp_path_factory.mktemp("lab") / "env", ONNX)
 
 
 def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], dict[str, str]]:
-    """The player of the bundle's folder, as a technician starts it."""
+    """Return the command that starts the player of the bundle's folder, as a technician does, and its environment
+    variables.
+    """
     carry_modules(stream.bundle)
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     return [str(python), "-m", "fingerflow.player", *options, *arguments], variables()
@@ -33,7 +37,7 @@ def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], 
 def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> None:
     command, environment = _command(
         python, stream, "--source", "synthetic", "--rate", "100"
-    )  # which a machine that has other work keeps up with
+    )  # a rate that a busy machine keeps up with
     with subprocess.Popen(command, env=environment, cwd=stream.bundle, stderr=subprocess.PIPE, text=True) as running:
         path = stream.folder / "results" / "records.bin"
         deadline = time.monotonic() + 60
@@ -41,7 +45,7 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
             assert running.poll() is None, running.communicate()[1]
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        time.sleep(1.3)  # at least one second more is on the disk now
+        time.sleep(1.3)  # records of at least one more second are on the disk now
         running.kill()
         running.communicate()
     records, header, events = player.read_results(stream.folder / "results")
@@ -73,7 +77,7 @@ def test_an_interrupt_ends_it_cleanly(python: Path, stream: Stream) -> None:
 
 @pytest.mark.long
 def test_the_command_line_of_the_package_is_the_same_player(stream: Stream) -> None:
-    """`fingerflow stream`, which imports no torch either, and `fingerflow export-table` of its results."""
+    """`fingerflow stream` and `fingerflow export-table` of its results run without importing torch."""
     code = "import sys; from fingerflow.cli import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"
     options = ["--source", "synthetic", "--frames", "20", "--output", "results", "--page", "off"]
     for arguments in (

@@ -1,4 +1,4 @@
-"""What a stream does with its frames: policies, key frames, restarts, errors of the source, results."""
+"""Tests of what a stream does with its frames: policies, key frames, restarts, errors of the source, results."""
 
 import json
 import os
@@ -80,19 +80,21 @@ def test_a_video_that_is_cut_says_so(stream: Stream) -> None:
 
 @pytest.fixture
 def slow_engine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each frame takes 4 ms longer."""
+    """Make the engine take 4 ms longer for each frame."""
     compute = StreamTracker.compute
     monkeypatch.setattr(StreamTracker, "compute", lambda *given: (time.sleep(0.004), compute(*given)))
 
 
 @pytest.mark.usefixtures("slow_engine")
 def test_the_policy_every_loses_nothing(stream: Stream) -> None:
-    """A paced source that is twice as fast as the engine: it waits, and that is counted."""
+    """The policy `every` drops no frame of a paced source twice as fast as the engine: the source waits, and the waits
+    are counted as overruns.
+    """
     ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--queue", "4")
     np.testing.assert_array_equal(ended.results.records["frame"], np.arange(120))
     assert ended.summary["dropped"] == 0
     assert ended.summary["overruns"] > 0
-    # Waiting counts as latency: it is measured from when a camera would have given the frame.
+    # Waiting counts as latency, which is measured from the time at which a camera would have given the frame.
     assert ended.results.records["latency"][-1] > 0.1
 
 
@@ -109,8 +111,8 @@ def test_the_policy_latest_takes_the_newest_frame(stream: Stream) -> None:
     assert summary["overruns"] == 0
 
 
-#: Spots and those that are lost to elsewhere, in a stream with a new key frame (7 of 10 are found four times) and a
-#: restart (4 of 10 four times).
+#: Numbers of spots and of spots that have moved elsewhere, for each frame of a stream with a new key frame (7 of 10
+#: points are found in four frames) and a restart (4 of 10 in four frames).
 FOUND = [(10, 0)] * 4 + [(7, 0)] * 6 + [(6, 0)] * 2 + [(10, 6)] * 10
 TRACKED = np.array([10] * 4 + [7] * 6 + [6] * 2 + [4] * 4 + [10] * 6)
 
@@ -123,8 +125,9 @@ def _frames() -> list[Any]:
 def test_points_are_keyed_anew_and_chosen_anew(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, lag: int
 ) -> None:
-    """Every frame in its order with its own result; key frame and restart count from a frame known beforehand, by the
-    compiled library the next one."""
+    """Every frame has its own result, in order. A key frame and a restart take effect a fixed number of frames after
+    the frame that causes them: one frame with the compiled library, more with frames side by side.
+    """
     monkeypatch.setattr(Upkeep, "_RESTART", 0)
     ended = stream.run(*stream.frames(_frames()), "--policy", "every", *stream.parallel(parallel))
     records, number = ended.results.records, np.arange(len(FOUND))
@@ -133,15 +136,15 @@ def test_points_are_keyed_anew_and_chosen_anew(
     assert events == [("restart", 0, 10), ("key_frame", 7, 7), ("restart", 15, 10)]
     np.testing.assert_array_equal(records["key_frame"], np.select([number < 7 + lag, number < 15 + lag], [0, 7], 15))
     np.testing.assert_array_equal(records["restart"], np.where(number < 15 + lag, 1, 2))
-    # Points lost before the key frame are not in it, until others are chosen.
+    # Points lost before the key frame are not tracked from it, until others are seeded.
     keyed = (number >= 7 + lag) & (number < 15 + lag)
-    late = number[keyed][number[keyed] >= 16]  # followed by the old points yet
+    late = number[keyed][number[keyed] >= 16]  # the points from before the restart are still tracked
     tracked = np.where(np.isin(number, late), 4, TRACKED)
     np.testing.assert_array_equal((records["status"] == TrackStatus.TRACKED).sum(1), tracked)
     np.testing.assert_array_equal(np.isfinite(records["position_px"][..., 0]).sum(1), tracked)
     assert (records["status"][keyed][:, 7:] == TrackStatus.NOT_FINITE).all()
     assert (records["status"][4 : 7 + lag, 7:] > TrackStatus.NOT_FINITE).all()
-    # A point that is followed from another key frame is the same.
+    # A point keeps its position when it is tracked from another key frame.
     np.testing.assert_allclose(records["position_px"][:15, :4], np.broadcast_to(PLACES[:4], (15, 4, 2)), atol=0.01)
 
 
@@ -153,7 +156,9 @@ def test_points_are_keyed_anew_and_chosen_anew(
 def test_results_do_not_depend_on_the_clock(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, arguments: tuple[str, ...]
 ) -> None:
-    """Bit for bit the same, whatever the pace, the frames side by side and the time that each takes."""
+    """Results are the same bit for bit, whatever the pace, the number of frames side by side and the time that each
+    frame takes.
+    """
     monkeypatch.setattr(Upkeep, "_RESTART", 10)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     generator = np.random.default_rng(5)
@@ -186,11 +191,11 @@ def test_results_do_not_depend_on_the_clock(
 
 
 def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each frame runs until two others do."""
+    """Three frames are computed at the same time: each frame waits until two others are computed as well."""
     compute, started = StreamTracker.compute, threading.Barrier(3)
 
     def at_once(tracker: StreamTracker, work: Work) -> None:
-        if tracker.found:  # not while it warms up
+        if tracker.found:  # not during the warm-up
             started.wait(timeout=60)
         compute(tracker, work)
 
@@ -204,12 +209,14 @@ def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: p
 def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
-    """Also where it fails before those have ended."""
+    """A frame that fails ends the stream with the records of all frames before it, even if it fails before these have
+    ended.
+    """
     compute, failed = StreamTracker.compute, threading.Event()
 
     def fail(tracker: StreamTracker, work: Work) -> None:
         compute(tracker, work)
-        if not tracker.found:  # it warms up
+        if not tracker.found:  # warm-up
             return
         if work.index == failing:
             failed.set()
@@ -220,7 +227,7 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     with pytest.raises(RuntimeError, match="broken engine"):
         stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", *stream.parallel(3))
     results = stream.folder / "results"
-    assert results.is_dir() == (failing > 0)  # an empty folder is not left
+    assert results.is_dir() == (failing > 0)  # no empty folder is left
     if failing:
         np.testing.assert_array_equal(player.read_results(results).records["frame"], np.arange(failing))
 
@@ -237,9 +244,11 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
 @pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
 @pytest.mark.parametrize("parallel", [None, 1])
 def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str, parallel: int | None) -> None:
-    """The threshold is measured in the first fourth frame with contact: 0.4 of the light, half of the intensity loss.
+    """The threshold is measured in the first frame with contact among every fourth frame: 0.4, half of the loss of
+    intensity.
 
-    It counts from that frame on, whether or not frames are computed beside it; darker frames keep it.
+    The threshold applies from that frame on, whether or not frames are computed side by side; later, darker frames do
+    not change the threshold.
     """
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
     levels = (200, 200, 40, 40, 40, 40, 40, 10, 130, 10)
@@ -249,14 +258,14 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
     np.testing.assert_array_equal(ended.results.records["real_contact_area"], DARKENED_MM2 * touching)
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
     assert event["frame"] == 4
-    assert event["threshold"] == pytest.approx(0.4, abs=1e-3)  # of bins of the histogram
+    assert event["threshold"] == pytest.approx(0.4, abs=1e-3)  # the bin width of the histogram
     assert ended.summary["threshold"] == event["threshold"]
     assert ended.results.header["threshold"] == "measured"
     assert "frame 4: threshold 0.3995 of the intensity lost" in ended.said
 
 
 def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An engine that finds one in frames brighter than the empty glass."""
+    """A threshold below 0, which an engine finds in frames brighter than the empty glass, is refused."""
     monkeypatch.setattr(NativeEngine, "threshold", lambda *_: np.array([-0.127], np.float32))
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
@@ -265,14 +274,14 @@ def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pyte
 
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The old one stays in use until the next is found."""
+    """After a restart the threshold is measured again; the old threshold stays in use until then."""
     monkeypatch.setattr(Upkeep, "_RESTART", 0)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
-    # Points are lost in the frames from 4 on: others are chosen in frame 7 and followed from 8 on.
+    # Points are lost from frame 4 on: others are seeded in frame 7 and tracked from frame 8 on.
     levels = [40] * 2 + [110] * 14
     frames = [_darkened(level, elsewhere=6 * (number > 3)) for number, level in enumerate(levels)]
     ended = stream.run(*stream.frames(frames), "--policy", "every")
-    # 0.45 of intensity lost is over 0.4; measured in frame 4, and again in frame 8, the half of it.
+    # The loss of 0.45 is above the threshold 0.4; the thresholds of frames 4 and 8 are half of this loss.
     found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
     assert found == [(frame, pytest.approx(0.225 if frame else 0.4, abs=1e-3)) for frame in (0, 4, 8)]
     assert [event["frame"] for event in ended.results.events if event["event"] == "restart"] == [0, 7]
@@ -280,7 +289,9 @@ def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pyt
 
 
 def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points that are covered for a while are found again: they are the same as before."""
+    """Points that are covered for a while are the same points afterwards: a restart that finds no points is not
+    kept.
+    """
     monkeypatch.setattr(Upkeep, "_RESTART", 0)
     black = frame(found=0)
     black[:, :WIDTH] = 0
@@ -288,7 +299,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     ended = stream.run(*stream.frames(frames), "--policy", "every")
     events = [(event["event"], event["frame"]) for event in ended.results.events]
     assert events == [("restart", 0)]
-    # The first three could be frames of another moment, but the fourth shows that this is what there is now.
+    # Three black frames could be a jump that returns; the fourth shows that the picture has changed for good.
     assert not ended.results.records["frame_status"].any()
     np.testing.assert_array_equal(
         np.isfinite(ended.results.records["position_px"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
@@ -306,7 +317,7 @@ def test_a_scene_may_key_by_number_and_limit_the_region(stream: Stream) -> None:
     plain[:32, :60] = 90
     (stream.folder / "results").rename(stream.folder / "first")
     ended = stream.run(*stream.frames([plain] * 3), "--policy", "every")
-    assert [event["points"] for event in ended.results.events] == [0]  # nothing to see in the region
+    assert [event["points"] for event in ended.results.events] == [0]  # no spot in the region
 
 
 def test_a_source_that_fails_is_opened_again(stream: Stream) -> None:
@@ -327,7 +338,7 @@ def test_a_source_that_stays_away_ends_the_stream(stream: Stream, monkeypatch: p
         calls += 1
         if calls > 1:
             raise OSError("no camera")
-        return iter([frame(), frame()]).__next__  # StopIteration after two: a broken adapter
+        return iter([frame(), frame()]).__next__  # a broken adapter raises StopIteration after two frames
 
     ended = stream.run(*stream.camera(make), "--policy", "every", "--give-up", "0.5")
     assert ended.code == 2
@@ -377,7 +388,7 @@ def test_the_last_record_may_be_cut(stream: Stream) -> None:
     cut = player.read_results(stream.folder / "results")
     np.testing.assert_array_equal(cut.records["frame"], np.arange(4))
     assert cut.events == [{"event": "restart"}]
-    del cut, ended  # Windows keeps mapped files
+    del cut, ended  # Windows does not let mapped files be written
     path.write_bytes(b"")
     assert len(player.read_results(stream.folder / "results").records) == 0
 

@@ -1,4 +1,4 @@
-"""Playing from Python: the function, the loop, the benchmark, and how far results fall behind."""
+"""Tests of playing from Python: the function, the loop, the benchmark, and how far results fall behind."""
 
 import threading
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from fingerflow.player.stream_player import Player
 
 @pytest.fixture
 def source(stream: Stream) -> dict[str, Any]:
-    """Arguments of `play` for nine frames of a file."""
+    """Return the arguments of `play` for nine frames of a file."""
     np.save(stream.folder / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(9)]))
     named = {"bundle": stream.bundle, "source": stream.folder / "frames.npy", "output": stream.folder / "results"}
     return {**named, "page": "off", "threads": 1}
@@ -96,19 +96,21 @@ def test_how_results_fall_behind_is_said(
     found[0].recent = {"median": median}
     found[0].frames_in += silent
     assert found[0]._falls_behind(loses, silent) == said
-    found[0]._can_wait = True  # a file as fast as possible has no camera to keep up with
+    found[0]._can_wait = True  # a file played as fast as possible cannot fall behind
     assert found[0]._falls_behind(loses, silent) == ""
 
 
 def test_no_frame_of_the_synthetic_source_repeats_another(stream: Stream) -> None:
-    """On the way back and in the next period, for as many frames as a stream compares."""
+    """No two of 520 frames of the synthetic source are equal, on the way back and in the next period, so that a stream
+    finds no repeated frame.
+    """
     source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8)
     drawn = source._ring.astype(int)
     frames = [source.read() for _ in range(520)]
     assert len({one.tobytes() for one in frames}) == len(frames)
     noise = np.stack([one - drawn[source._buffer_index(k)] for k, one in enumerate(frames)])
     assert abs(noise).max() <= 4  # no grey level has wrapped around
-    assert noise.std() == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.02)  # rounded
+    assert noise.std() == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.02)  # variance 1/12 of rounding
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1
     ended = stream.run("--source", "synthetic", "--frames", "260")
     assert "repeated" not in ended.summary["not_usable"]

@@ -1,4 +1,6 @@
-"""The flag of slip in a played stream: not in a press, not while nothing slips, and soon after slip begins."""
+"""Tests of the slip flag in a played stream: it stays 0 in a press and while nothing slips, and is raised soon after
+slip begins.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,9 @@ SMALL: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.ndarray]:
-    """A trial that rests for 20 frames, is loaded, jumps before and after full slip; and the records of its stream."""
+    """Play a trial that rests for 20 frames, is loaded, and jumps before and after full slip; return its scene and
+    records.
+    """
     folder = tmp_path_factory.mktemp("slip_stream")
     trial = PartialSlip(
         n_frames=90,
@@ -45,15 +49,17 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.nd
 
 
 def test_noise_raises_no_flag(played: tuple[PartialSlip, np.ndarray]) -> None:
-    """Before the trigger nothing moves."""
+    """The slip flag stays 0, and the residual below 0.004 mm, before the trigger, where nothing moves."""
     trial, records = played
     assert len(records) == trial.n_frames
     assert not records["slip_flag"][:STILL].any()
-    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004  # mm, an eighth of a pixel
+    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004  # mm, an eighth of a px
 
 
 def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip, np.ndarray]) -> None:
-    """When 15 % of the contact have slipped at most, long before full slip; then it stays, through the jumps."""
+    """The flag is raised after the first 2 %, and at most 15 %, of the contact have slipped, long before full slip, and
+    stays raised through the jumps.
+    """
     trial, records = played
     raised = int(np.argmax(records["slip_flag"]))
     assert raised > STILL
@@ -72,7 +78,7 @@ def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip
 )
 @pytest.mark.parametrize("flicker", [0.0, 0.1])
 def test_a_press_raises_no_flag(press: SyntheticScene, flicker: float, tmp_path: Path) -> None:
-    """Nor where the light changes by a tenth: fewer than one frame in a hundred."""
+    """The flag is raised in fewer than one in a hundred frames of a press, also if the light changes by a tenth."""
     file = write_scene_of_bundle(tmp_path / "press", press)
     frames = np.load(tmp_path / "press" / "frames.npy")
     light = 1 + flicker * np.sin(np.arange(len(frames)))
@@ -81,16 +87,17 @@ def test_a_press_raises_no_flag(press: SyntheticScene, flicker: float, tmp_path:
     options = ["--output", str(tmp_path / "results"), "--page", "off", "--threads", "1"]
     assert player.main([str(bundle), "--scene", str(file), *options]) == 0
     records = np.asarray(player.read_results(tmp_path / "results").records)
-    assert np.nanmax(records["slip_residual"]) > 0.004  # skin has spread, by more than noise
+    assert np.nanmax(records["slip_residual"]) > 0.004  # the skin has spread by more than noise
     assert records["slip_flag"].mean() < 0.01
 
 
 def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[PartialSlip, np.ndarray]) -> None:
-    """Of those that are given, against where the skin of their first frame is.
+    """In the frames after a jump no point is more than 2 px from its skin, and more than 80 % are within 0.5 px; the
+    next ridge is 14 px away.
 
-    The rim jumps by 5 px within one window of 21 px, which then gives the mean of what it sees, up to 1.5 px from its
-    middle; with windows of 15 px it is 1 px. Another ridge is 14 px away. When all jumps as one, what the rim has
-    added before stays, and nothing is added; half of the points have been left by then, too many to choose others.
+    The rim jumps by 5 px within one window of 21 px, which then gives the mean of both parts, up to 1.5 px off its
+    middle (1 px with windows of 15 px). The jump of the whole contact adds no error to that of the rim; half of the
+    points are left by then, too many for others to be seeded.
     """
     trial, records = played
     rim, whole = (int(at) for at in np.searchsorted(trial.times, trial.jumps))
@@ -107,7 +114,10 @@ def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[Part
 
 
 def _errors(trial: PartialSlip, records: np.ndarray, frame: int) -> np.ndarray:
-    """px, of the points that are given in a frame, since each was first given after they were chosen."""
+    """Return the distances (px) of the points of a frame from their skin.
+
+    The skin of a point is that at its position in the first frame in which it is given after it was seeded.
+    """
     same = np.flatnonzero(records["restart"] == records["restart"][frame])
     position = records["position_px"][same].astype(float)
     known = np.isfinite(position).all(-1)

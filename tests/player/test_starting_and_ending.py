@@ -1,4 +1,6 @@
-"""What a stream leaves behind when it cannot start, and how it ends whatever its camera does."""
+"""Tests of a stream that cannot start, which leaves nothing behind, and of how a stream ends whatever its
+camera does.
+"""
 
 import json
 import shutil
@@ -42,7 +44,9 @@ def test_a_page_that_cannot_be_served_leaves_no_results_and_closes_the_camera(st
 
 
 def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Under the same name the second gets a number; a name that was given is refused instead (above)."""
+    """Of two streams that start in the same second without a given name, the results folder of the second gets a
+    number.
+    """
 
     class Standing(datetime):
         @classmethod
@@ -59,7 +63,7 @@ def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatc
 
 
 class _Camera:
-    """Two frames and the end, or an error; `close` does what the test says."""
+    """A camera with two frames and then the end, or an error; `close` is given by the test."""
 
     def __init__(self, close: Any, then: Exception | None = None) -> None:
         self.close, self._then = close, then
@@ -99,7 +103,9 @@ def test_a_camera_that_fails_and_never_closes_is_opened_again(stream: Stream, mo
 
 
 def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
-    """As OpenCV's `read` does; without a frame it is tried again, as after an error."""
+    """A camera may give pairs (has a frame, frame), as `read` of OpenCV does; it is opened again if it has no frame, as
+    after an error.
+    """
     frames = [(True, frame()), (np.True_, frame()), (False, None), (True, frame())]
     ended = stream.run(*stream.frames(frames), "--policy", "every")
     assert (ended.code, len(ended.results.records), ended.summary["reconnects"]) == (0, 3, 1)
@@ -122,7 +128,9 @@ def test_what_is_no_frame_is_refused_in_words(stream: Stream, given: Any, said: 
 
 
 def test_a_summary_replaces_summaries_alone(stream: Stream) -> None:
-    """What is no summary of a stream is refused before the first frame, and stays."""
+    """A file that is no summary of a stream is not replaced by the summary: the stream is refused before its first
+    frame.
+    """
     path = stream.folder / "summary.json"
     path.write_text('{"participants": 16}')
     ended = stream.run(*stream.frames([frame()]), "--json", str(path))

@@ -1,4 +1,6 @@
-"""What is expected of the synthetic finger, against its drawing and against the closed form of its divergence."""
+"""Tests of the expected values of the synthetic finger, against its drawing and against the closed form of its
+divergence.
+"""
 
 import numpy as np
 import pytest
@@ -14,13 +16,15 @@ Values = NDArray[np.float64]
 
 @pytest.mark.parametrize("progress", [0.0, 0.4, 1.0])
 def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
-    """Ridges touch in the share of the contact in which a cosine is above -0.2: 0.564 and part of a ridge."""
+    """The expected areas and axes are those of the drawn finger; ridges touch in the share of the contact in which a
+    cosine is above -0.2, 0.564, to within part of a ridge.
+    """
     _, lost = _draw_finger(SHAPE, progress)
     found = expected(progress, SHAPE, 0.025, int((lost > 0.5).sum()))
     rows, columns = np.nonzero(lost > 0.5)
     assert found["real_contact_area"] == pytest.approx(0.564 * found["gross_contact_area"], rel=0.05)
     widths = sorted((np.ptp(columns) + 1, np.ptp(rows) + 1), reverse=True)
-    # Where a valley of 7 px lies at an end of the ellipse, it ends before.
+    # A valley of 7 px at an end of the ellipse shortens the drawn contact.
     assert 2 * found["ellipse_major"] / 0.025 == pytest.approx(widths[0], abs=1.5)
     assert -1.5 <= 2 * found["ellipse_minor"] / 0.025 - widths[1] < 14
 
@@ -29,8 +33,10 @@ def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
 def test_the_divergence_is_that_of_the_closed_form(
     progress: float, tolerance: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over a gauge length of 8 px, of dense skin. When most of the contact is skin that came later, its divergence
-    changes over a few px at the border of what was touched from the start: 5 px come closer, to 1.3e-3.
+    """The median divergence of dense skin over a gauge length of 8 px is that of the closed form.
+
+    Where most of the contact is skin that came into contact later (progress 0.9), the tolerance is 5e-3: divergence
+    changes over a few px at the border of the first contact. A gauge length of 5 px comes closer, to 1.3e-3.
     """
     monkeypatch.setattr(synthetic_truth, "_SKIN", 6000)
     monkeypatch.setattr(synthetic_truth, "_MOST_SKIN", 8000)
@@ -59,7 +65,9 @@ def test_divergence_is_expected_only_of_points_chosen_at_the_start() -> None:
 
 
 def _closed_form(progress: float) -> float:
-    """The median of tr(F(p) G^-1) - 2 with G = F(p0) + (dx/dp) (grad p0)^T, p0 the progress of the onset."""
+    """Return the median of tr(F(p) G^-1) - 2 over the contact at progress p, with G = F(p0) + (dx/dp) (grad p0)^T and
+    p0 the progress at onset.
+    """
     now, step = Pose.at(progress, SHAPE), 1e-5
     places = synthetic_truth._lattice(2000) * np.array(now.seen_axes())
     skin = places @ np.linalg.inv(now.deformation()).T

@@ -1,8 +1,8 @@
-"""A bundle for the compiled library, whose frames are small enough to know by heart.
+"""A bundle for the compiled library whose frames have known positions and areas.
 
 The topography view shows ten spots of different strength on a plain ground, one for each point: point k is spot k.
-Spots that a frame lacks are points that it loses. Pixels of the contact view touch where they are dark: without a
-median each of them counts.
+Points whose spots are absent are lost. Dark pixels of the contact view are in contact: without a median filter each of
+them counts.
 """
 
 from pathlib import Path
@@ -16,13 +16,13 @@ from tests.small_trials import write_library_bundle
 HEIGHT, WIDTH, POINTS = 64, 96, 10
 GLASS, TOUCHED, GROUND = 200, 20, 90  # grey levels
 SPOTS = np.array([(12 + 18 * (k % 5), 18 + 28 * (k // 5)) for k in range(POINTS)], float)  # (x, y) px
-PLACES = SPOTS + np.array([2, -1])  # of the points that are seeded on them
-_BUMPS = ((-1.8, -1.2, 1.0), (2.0, -0.9, -1.5), (0.4, 2.1, 0.5))  # x, y and height of a spot's, 0 in all
-_WIDTH = 1.3  # px, of a bump
+PLACES = SPOTS + np.array([2, -1])  # (x, y) px of the points seeded on the spots
+_BUMPS = ((-1.8, -1.2, 1.0), (2.0, -0.9, -1.5), (0.4, 2.1, 0.5))  # x, y (px) and height of bumps of a spot
+_WIDTH = 1.3  # px, width of a bump
 
 
 def recipe_of(bit_depth: int = 8) -> Recipe:
-    """Of the bundle."""
+    """Return the recipe of the bundle."""
     return Recipe(
         views=ViewRecipe(height=HEIGHT, width=WIDTH, bit_depth=bit_depth),
         contact=ContactRecipe(median_px=1, gross_radius_px=4),
@@ -32,12 +32,14 @@ def recipe_of(bit_depth: int = 8) -> Recipe:
 
 
 def write_bundle(folder: Path, bit_depth: int = 8) -> Path:
-    """Writes the bundle."""
+    """Write the bundle, and return its folder."""
     return write_library_bundle(folder, recipe_of(bit_depth))
 
 
 def write_scene(path: Path, extra: str = "", background: str = "empty.npy") -> Path:
-    """A scene whose frames hold the topography view on the left and the contact view on the right."""
+    """Write a scene whose frames hold the topography view on the left and the contact view on the right; return its
+    path.
+    """
     np.save(path.parent / "empty.npy", np.full((HEIGHT, 2 * WIDTH), GLASS, np.uint8))
     path.write_text(
         f"""[views.contact]
@@ -62,10 +64,10 @@ threshold = 0.5
 def frame(
     found: int = POINTS, contact_px: int = 0, moved: float = 0.0, stretched: float = 0.0, elsewhere: int = 0
 ) -> np.ndarray[Any, Any]:
-    """A frame with so many spots, in which so many pixels touch, row by row.
+    """Return a frame (HEIGHT, 2 * WIDTH) of uint8 with `found` spots, in which `contact_px` pixels touch, row by row.
 
-    The skin has moved by px in x, and is stretched by a share about the middle of the view; so many spots, the weakest,
-    are lost where they were and lie 9 px lower, where none is searched for.
+    The skin has moved by `moved` px in x and is stretched by the share `stretched` about the middle of the view. The
+    `elsewhere` weakest spots lie 9 px lower, out of reach of the search, so that their points are lost.
     """
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     middle = np.array([WIDTH / 2, HEIGHT / 2])

@@ -1,4 +1,4 @@
-"""Files of figures: formats, width on paper, text that stays text, captions, and lines that are told apart in grey."""
+"""Tests of figure files: formats, width on paper, text kept as text, captions, and lines distinguishable in grey."""
 
 import re
 from pathlib import Path
@@ -127,7 +127,9 @@ def test_letters_have_no_gaps() -> None:
 
 @pytest.mark.parametrize("ordered", [False, True])
 def test_lines_and_dots_differ_without_colour(ordered: bool) -> None:
-    """The paper has seven amplitudes: that many lines have dashes, and groups of dots a marker, of their own."""
+    """Seven lines, the number of amplitudes in the paper, have different dashes, and seven groups of dots different
+    markers.
+    """
     assert len({str(style["linestyle"]) for style in line_styles(7, ordered)}) == 7
     assert len({style["marker"] for style in dot_styles(7)}) == 7
     assert len({str(style["color"]) for style in line_styles(5, ordered)}) == 5

@@ -1,4 +1,4 @@
-"""The figures of a result show the numbers of that result, and of no other."""
+"""Tests that the figures of a result show the numbers of that result."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,7 +30,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
 
 
 def of_time(force: np.ndarray[Any, Any]) -> xr.Dataset:
-    """A result of forces alone."""
+    """Return a result that has only forces."""
     time = np.arange(len(force)) / 100
     return xr.Dataset(
         {"normal_force": ("frame", force, {"units": "N"})},
@@ -58,7 +58,7 @@ def test_curves_of_two_recordings_differ_and_are_theirs(
     for _, result in trials:
         (line,) = [one for one in draw(result).lines if one.get_label() == label]
         np.testing.assert_array_equal(line.get_ydata(), expected(result).values)
-        np.testing.assert_array_equal(line.get_xdata(), result["normal_force"].values)  # it only rises
+        np.testing.assert_array_equal(line.get_xdata(), result["normal_force"].values)  # the force only rises
         shown.append(np.asarray(line.get_ydata(), dtype=float))
     assert np.isfinite(shown[0]).sum() > 8
     apart = np.nanmax(np.abs(shown[0] - shown[1]))
@@ -85,7 +85,7 @@ def test_maps_of_two_recordings_differ_and_are_theirs(quantity: str, trials: lis
 
 
 def test_rendered_figures_of_two_recordings_differ(trials: list[Trial]) -> None:
-    """Pixels, so that it holds for what is seen: within the axes, where no two empty figures differ."""
+    """Rendered figures of two recordings differ in their pixels inside the axes, where empty figures would be equal."""
     pictures = []
     for scene, result in trials:
         figure = Figure(figsize=(9, 3))
@@ -103,11 +103,11 @@ def test_rendered_figures_of_two_recordings_differ(trials: list[Trial]) -> None:
 
 
 def test_the_mask_is_what_was_counted(trials: list[Trial]) -> None:
-    """Pixel for pixel: the area of the mask is the real contact area of that frame."""
+    """The area of the drawn contact mask equals the real contact area of that frame, pixel for pixel."""
     for scene, result in trials:
         for frame in (8, 15):
             picture = plot.picture(result, scene, frame).images[0].get_array()
-            mask = picture[..., 0] != picture[..., 2]  # grey is where nothing touches
+            mask = picture[..., 0] != picture[..., 2]  # grey pixels are not in contact
             area = mask.sum() * scene.calibration.mm_per_px**2
             assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-9)
             assert area > 1
@@ -147,7 +147,9 @@ def test_what_varies_is_the_axis() -> None:
 
 
 def test_no_spike_at_the_frame_that_points_are_chosen_in(trials: list[Trial]) -> None:
-    """It is compared with itself: a distance and a deviation of 0 that nobody has measured."""
+    """The frame in which points are seeded is NaN in these curves: this frame is compared with itself, so its distance
+    and deviation of 0 are not measured.
+    """
     _, result = trials[0]
     assert float(result["forward_backward_median"][0]) == 0
     for draw in (plot.forward_backward, plot.position_std):
@@ -157,7 +159,7 @@ def test_no_spike_at_the_frame_that_points_are_chosen_in(trials: list[Trial]) ->
 
 
 def test_principal_strains_are_eigenvalues() -> None:
-    """Against LAPACK in float64, to the rounding of both: 1e-12."""
+    """Principal strains equal LAPACK's eigenvalues in float64, to 1e-12, the rounding of both."""
     strain = np.random.default_rng(1).normal(0, 0.1, (200, 3))
     values, angle = principal(xr.Dataset({"strain": (("triangle", "strain_component"), strain)}))
     matrix = np.stack((strain[:, [0, 2]], strain[:, [2, 1]]), 1)
@@ -168,7 +170,7 @@ def test_principal_strains_are_eigenvalues() -> None:
 
 
 def test_colours_are_not_those_of_torn_triangles(trials: list[Trial]) -> None:
-    """One triangle in twenty that is strained by 20 takes no more than the colours of three medians."""
+    """Triangles torn by a strain of 20, one in twenty, do not extend the colour scale beyond three medians."""
     _, result = trials[0]
     torn = result["strain"].copy()
     torn[15, ::20] = 20.0

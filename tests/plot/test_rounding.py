@@ -1,4 +1,4 @@
-"""Numbers are rounded to their deviation: one rule, two digits of it."""
+"""Tests that numbers are rounded to two digits of their deviation."""
 
 import math
 
@@ -15,7 +15,7 @@ from fingerflow.plot.rounding import with_interval, with_uncertainty
         (1.2345, 0.0996, "1.23 ± 0.10"),  # 0.0996 is 0.10 in two digits, not 0.100
         (-0.0001, 0.2, "0.00 ± 0.20"),
         (0.02371, math.nan, "0.0237"),
-        (0.85, 1e-17, "0.850"),  # the deviation of equal numbers is that of the arithmetic
+        (0.85, 1e-17, "0.850"),  # the deviation of equal numbers is a rounding error
         (0.0, 0.0, "0"),
         (math.nan, 0.1, "–"),
     ],

@@ -1,4 +1,6 @@
-"""Small recordings as cameras and FFmpeg write them: Phantom (by the format's description), Photron, videos."""
+"""Helpers that write small recordings as cameras and FFmpeg do: Phantom (by its format description),
+Photron, videos.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ import av
 import numpy as np
 
 TRIGGER = 1_437_678_836 * 2**32 + 2**31 + 3  # 32.32 fixed point; the lowest two bits are flags
-OFFSETS_IN_SETUP = {  # of SETUP, little endian, packed to single bytes
+OFFSETS_IN_SETUP = {  # offsets in SETUP, little endian, without padding
     "FrameRate16": (0, "<H"), "FrameRate": (768, "<I"), "Serial": (743, "<I"), "bFlipH": (756, "<i"),
     "bFlipV": (760, "<i"), "CameraVersion": (792, "<I"), "CFA": (808, "<I"), "Rotate": (884, "<i"),
     "RealBPP": (896, "<I"), "ShutterNs": (1568, "<I"), "BlackLevel": (5732, "<i"), "WhiteLevel": (5736, "<i"),
@@ -22,7 +24,7 @@ OFFSETS_IN_SETUP = {  # of SETUP, little endian, packed to single bytes
 
 @dataclass
 class Cine:
-    """Content of a Phantom recording. `pixels`: the bytes of each frame, packed and in file order already."""
+    """Content of a Phantom recording. `pixels` holds the bytes of each frame, packed and in the order of the file."""
 
     width: int
     height: int
@@ -51,7 +53,7 @@ class Cine:
         blocks = b""
         if self.stamps is not None:
             ticks = [(TRIGGER & ~3) + round(stamp * 2**30) * 4 + 3 for stamp in self.stamps]
-            blocks += struct.pack("<IHH", 8 + 16, 1007, 1) + bytes(16)  # a block that the reader has to step over
+            blocks += struct.pack("<IHH", 8 + 16, 1007, 1) + bytes(16)  # a block that the reader must skip
             blocks += struct.pack("<IHH", 8 + 8 * len(ticks), 1002, 1) + struct.pack(f"<{len(ticks)}Q", *ticks)
             exposures = struct.pack("<IHH", 8 + 4 * len(ticks), 1003, 0)
             blocks += exposures + struct.pack(f"<{len(ticks)}I", *[round(0.001 * 2**32)] * len(ticks))
@@ -74,7 +76,7 @@ class Cine:
 
 
 def pack_bits(values: np.ndarray, bits: int) -> bytes:
-    """Values one behind the other as one long binary number, the most significant bit first."""
+    """Return values packed as one long binary number, the most significant bit first."""
     text = "".join(format(int(value), f"0{bits}b") for value in values.reshape(-1))
     text += "0" * (-len(text) % 8)
     return int(text, 2).to_bytes(len(text) // 8, "big")
@@ -118,7 +120,7 @@ def write_photron(folder: Path, data: bytes, header: str = ".cih", **changes: ob
 
 
 def write_video(path: Path, frames: np.ndarray, codec: str, pixels: str, rate: int = 300, **options: str) -> Path:
-    """Encode grey frames (N, H, W) or colour ones (N, H, W, 3); planes are filled directly, so nothing is converted."""
+    """Encode grey frames (N, H, W) or colour frames (N, H, W, 3); planes are filled directly, without conversion."""
     _, height, width = frames.shape[:3]
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=Fraction(rate), options=options)
@@ -134,7 +136,7 @@ def write_video(path: Path, frames: np.ndarray, codec: str, pixels: str, rate: i
                 elif plane_number == 0:
                     buffer[:, :width] = values
                 else:
-                    buffer[:] = 128 if values.itemsize == 1 else 512  # no colour, of 8 or 10 bits
+                    buffer[:] = 128 if values.itemsize == 1 else 512  # no colour, in 8 or 10 bits
                 plane.update(buffer.tobytes())
             frame.pts, frame.time_base = number, Fraction(1, rate)
             container.mux(stream.encode(frame))

@@ -1,4 +1,4 @@
-"""HDF5 files whose index of chunks is damaged, entry by entry."""
+"""Helper that writes HDF5 files whose index of chunks is damaged, one entry at a time."""
 
 import struct
 from collections.abc import Iterator
@@ -8,17 +8,19 @@ from typing import Any
 import h5py
 import numpy as np
 
-KEY = struct.Struct("<IIQQQQ")  # of a chunk in a B-tree, version 1: stored bytes, filter mask, place, place in a value
+KEY = struct.Struct("<IIQQQQ")  # chunk in a B-tree, version 1: stored bytes, filter mask, offset, offset in an element
 
 
 def damaged_indexes(path: Path, frames: np.ndarray, **options: Any) -> Iterator[str]:
-    """Write `frames`, one a chunk, to `path` with one entry of the index damaged; yield what was done to it."""
+    """Write `frames`, one per chunk, to `path` with one damaged entry of the index; yield a description
+    of the damage.
+    """
     with h5py.File(path, "w", libver="earliest") as file:
         file.create_dataset("x", data=frames, chunks=(1, *frames.shape[1:]), **options)
         chunks = [file["x"].id.get_chunk_info(number) for number in range(len(frames))]
     whole = path.read_bytes()
     keys = [whole.index(KEY.pack(one.size, 0, *one.chunk_offset, 0)) for one in chunks]
-    last = keys[-1] + KEY.size + 8  # the bound behind the last chunk
+    last = keys[-1] + KEY.size + 8  # the upper bound after the last chunk
     assert KEY.unpack_from(whole, last)[2] == len(frames) - 1
 
     def changed(name: str, at: int, code: str, value: int) -> str:

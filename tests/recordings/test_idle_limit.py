@@ -1,4 +1,4 @@
-"""A process that stands still is ended; one that works, or has another work for it, is not."""
+"""Tests that an idle process is ended, and that a process that works, or whose child works, is not."""
 
 import subprocess
 import sys
@@ -18,7 +18,9 @@ PARENT = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {WORKS!
     ("program", "ended"), [("import time; time.sleep(600)", True), (WORKS, False), (PARENT, False)]
 )
 def test_only_what_stands_still_is_ended(program: str, ended: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten looks, fewer than those at which the others are at work, and more than a disk keeps their start waiting."""
+    """Only the idle process is ended after ten checks: fewer than the other processes need for their work, and more
+    than a slow disk delays their start.
+    """
     monkeypatch.setattr(idle, "_LOOK_SECONDS", 0.1)
     with subprocess.Popen([sys.executable, "-c", program]) as process, IdleLimit(process.pid, 1.0) as limit:
         status = process.wait()

@@ -1,7 +1,7 @@
-"""What a lossy codec leaves of the stated deviations: those of Motion JPEG hold, those of H.264 do not, and it is said.
+"""Tests of stated deviations for lossy video: those of Motion JPEG hold; those of H.264 do not, and a warning says so.
 
-Sixty frames of the shipped press, written by FFmpeg; a normal error lies within its deviation in 68 % of the cases, and
-within twice that in 95 %.
+Sixty frames of the shipped press are encoded by FFmpeg. A normal error lies within one deviation in 68 % of the cases
+and within two in 95 %.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ PRESS = Press(n_frames=60)
 
 
 def encoded(press: Path, name: str, codec: str, pixels: str, **options: str) -> Path:
-    """Write the scene of the press with its frames as a video."""
+    """Write the frames of the press as a video; return the scene of this video."""
     write_video(press / name, np.load(press / "frames.npy", mmap_mode="r"), codec, pixels, **options)
     scene = press / f"{name}.toml"
     scene.write_text((press / "scene.toml").read_text(encoding="utf-8").replace("frames.npy", name), encoding="utf-8")
@@ -44,7 +44,7 @@ DEVIATIONS = (
 
 
 def coverage(scene: Path) -> tuple[float, float, xr.Dataset]:
-    """The shares of errors within one and two deviations, and the result."""
+    """Return the shares of errors within one and two deviations, and the result."""
     result = process(load_scene(scene), [*OUTPUTS, *DEVIATIONS], device="cpu")
     pixels, deviation = result["position_px"].values, result["position_std_px"].values
     material = PRESS.truth.material(PRESS.truth.topography_positions(pixels[0]), 0)
@@ -81,7 +81,7 @@ def test_deviations_that_do_not_hold_are_not_stated(press: Path, quality: str) -
         assert "NaN, not known of frames in h264" in result[name].attrs["long_name"]
     for name in ("median_divergence", "strain_energy"):
         assert np.isfinite(result[name].values[-1]), name
-    # In a file, and what is computed from it later, the same.
+    # A result reused from a file states the same.
     stored = press / f"crf{quality}.h5"
     process(scene, to=stored)
     again = process(scene, [*OUTPUTS, *DEVIATIONS], device="cpu", earlier=stored)

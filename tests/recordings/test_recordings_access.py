@@ -1,4 +1,4 @@
-"""What all recordings share: laziness, slices, times, and the errors of opening."""
+"""Tests common to all recordings: lazy reading, slices, times, and errors on opening."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def reads(monkeypatch):
-    """Numbers of the frames that were read, in order."""
+    """Return a list that collects the numbers of the frames that are read, in order."""
     numbers: list[int] = []
     original = FileRecording._decode
 
@@ -69,8 +69,8 @@ def test_slices_and_lists_choose_as_numpy_does(path, key):
         (np.ascontiguousarray, slice(2, 9), False),
         (np.ascontiguousarray, slice(2, 9, 3), False),
         (np.ascontiguousarray, [4], False),
-        (np.ascontiguousarray, [4, 5, 7], True),  # at no even distance
-        (np.ascontiguousarray, slice(None, None, -1), True),  # which tensors do not have
+        (np.ascontiguousarray, [4, 5, 7], True),  # uneven steps
+        (np.ascontiguousarray, slice(None, None, -1), True),  # tensors have no negative strides
         (np.asfortranarray, slice(2, 9), True),
         (lambda frames: frames.astype(">u2"), slice(2, 9), True),
     ],
@@ -80,9 +80,9 @@ def test_frames_that_lie_ready_in_the_file_are_not_copied(tmp_path, reads, chang
     with open_recording(tmp_path / "frames.npy") as recording:
         frames = recording[key].mapped()
         assert bool(reads) == copies
-        assert frames.flags.writeable == copies  # nobody writes into the file
+        assert frames.flags.writeable == copies  # the file is read-only
         assert frames.dtype == np.uint16
-    np.testing.assert_array_equal(frames, FRAMES[key])  # also when the recording is closed
+    np.testing.assert_array_equal(frames, FRAMES[key])  # also after the recording is closed
 
 
 def test_slices_of_slices(path):
@@ -164,7 +164,7 @@ def test_a_file_of_another_kind_than_its_suffix_says(tmp_path, suffix):
 
 
 def test_larger_than_memory_opens_at_once(tmp_path):
-    # 200,000 frames, 52 GB if they were written: the file is a hole with a header.
+    # 200,000 frames in a sparse file, which would take 52 GB on disk.
     shape = (200_000, 512, 256)
     with open(tmp_path / "huge.npy", "wb") as file:
         np.lib.format.write_array_header_2_0(file, {"descr": "<u2", "fortran_order": False, "shape": shape})

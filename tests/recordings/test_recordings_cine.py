@@ -1,4 +1,4 @@
-"""Phantom `.cine`: frames that the test packs itself, and real recordings."""
+"""Tests of Phantom `.cine` files: frames packed by the test, and real recordings."""
 
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ def test_the_companding_table_is_the_curve_of_bt_709():
     # BT.709: V = 4.5 L below L = 0.018, else 1.099 L^0.45 - 0.099.
     light = np.where(video < 4.5 * 0.018, video / 4.5, ((np.maximum(video, 0) + 0.099) / 1.099) ** (1 / 0.45))
     difference = LINEAR_OF_COMPANDED[:1015] - (64 + 4000 * light)
-    # Measured 2.43 of 4095: a quarter of the step between two codes at the bright end. A wrong entry would stand out.
+    # Measured 2.43 of 4095, a quarter of the step between two codes at the bright end; a wrong entry differs by more.
     assert np.abs(difference[64:]).max() < 2.5
     assert LINEAR_OF_COMPANDED.shape == (1024,)
     assert np.all(np.diff(LINEAR_OF_COMPANDED.astype(int)) >= 0)
@@ -136,7 +136,7 @@ def test_precise_rate_of_newer_cameras_and_short_setup_of_older_ones(tmp_path):
     ("lost", "annotation", "left"), [(1, 0, 4), (120, 0, 4), (121, 0, 4), (130, 0, 3), (350, 0, 2), (200, 100, 4)]
 )
 def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotation, left):
-    frames = frames_of(12)  # 120 bytes each, and 8 before each, or more with an annotation
+    frames = frames_of(12)  # 120 bytes each, after 8 bytes or more with an annotation
     whole = cine(frames, annotation=bytes(annotation)).bytes()
     (tmp_path / "cut.cine").write_bytes(whole[:-lost])
     recording = open_recording(tmp_path / "cut.cine")
@@ -175,7 +175,7 @@ def test_flips_meant_for_players_are_named_and_not_applied(tmp_path):
     assert "bFlipV" in recording.warnings[0]
 
 
-# Real recordings. The sums (first frame, its upper half) are those of the decoded images that the image correlation
+# Real recordings. The sums (first frame, its upper half) are those of the decoded images that the image-correlation
 # program DICe ships for the same files; all pixels of all frames were compared once and are equal.
 @pytest.mark.parametrize(
     ("name", "dtype", "bits", "rate", "start", "total", "upper_half"),

@@ -1,4 +1,4 @@
-"""NumPy, HDF5, TIFF and image files."""
+"""Tests of NumPy, HDF5, TIFF and image files."""
 
 import cv2
 import h5py
@@ -19,8 +19,8 @@ PAGES = GREY | {"metadata": None, "contiguous": False}
 
 
 def write(path, frames, attributes=(), **options):
-    """Write frames in the format of the suffix: `attributes` of HDF5, `options` of its library; TIFF page by page if
-    they are not contiguous.
+    """Write frames in the format of the suffix, with `attributes` of HDF5 and `options` of its library; TIFF page by
+    page if not contiguous.
     """
     if path.suffix == ".npy":
         np.save(path, frames, **options)
@@ -52,7 +52,7 @@ def write(path, frames, attributes=(), **options):
         ("a.tif", np.asarray, GREY | {"rowsperstrip": 7}),
         ("a.tif", np.asarray, GREY | {"tile": (16, 16)}),
         ("a.tiff", np.asarray, PAGES),
-        ("a.tif", np.asarray, GREY | {"contiguous": False}),  # each page a series of its own
+        ("a.tif", np.asarray, GREY | {"contiguous": False}),  # each page is its own series
     ],
 )
 def test_frames_are_those_in_the_file(tmp_path, name, stored, options, frames, bits):
@@ -170,7 +170,7 @@ def test_tiff_interval_of_imagej(tmp_path, unit, seconds):
 
 def test_tiff_bit_depth_is_the_tag(tmp_path):
     frames = GREY16[0, :, :] >> 4
-    # 12 bits a sample, packed by rows: written by hand, since the library writes whole bytes only.
+    # 12 bits per sample, packed by rows; the library can only write whole bytes.
     rows = b"".join(pack_bits(row, 12) for row in frames)
     (tmp_path / "a.tif").write_bytes(_baseline_tiff(30, 20, 12, rows))
     recording = open_recording(tmp_path / "a.tif")
@@ -233,7 +233,7 @@ def test_one_image_is_a_recording_of_one_frame(tmp_path, suffix):
     path.write_bytes(cv2.imencode(f".{suffix}", ramp)[1].tobytes())
     recording = open_recording(path)
     assert (len(recording), recording.frame_shape) == (1, (48, 64))
-    assert np.abs(recording[0].astype(int) - ramp).max() <= (3 if suffix == "jpg" else 0)  # JPEG loses a little
+    assert np.abs(recording[0].astype(int) - ramp).max() <= (3 if suffix == "jpg" else 0)  # JPEG is lossy
 
 
 def test_grey_in_three_equal_channels_is_kept(tmp_path):

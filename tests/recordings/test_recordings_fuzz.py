@@ -1,4 +1,4 @@
-"""A short run of `python -m tests.fuzz`: every reader, the same inputs each time."""
+"""Tests by a short run of `python -m tests.fuzz`: every reader, with the same inputs in each run."""
 
 import subprocess
 import sys
@@ -22,11 +22,11 @@ def test_damaged_files_are_read_or_refused_in_a_sentence():
     assert total[0] == "all"
     read, refused, *wrong = map(int, total[1:])
     assert (read + refused, sum(wrong)) == (306, 0)
-    assert min(read, refused) > 60  # the damage neither kills all files nor leaves all alone
+    assert min(read, refused) > 60  # some damaged files are readable and some are not
 
 
 def test_what_goes_wrong_is_seen(tmp_path):
-    """The command itself: a reader that hangs, crashes, takes memory or raises something else is counted as that."""
+    """The fuzz command counts a reader that hangs, crashes, exhausts memory or raises another exception as such."""
     broken = """
 import os, sys, numpy as np
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Photron `.mraw` with its `.cih` or `.cihx`: written by the test, and a real pair."""
+"""Tests of Photron `.mraw` with its `.cih` or `.cihx`: written by the test, and a real pair."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ NOVA = {"Camera_Type": "FASTCAM Nova S16 type 1100K-M-64GB", "Color_Type": "Raw"
         (stored(FRAMES), ".cihx", NOVA, FRAMES, 12),
         (stored(FRAMES << 4), ".cih", {"EffectiveBit_Side": "Higher"}, FRAMES, 12),
         (b"".join(pack_bits(frame, 12) for frame in FRAMES), ".cih", {"Color_Bit": 12}, FRAMES, 12),
-        # Eight bits of a sensor of twelve are eight: the others are lost.
+        # Only eight of the sensor's twelve bits are saved.
         (BYTES.tobytes(), ".cih", {"Color_Bit": 8, "EffectiveBit_Side": "Higher"}, BYTES, 8),
     ],
     ids=["16 bits", "XML header", "upper bits", "12 bits packed", "8 bits"],
@@ -37,7 +37,7 @@ def test_frames_and_times_from_either_file_of_the_pair(tmp_path, opened, data, h
     np.testing.assert_array_equal(recording.read(), frames)
     np.testing.assert_array_equal(recording.mapped(), frames)
     assert (recording.dtype, recording.bit_depth) == (frames.dtype, bits)
-    assert recording.frame_rate == 300  # every tenth of 3000 frames a second was saved
+    assert recording.frame_rate == 300  # every tenth frame at 3000 Hz was saved
     np.testing.assert_allclose(recording.times, (np.arange(6) * 10 - 20) / 3000)
     assert recording.metadata["exposure_s"] == pytest.approx(65.06e-6)
     assert recording.metadata["sensor_bits"] == 12
@@ -86,7 +86,7 @@ def test_one_file_of_the_pair_alone(tmp_path, missing, opened):
 def test_real_recording(shared_data):
     recording = open_recording(shared_data / "mraw" / "data_showcase.mraw")
     assert (len(recording), recording.frame_shape, recording.bit_depth) == (75, (40, 640), 8)
-    assert recording.frame_rate == 150  # 15000 a second, one in a hundred saved
+    assert recording.frame_rate == 150  # 15000 Hz, one frame in a hundred saved
     assert recording.times[-1] == pytest.approx(74 / 150)
     raw = np.fromfile(shared_data / "mraw" / "data_showcase.mraw", np.uint8).reshape(75, 40, 640)
     np.testing.assert_array_equal(recording[::-1].read(), raw[::-1])

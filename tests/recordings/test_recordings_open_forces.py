@@ -1,6 +1,6 @@
-"""Reading forces: every kind of file is written by the test; time, channels, units and what is refused.
+"""Tests of reading forces from files of every kind, written by the test: time, channels, units and refused files.
 
-Text also as programs write it: LabVIEW measurement files, notes before the table, no heading at all.
+Text files include LabVIEW measurement files, notes before the table, and tables without a heading.
 """
 
 import sys
@@ -87,7 +87,7 @@ def test_units_given_go_before_the_file(tmp_path):
     path = text(tmp_path, "time,normal,tangential (mN),trigger\n" + rows())
     forces = open_forces(path, units={"normal": "mN", "tangential": "N", "time": "s"}, trigger="trigger")
     check(forces, factor=1e-3)
-    assert forces.units["trigger"] == ""  # nobody said, and a level is enough to align
+    assert forces.units["trigger"] == ""  # no unit is stated; a level suffices to align
 
 
 def test_channels_are_chosen_and_renamed(tmp_path):
@@ -116,7 +116,7 @@ def test_without_a_heading_columns_have_numbers(tmp_path, separator, decimal):
 
 
 def lvm(x_columns, table, decimal="."):
-    """What Write To Measurement File of LabVIEW 2020 writes."""
+    """Return the text that Write To Measurement File of LabVIEW 2020 writes."""
     return (
         f"LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\n"
         f"Decimal_Separator\t{decimal}\n"
@@ -281,7 +281,7 @@ def test_matlab_struct_with_a_rate(tmp_path):
 
 
 def test_matlab_v73(tmp_path):
-    # What MATLAB writes with -v7.3: HDF5 behind a block of 512 bytes, vectors as (1, n), the class in an attribute.
+    # MATLAB writes with -v7.3: HDF5 after a block of 512 bytes, vectors as (1, n), the class in an attribute.
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         for name, values in (("time", TIMES), ("normal", NORMAL), ("tangential", TANGENTIAL)):
             file[name] = values[:, None]

@@ -1,4 +1,4 @@
-"""Forces on the clock of the frames: alignment to the trigger and the anti-aliased values, against analytic truth."""
+"""Tests of forces on the clock of the frames, against analytic truth: alignment to the trigger, anti-aliased values."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from fingerflow.recordings.forces.low_pass import (
 
 RATE = 10_000
 TIMES = np.arange(0, 1.5, 1 / RATE)
-FRAMES = 0.2137 + np.arange(300) / 300  # the ratio of the rates is no whole number; all kernels lie inside
+FRAMES = 0.2137 + np.arange(300) / 300  # the ratio of the rates is not an integer; all kernels lie inside
 
 
 def forces(times=TIMES, trigger=None, **channels):
@@ -26,7 +26,7 @@ def forces(times=TIMES, trigger=None, **channels):
 
 
 def uneven_times() -> np.ndarray:
-    """2 kHz with samples up to 0.4 of a step early or late."""
+    """Return times (3000,) s at 2 kHz, up to 0.4 of a step early or late."""
     return (np.arange(3000) + np.random.default_rng(2).uniform(-0.4, 0.4, 3000)) / 2000
 
 
@@ -91,7 +91,7 @@ def test_what_the_frames_cannot_show_is_gone(frequency):
 
 
 def test_uneven_samples():
-    # The sum over uneven samples is an integral by the trapezoid rule: a coarser one at 2 kHz, so 2 % and not 0.1 %.
+    # The sum over uneven samples is a trapezoidal integral, coarser at 2 kHz: 2 % and not 0.1 %.
     for frequency, keeps in ((5, True), (60, True), (200, False)):
         signal, truth = resampled(frequency, uneven_times())
         assert np.abs(signal - truth * keeps).max() < 0.02
@@ -106,7 +106,7 @@ def test_constants_everywhere_and_ramps_inside_are_exact(times):
 
 
 def one_after_the_other(times: np.ndarray, values: np.ndarray, wanted: np.ndarray, nyquist: float) -> np.ndarray:
-    """What `low_pass_at` gives, frame by frame, by the formulas as they stand in its file."""
+    """Return the values of `low_pass_at`, computed frame by frame with the formulas of its module."""
     half_width, beta = kernel_half_width(nyquist), 0.1102 * (STOP_BAND_DB - 8.7)
     steps = np.minimum(np.diff(times), 2 * np.median(np.diff(times)))
     stretches = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
@@ -140,7 +140,9 @@ CLOCKS = {
 
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_frames_that_share_a_kernel_get_what_each_would_by_itself(clock):
-    """Samples that lie alike to a billionth of a step are taken for the same, so 1e-9 of noise of 1 is the bound."""
+    """Frames that share a kernel get the value of their own kernel to 1e-9 of the noise: sample offsets equal to 1e-9
+    of a step count as equal.
+    """
     times, wanted = CLOCKS[clock]
     values = 5 + np.random.default_rng(1).normal(size=(2, len(times)))
     expected = one_after_the_other(times, values, wanted, 150.0)
@@ -151,7 +153,7 @@ def test_the_ends_of_the_record_are_no_zeros():
     frames = np.arange(0, 1.4999, 1 / 300)
     values = forces(constant=np.full(TIMES.size, 7.25), ramp=3 * TIMES - 1).resample(frames)
     np.testing.assert_allclose(values["constant"], 7.25, rtol=1e-13)
-    # Half a kernel is not symmetric: near the ends a ramp is off by its slope times 0.27 of a frame at most.
+    # The truncated kernel is not symmetric: near the ends a ramp errs by its slope times 0.27 of a frame at most.
     np.testing.assert_allclose(values["ramp"], 3 * frames - 1, atol=3 * 0.3 / 300)
     assert np.all(np.isfinite(values["ramp"]))
 
@@ -179,7 +181,7 @@ def test_frames_outside_the_forces_are_nan_and_counted():
     covered = f"the forces do not cover {outside.sum()} of 530 frames (NaN there): is the trigger right?"
     assert record.warnings == [covered]
     record.resample(frames)
-    assert len(record.warnings) == 1  # said once
+    assert len(record.warnings) == 1  # warned once
 
 
 def test_forces_that_cover_no_frame():
@@ -193,7 +195,7 @@ def test_frames_in_a_gap_are_nan_and_counted():
     values = record.resample(FRAMES)["x"]
     in_gap = (FRAMES > 0.5) & (FRAMES <= 0.6)
     np.testing.assert_array_equal(np.isnan(values), in_gap)
-    # Beside the gap the kernel is cut as at an end.
+    # The kernel is truncated at a gap as at an end.
     np.testing.assert_allclose(values[~in_gap], 2 + FRAMES[~in_gap], atol=0.2 / 300)
     assert "gaps" in record.warnings[0]
 
@@ -212,7 +214,7 @@ def test_one_frame_has_no_rate():
 
 
 def test_a_sample_that_is_nan_is_one_that_is_missing():
-    """One leaves nothing to bridge at 10 kHz; half a second of them is a gap, in this channel and no other."""
+    """A NaN sample counts as missing: one at 10 kHz has no effect, half a second is a gap in this channel only."""
     one, many = 2 + TIMES, 2 + TIMES
     one[7000] = np.nan
     many[5000:10000] = np.inf

@@ -1,4 +1,4 @@
-"""Videos that the test encodes: every frame exactly, in any order, in bounded memory."""
+"""Tests of videos encoded by the test: every frame exactly, in any order, in bounded memory."""
 
 import av
 import numpy as np
@@ -13,7 +13,7 @@ HEIGHT, WIDTH, COUNT = 48, 80, 60
 
 
 def frames_of(bits: int) -> np.ndarray:
-    """A moving pattern with the number of the frame in its mean."""
+    """Return a moving pattern (COUNT, HEIGHT, WIDTH) whose mean encodes the number of the frame."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     top = 2**bits - 1
     frames = [top * (0.2 + 0.6 * n / COUNT + 0.1 * np.sin((x + 2 * n) / 7) * np.cos(y / 5)) for n in range(COUNT)]
@@ -61,7 +61,7 @@ INTER_CODED = [
 def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, codec, options):
     frames = frames_of(8)
     path = write_video(tmp_path / name, frames, codec, "yuv420p", **options)
-    with av.open(str(path)) as container:  # the reference: one pass from the start, nothing else
+    with av.open(str(path)) as container:  # the reference: one pass from the start
         straight = [
             np.frombuffer(f.planes[0], np.uint8).reshape(HEIGHT, -1)[:, :WIDTH].copy()
             for f in container.decode(video=0)
@@ -73,7 +73,7 @@ def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, co
         fresh = open_recording(path)
         np.testing.assert_array_equal(fresh[order].read(), np.array(straight)[order])
         assert not fresh.doubtful
-    # Each frame is the right one, not only the same each time: its mean tells its number (the codec moves it by < 1).
+    # Each frame is the right one, not just reproducible: its mean encodes its number (the codec changes it by < 1).
     means = recording.read().mean((1, 2))
     assert np.abs(means - frames.mean((1, 2))).max() < 1.0  # steps between frames are 2.55
 
@@ -89,7 +89,7 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
     assert decoded == []
     recording[::-1].read()
     assert len(decoded) == COUNT
-    # With room for 5 frames a group of 20 is decoded again for each 5 frames: 20 + 15 + 10 + 5 of them.
+    # With a cache of 5 frames a group of 20 is decoded again for every 5 frames: 20 + 15 + 10 + 5 frames.
     monkeypatch.setattr(video, "CACHE_BYTES", 5 * HEIGHT * WIDTH)
     decoded.clear()
     small = open_recording(path)
@@ -99,7 +99,7 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
 
 
 def test_high_rates_in_a_container_that_counts_milliseconds(tmp_path):
-    # At 2000 frames a second MKV gives every second frame the time stamp of the one before.
+    # At 2000 frames/s MKV gives every second frame the time stamp of the previous frame.
     frames = frames_of(8)
     recording = open_recording(write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", rate=2000))
     order = [40, 3, 4, 59, 0]

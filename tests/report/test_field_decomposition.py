@@ -1,4 +1,4 @@
-"""Figure S6: parts that add up, each with the amount it was made with."""
+"""Tests of figure S6: parts that add up, each with its known amount."""
 
 import io
 

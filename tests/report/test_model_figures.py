@@ -1,4 +1,6 @@
-"""Figures of partial slip and of the observer: what they show is what the numbers say, and they render."""
+"""Tests of the figures of partial slip and of the observer: artists hold the numbers of the models, and
+figures render.
+"""
 
 import io
 
@@ -21,7 +23,7 @@ def axes() -> Axes:
 
 
 def texts(axes: Axes) -> set[str]:
-    """The legend, after the figure has been drawn whole."""
+    """Return the texts of the legend after the whole figure has been drawn."""
     axes.figure.savefig(io.BytesIO(), format="png", dpi=40)
     legend = axes.get_legend()
     return {text.get_text() for text in legend.get_texts()} if legend else set()

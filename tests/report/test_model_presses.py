@@ -1,4 +1,4 @@
-"""Figures S4, S5 K, S8 to S10 and the movie: numbers in the artists are those of the models."""
+"""Tests of figures S4, S5 K, S8 to S10 and the movie: artists hold the numbers of the models."""
 
 from pathlib import Path
 
@@ -137,7 +137,7 @@ def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
     assert np.max(surface[0].lines[2].get_ydata()) == pytest.approx(1e-3 * float(pressure[2].max()))
     assert [np.unique(line.get_ydata()).tolist() for line in maps[0].lines] == [[1.2], [2.0]]
     peak = expected.sigma_z.amin(-1)
-    # All skin sticks at a friction of 0.2 already: only against a slippery contact does friction add to the stress.
+    # All skin sticks at a friction of 0.2 already: friction adds to the stress only relative to a slippery contact.
     assert float(peak[2] / peak[1]) == pytest.approx(1.001, abs=0.003)
     assert float(peak[2] / peak[0]) == pytest.approx(1.165, abs=0.02)
     assert f"over 0.2: {peak[2] / peak[1]:.3f}, over 0.02: {peak[2] / peak[0]:.3f}, in print" in receptor[0].get_title()
@@ -150,7 +150,9 @@ def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
 
 
 def test_numbers_of_the_page_on_models(simulated: SimulatedPresses) -> None:
-    """docs/methods/models.md compares them with print; a chain of 251 elements is within 10 % of the page's 1001."""
+    """Numbers of docs/methods/models.md agree with a chain of 251 elements, which is within 10 % of the page's 1001
+    elements.
+    """
     area = np.pi / 4 * (1e3 * simulated.chain.contact_length[-1].numpy()) ** 2
     np.testing.assert_allclose(area, [70.9, 67.8, 67.5], rtol=0.04)
     traction = (simulated.chain.traction[-1].abs().sum(-1) / simulated.chain.pressure[-1].sum(-1)).numpy()

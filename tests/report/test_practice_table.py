@@ -1,4 +1,4 @@
-"""The table of hardware and analysis: against what the scene, the recording and the truth of a synthetic press say."""
+"""Tests of the table of hardware and analysis against scene, recording and truth of a synthetic press."""
 
 import json
 import tomllib
@@ -28,7 +28,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 @pytest.fixture(scope="module")
 def still(scene: Scene) -> Path:
-    """The last frame of the press a dozen times, each with a noise of its own."""
+    """Write the last frame of the press FRAMES times, each with noise of its own; return the file."""
     clean = torch.as_tensor(SMALL_PRESS.render_clean(SMALL_PRESS.n_frames - 1))
     camera = replace(SMALL_PRESS.camera, noise=NOISE)
     path = scene.path.parent / "still.npy"
@@ -37,8 +37,8 @@ def still(scene: Scene) -> Path:
 
 
 def test_the_noise_floor_is_that_of_the_noise(scene: Scene, still: Path) -> None:
-    """Displacements of still skin are errors of the points, which each of them states. With eight other seeds the ratio
-    was 1.00 to 1.16, as the noise of the first frame is in all and windows overlap; 30 % are allowed.
+    """The noise floor of still skin equals the stated deviations of the points to 30 %. With eight other seeds the
+    ratio was 1.00 to 1.16, as all frames share the noise of the first one and windows overlap.
     """
     given = still_scene(scene, still)
     result = process(given, [*MEASURED, "displacement_std", "strain_std"])
@@ -46,13 +46,15 @@ def test_the_noise_floor_is_that_of_the_noise(scene: Scene, still: Path) -> None
     for name, value in (("displacement", found.displacement_mm), ("strain", found.strain)):
         stated = np.sqrt(np.nanmean(np.square(result[f"{name}_std"].values[1:].astype(np.float64))))
         assert value == pytest.approx(stated, rel=0.3)
-    assert 0 < found.divergence < found.strain  # over 1.6 mm, where a triangle has 0.15
+    assert 0 < found.divergence < found.strain  # fitted over 1.6 mm; a triangle spans 0.15 mm
     assert (found.window_px, found.gauge_length_mm) == (15, 1.6)
-    assert result["position_std_px"].attrs["image_noise"] == pytest.approx(NOISE, rel=0.2)  # is that at half the range
+    assert result["position_std_px"].attrs["image_noise"] == pytest.approx(NOISE, rel=0.2)  # noise at half the range
 
 
 def test_a_noise_floor_is_a_standard_deviation(scene: Scene) -> None:
-    """Of known numbers, without the first frame, in which nothing has moved, and without points that are lost."""
+    """The noise floor of known numbers is their standard deviation, without the first frame, in which nothing has
+    moved, and without lost points.
+    """
     random, frames, points = np.random.default_rng(2), 41, 500
     values = {
         "displacement": (("frame", "point", "xy"), random.normal(0, 3e-4, (frames, points, 2))),
@@ -75,7 +77,9 @@ def test_one_frame_has_no_noise_floor(scene: Scene) -> None:
 def test_the_command_prints_lines_for_the_scene(
     command: Callable[..., int], scene: Scene, still: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """What is printed goes into the scene as it is, and is then what the report states."""
+    """The lines that `noise-floor` prints can be pasted into the scene file, and the report then states
+    their values.
+    """
     assert command("noise-floor", still, "--scene", scene.path) == 0
     printed = capsys.readouterr().out
     lines = printed[printed.index("[rig]") :]
@@ -108,7 +112,9 @@ def _text(rows: dict[str, str]) -> str:
 
 
 def test_correlation_falls_with_noise_and_is_unknown_where_a_point_is(scene: Scene, still: Path) -> None:
-    """Two windows with noise s on a signal of variance S correlate by S/(S + s²), the same for all frames here."""
+    """Two windows with noise s and signal variance S correlate by S / (S + s²), in all frames; for lost points the
+    correlation is NaN.
+    """
     result = process(still_scene(scene, still), ["position"])
     correlation, known = result["subset_correlation"].values, np.isfinite(result["position_px"].values).all(-1)
     assert not np.isfinite(correlation[~known]).any()

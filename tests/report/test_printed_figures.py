@@ -1,4 +1,6 @@
-"""Figures of the supplement can be read at the width of one and of two columns: no label lies on another or is cut."""
+"""Tests that figures of the supplement are legible in one and two columns: labels do not overlap and are
+not cut off.
+"""
 
 from itertools import combinations
 
@@ -16,7 +18,7 @@ from fingerflow.report.tribometer import read_tribometer
 from tests.report import test_supplement, test_tribometer
 
 pytestmark = pytest.mark.long
-_TOUCH_PX = 1.5  # at 100 px an inch: labels may touch by less than half a millimetre
+_TOUCH_PX = 1.5  # at 100 dpi: labels may overlap by less than half a millimetre
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Sources:
 
 
 def labels(figure: Figure) -> list[Text]:
-    """Return titles, axis labels, tick labels and letters that are seen."""
+    """Return the visible titles, axis labels, tick labels and panel letters."""
     found = [part._suptitle for part in figure.subfigs]
     for axes in figure.axes:
         found += [axes.title, axes.xaxis.label, axes.yaxis.label]
@@ -44,7 +46,7 @@ def labels(figure: Figure) -> list[Text]:
 
 
 def overlap(first: Bbox, second: Bbox) -> float:
-    """Return by how many px two boxes lie on each other in the direction in which it is less."""
+    """Return the overlap of two boxes in px, in the direction in which they overlap less."""
     wide = min(first.x1, second.x1) - max(first.x0, second.x0)
     return min(wide, min(first.y1, second.y1) - max(first.y0, second.y0))
 

@@ -1,4 +1,4 @@
-"""The page of a result: what it says, that it is whole in one file, and that it can be read on a phone and in print."""
+"""Tests of the page of a result: its content, one self-contained file, and its layout on a phone and in print."""
 
 import base64
 import json
@@ -41,7 +41,7 @@ def page(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told(page: Path) -> str:
-    """What a page says, without pictures, scripts and numbers of curves."""
+    """Return the text of a page without images, scripts and numbers of curves."""
     text = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", page.read_text(encoding="utf-8"))
     return re.sub(r"<(script|style)\b.*?</\1>", "", text, flags=re.DOTALL)
 
@@ -92,7 +92,9 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
 
 
 def test_scatter_is_that_of_the_noise_alone() -> None:
-    """A parabola has none; noise of 0.3 on it comes back to 3 %: three times the error of 3000 frames, some 1 %."""
+    """The scatter of a parabola is zero, and noise of 0.3 on a parabola is found to 3 %, three times the error of 3000
+    frames.
+    """
     time = np.linspace(0, 1, 3000)
     curve = 70 * time**2
     assert scatter(curve).max() < 1e-9
@@ -152,7 +154,7 @@ def test_a_calibration_is_shown_by_its_picture(trial: Trial, page: Path, tmp_pat
     shown = write_report(result, calibrated, tmp_path).read_text(encoding="utf-8")
     coded = base64.b64encode((scene.path.parent / "calibration.png").read_bytes()).decode("ascii")
     assert coded in shown
-    assert coded not in page.read_text(encoding="utf-8")  # whose scene has no calibration file
+    assert coded not in page.read_text(encoding="utf-8")  # this page's scene has no calibration file
 
 
 def test_a_trial_in_which_every_frame_is_bad(trial: Trial, tmp_path: Path) -> None:
@@ -178,7 +180,9 @@ def test_strain_that_no_skin_has_is_said(trial: Trial) -> None:
 
 @pytest.mark.long
 def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
-    """Nothing is asked of a network, no line is wider than a phone, and the cursor reads out the result."""
+    """The page makes no network request, no line is wider than a phone, and the cursor reads out the values of the
+    result.
+    """
     _, result = trial
     asked: list[str] = []
     wrong: list[str] = []
@@ -190,7 +194,7 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
         view.goto(page.as_uri())
         assert view.evaluate("document.documentElement.scrollWidth") <= width
         hidden = view.evaluate("[...document.querySelectorAll('.tabs > section')].filter(e => !e.offsetHeight).length")
-        assert (hidden == 0) == (media == "print")  # of tabs, all are printed
+        assert (hidden == 0) == (media == "print")  # all tabs are printed
         if media == "screen":
             figure = view.locator("figure[data-figure='gross_contact_area-normal_force']")
             figure.focus()
@@ -201,7 +205,7 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
             assert said.startswith("frame 12, normal force (N)")
             numbers = [float(one) for one in re.findall(r"(?:gross|real) ([0-9.]+) mm²", said)]
             np.testing.assert_allclose(numbers, [gross, real], rtol=1e-3)
-            # The other curves say theirs of the same frame.
+            # The other figures show the values of the same frame.
             other = view.locator("figure[data-figure='median_divergence-normal_force'] output").inner_text()
             assert float(re.findall(r"divergence ([-0-9.]+) µm/mm", other)[0]) == pytest.approx(
                 1000 * float(result["median_divergence"][12]), rel=1e-3

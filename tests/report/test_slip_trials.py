@@ -1,4 +1,6 @@
-"""`fingerflow slip`: a line a trial, a count by both rules, figures, and errors that stop nothing."""
+"""Tests of `fingerflow slip`: one line per trial, counts by both rules, figures, and errors that do not
+stop the rest.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -43,20 +45,20 @@ def test_two_trials_and_one_that_is_not_there(
     assert [path.name for path in written] == names
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written if path.suffix == ".png")
     caption = (tmp_path / "figures" / "abrupt.txt").read_text(encoding="utf-8")
-    assert caption.startswith("Trial abrupt: vanishes abruptly")  # words, no path
+    assert caption.startswith("Trial abrupt: vanishes abruptly")  # a title, not a path
     assert str(slip_trials) not in caption
     assert "n = 120 frames" in caption
 
 
 def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> None:
-    """The page has the verdict with its figure; page and video have the outline of the stuck part, in its colour where
-    the stuck part ends, and no more of it when nothing sticks.
+    """The page shows the verdict with its figure; page and video show the outline of the stick region at its border,
+    and none once nothing sticks.
     """
     scene = load_scene(slip_trials / "abrupt" / "scene.toml")
     result = process(scene, ["stuck_ratio", "ellipse_angle", "tracked_share"])
     page = write_report(result, scene, tmp_path).read_text(encoding="utf-8")
     assert "Partial slip: vanishes abruptly" in page
-    assert ">stuck part<" in page  # in the legend of the picture
+    assert ">stuck part<" in page  # in the legend of the image
     with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         painter = ViewPainter(result, scene, recording)
         for frame, size in ((40, 1), (119, 0)):
@@ -84,7 +86,7 @@ def test_nothing_that_can_be_read(command: Command, tmp_path: Path, capsys: Prin
 
 
 def simulated(mu_k: float, reached: float = 1.0, name: str = "one/scene.toml") -> SlipTrial:
-    """A trial without pictures."""
+    """Return a simulated trial without frames."""
     trial = simulate_trial(0.8, mu_k, seed=0, reached=reached)
     frames = len(trial.time)
     result = xr.Dataset(

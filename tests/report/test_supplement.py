@@ -1,4 +1,4 @@
-"""`fingerflow figures`: which figures come from what, what is left out and why, and whole files only."""
+"""Tests of `fingerflow figures`: the data of each figure, reasons for omitted figures, and complete files only."""
 
 import json
 from collections.abc import Callable
@@ -24,7 +24,9 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(autouse=True)
 def small_presses(monkeypatch: Patch) -> None:
-    """Fewer elements, times and frictions than the figures have: it is the composition that is tested here."""
+    """Simulate presses with fewer elements, times and frictions than the figures use, as only the composition is
+    tested.
+    """
 
     def few() -> SimulatedPresses:
         return simulate_presses((LOW, HIGH), times=21, elements=101)
@@ -33,7 +35,7 @@ def small_presses(monkeypatch: Patch) -> None:
 
 
 def table(path: Path, columns: tuple[str, ...]) -> Path:
-    """8 participants, of whom 4 have softer skin, 4 amplitudes."""
+    """Write a table of 8 participants, 4 of them with softer skin, and 4 amplitudes; return its path."""
     draw = np.random.default_rng(0)
     lines = [",".join(("participant", "trial", "condition", "answer", *columns))]
     for who in range(8):
@@ -131,7 +133,7 @@ def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(t
 def test_the_field_of_the_simulated_press_is_its_truth() -> None:
     scene = Press(bumps=(), gradient=((0.0, 0.0), (0.0, 0.0)), shift=(0.1, -0.05))
     found = press_field(scene)
-    at_rest = np.hypot(*(found.reference - scene.contact_centre).T) < 1.5  # reached before the skin had moved much
+    at_rest = np.hypot(*(found.reference - scene.contact_centre).T) < 1.5  # in contact before the skin moved much
     np.testing.assert_allclose(found.displacement[at_rest], np.tile((0.1, -0.05), (at_rest.sum(), 1)), atol=0.005)
     assert found.force[-1] == pytest.approx(5.0)
     assert np.isnan(found.median_curl[0])

@@ -1,4 +1,4 @@
-"""Figures of a table of trials: what they show is what the table says."""
+"""Tests of the figures of a table of trials: artists hold the numbers of the table."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,9 @@ AMPLITUDES = (0.0, 1.0, 2.0)
 
 
 def table(path: Path, rows: int = 20) -> Path:
-    """4 participants, 3 amplitudes; the area is 10 times the participant's number, less with amplitude."""
+    """Write a table of 4 participants and 3 amplitudes, whose area is 10 times the participant's number and falls with
+    amplitude; return its path.
+    """
     draw = np.random.default_rng(0)
     lines = ["participant,trial,condition,answer,max_force,real_contact_area,force_angle,divergence,strain"]
     for who in range(1, 5):
@@ -67,7 +69,9 @@ def test_an_influence_that_is_none(axes: Axes, trials: Trials) -> None:
 
 
 def test_intervals_of_shares_hold_the_truth_of_participants_who_differ() -> None:
-    """12 participants, whose own shares are spread from 0.2 to 1; independent trials would hold it in 3 of 4."""
+    """Intervals of 12 participants with shares from 0.2 to 1 contain the true share in 92 to 98 % of the studies; if
+    trials counted as independent, in 3 of 4.
+    """
     inside = alone = 0
     for seed in range(300):
         draw = np.random.default_rng(seed)
@@ -114,7 +118,7 @@ def test_shares_against_the_median_metric(axes: Axes, trials: Trials) -> None:
 def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
     metrics.draw_correlation(axes, trials, "divergence", "strain")
     x, y = axes.lines[-1].get_data()
-    assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.04, rel=1e-3)  # % a um/mm
+    assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.04, rel=1e-3)  # % per um/mm
     assert axes.get_title().startswith("slope 0.0400000")
     assert axes.get_title().endswith("R² = 1.00")
     assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4

@@ -1,4 +1,4 @@
-"""A tribometer trace from a file to figures S1 A and B."""
+"""Tests of a tribometer trace, from its file to figures S1 A and B."""
 
 import io
 from dataclasses import replace
@@ -17,7 +17,9 @@ COLUMNS = {"normal": "Fz", "tangential": "Ft", "position": "x", "amplitude": "en
 
 
 def written(folder: Path, header: str = "time (s),Fz (mN),Ft (N),x (mm),envelope (um)") -> Path:
-    """2 s to the left and 2 s to the right; mu = 0.9 - 0.2 amplitude / um to the left while the envelope rises."""
+    """Write strokes of 2 s to the left and right with mu = 0.9 - 0.2 amplitude / um to the left while the envelope
+    rises; return the file.
+    """
     time = np.arange(4 * RATE) / RATE
     phase = 2 * np.pi * 4 * time + 1.0
     amplitude = 1.5 * (1 - np.cos(phase))

@@ -1,4 +1,4 @@
-"""A measured study without recordings: a table of presses with the printed effects, drawn at random."""
+"""Simulated table of presses with the printed effects, in place of a measured study."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ FORCES_N = (1.0, 2.0, 3.0)
 
 
 def table() -> pd.DataFrame:
-    """Return pairs of presses whose numbers are those of the print; the answer follows the difference of divergence."""
+    """Return pairs of presses whose numbers are those printed; the answer follows the difference of divergence."""
     draw = np.random.default_rng(6)
     pairs = pd.MultiIndex.from_product(
         (range(DESIGN.participants), DESIGN.amplitudes, range(DESIGN.trials)), names=("who", "amplitude", "repeat")

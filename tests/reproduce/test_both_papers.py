@@ -1,4 +1,4 @@
-"""The whole reproduction, in its quick form, from raw recordings to the page."""
+"""Tests of the whole reproduction in its quick form, from raw recordings to the page."""
 
 import json
 import re

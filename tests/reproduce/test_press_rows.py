@@ -1,4 +1,4 @@
-"""Rows of Willemet et al. 2021, on a table of trials that has the printed effects."""
+"""Tests of the rows of Willemet et al. 2021 on a table of trials with the printed effects."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from fingerflow.reproduce.presses import PressStudy
 from fingerflow.reproduce.printed_row import AGREES, DIFFERS, Answer
 from tests.reproduce.table_of_presses import study
 
-OF_RESULTS = {"B47", "B48", "B52"}  # they follow each trial in time, or the skin chain
+OF_RESULTS = {"B47", "B48", "B52"}  # they need time series of trials, or the skin chain
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,6 @@
-"""Rows of the reproduction: every printed result has one, and agreement is that of intervals."""
+"""Tests of the rows of the reproduction: each printed result has a row, and results agree if their
+intervals overlap.
+"""
 
 import re
 from pathlib import Path

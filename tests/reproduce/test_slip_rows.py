@@ -1,4 +1,4 @@
-"""Rows of Terekhov & Hayward 2011, on simulated curves of d² in place of recordings."""
+"""Tests of the rows of Terekhov & Hayward 2011 on simulated curves of d² in place of recordings."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ EQUATIONS = {f"A{k}" for k in (6, *range(12, 18), 20, 21)}
 
 
 def measured(truth: LinearSlip, noise: float = 0.005) -> SlipTrial:
-    """Return a trial with the d² and T/N of a slide, with noise, in place of those of its frames."""
+    """Return a trial with the d² and T/N of a slide, with noise, in place of measured values."""
     draw = np.random.default_rng(truth.camera.seed)
     area = np.array([truth.stuck_share(frame) for frame in range(truth.n_frames)])
     load = truth.tangential_force(truth.times) / truth.force
@@ -31,7 +31,7 @@ def measured(truth: LinearSlip, noise: float = 0.005) -> SlipTrial:
 
 @pytest.fixture(scope="module")
 def slides() -> Slides:
-    scene = None  # of no picture
+    scene = None  # there are no frames
     return Slides(
         tuple(JudgedSlide(kind_of(one), one, measured(one), scene) for one in design_slides().values())  # type: ignore[arg-type]
     )

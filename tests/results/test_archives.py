@@ -1,4 +1,4 @@
-"""Complete results for other programs: NWB files and Zarr stores, read back by their own libraries."""
+"""Tests of complete results for other programs: NWB files and Zarr stores, read back by their own libraries."""
 
 import importlib
 from collections.abc import Callable
@@ -41,14 +41,16 @@ def test_nwb_holds_every_variable_with_its_unit(result: xr.Dataset, tmp_path: Pa
                 np.testing.assert_array_equal(column.data[:], values.values)
         assert "components [['x', 'y']]" in module["position"].comments
         assert module["status"].comments.startswith("values 0, 1, 2 ... mean tracked not_finite")
-    export_table(result, tmp_path / "trial.nwb")  # its own
+    export_table(result, tmp_path / "trial.nwb")  # replaces its own file
     (tmp_path / "other.nwb").write_bytes(b"of another program")
     with pytest.raises(FingerflowError, match="was not written by this command"):
         export_table(result, tmp_path / "other.nwb")
 
 
 def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: Callable[..., int]) -> None:
-    """In memory, from a file and through the command line; also what reads results takes it."""
+    """A Zarr store holds the same data set, from memory, from a file and by the command, and `load_result` reads the
+    store.
+    """
     needs("zarr")
     save_result(result, tmp_path / "result.h5")
     assert command("export-table", tmp_path / "result.h5", tmp_path / "trial.zarr") == 0
@@ -63,7 +65,7 @@ def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: 
     assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
     (tmp_path / "mine.zarr").mkdir()
     with pytest.raises(FingerflowError, match="is no result"):
-        export_table(result, tmp_path / "mine.zarr", overwrite=True)  # which is of files
+        export_table(result, tmp_path / "mine.zarr", overwrite=True)  # a folder that is no Zarr store
     assert (tmp_path / "mine.zarr").is_dir()
 
 

@@ -1,4 +1,6 @@
-"""Results that do not fit are refused before they are computed, and nothing is left of those that no longer do."""
+"""Tests that results too large for memory or disk are refused before the computation, and that an interrupted result
+leaves nothing.
+"""
 
 import shutil
 from collections import namedtuple
@@ -22,7 +24,9 @@ def scene(tiny_press: Path) -> Scene:
 
 
 def test_the_size_is_that_of_what_comes_out(scene: Scene) -> None:
-    """Of as many points as there were: two triangles each, less those at the border."""
+    """The expected size is up to 1.25 times that of the result, because the estimate has two triangles per point, also
+    at the border.
+    """
     result = process(scene)
     stages = plan(None, scene).stages
     given = [one for stage in stages for one in stage.gives if one.unasked]
@@ -47,7 +51,7 @@ def test_what_is_free_is_the_limit(share: float, fits: bool, tmp_path: Path, mon
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(2 * free, free, free))
     checks = (
         (lambda: room.check_memory(share * free), f"take {5 * share:.2f} GB of memory, and 5.00 GB are free"),
-        # A file takes seven tenths of what it may hold at least; a byte less, for rounding.
+        # A file takes at least seven tenths of its data; one byte less for rounding.
         (lambda: room.check_disk(tmp_path / "a.h5", share * free / 0.7 - 1), f"{5 * share:.2f} GB are needed and 5.00"),
         (lambda: room.check_write(tmp_path / "a.h5", int(share * free) - (64 << 20)), f"{5 * share:.2f} GB are needed"),
     )
@@ -74,7 +78,7 @@ def test_no_room_on_the_disk(scene: Scene, free: int, tmp_path: Path, monkeypatc
 def test_a_disk_that_fills_meanwhile(
     scene: Scene, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An older result stays; of the new one nothing does."""
+    """If the disk becomes full during a run, an older result stays and nothing of the new one remains."""
     result = process(scene, ["real_contact_area"])
     save_result(result, tmp_path / "result.h5")
     before = (tmp_path / "result.h5").read_bytes()

@@ -1,4 +1,4 @@
-"""The reader plug-in of napari: its layers against the arrays of recording and result, and in napari where it is."""
+"""Tests of napari's reader plug-in: layers against the arrays of recording and result, and in napari if installed."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -59,7 +59,7 @@ def test_a_result_is_views_tracks_and_points(trial: tuple[Path, xr.Dataset]) -> 
 
 
 def test_the_contact_view_lies_on_the_topography(trial: tuple[Path, xr.Dataset]) -> None:
-    """A px of the contact view is drawn where the calibration has the same place of the topography view."""
+    """A pixel of the contact view is drawn at the calibrated position in the topography view."""
     folder, result = trial
     affine = layers(folder / "result.h5")["contact view"][1]["affine"]
     position, pixels = result["position"].values, result["position_px"].values
@@ -105,7 +105,7 @@ def test_the_manifest_is_valid_and_names_what_is_read() -> None:
 
 
 def test_napari_draws_the_layers(trial: tuple[Path, xr.Dataset]) -> None:
-    """Its model of a viewer, which needs no window."""
+    """The layers are drawn in napari's viewer model, which needs no window."""
     components = pytest.importorskip("napari.components", reason="napari is not installed: pip install napari")
     layer_of: Callable[..., Any] = pytest.importorskip("napari.layers").Layer.create
     viewer = components.ViewerModel()

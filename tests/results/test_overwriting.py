@@ -1,4 +1,4 @@
-"""Outputs replace nothing but what the same command wrote, and leave nothing behind."""
+"""Tests that outputs replace only outputs of the same command, and leave no temporary files."""
 
 import errno
 import os
@@ -240,7 +240,7 @@ def test_what_a_killed_run_left_goes_with_the_next_of_its_kind(tmp_path: Path) -
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as run:
             assert run.stdout is not None
             left.append(run.stdout.readline().strip())
-            if name == "other.h5":  # of another output: none of our business, and it is alive
+            if name == "other.h5":  # temporary file of another output, whose process runs
                 write_atomically(tmp_path / "other.h5", lambda part: part.write_text("whole"))
                 assert (tmp_path / left[-1]).exists()
             run.send_signal(signal.SIGKILL)
@@ -280,5 +280,5 @@ def test_a_file_system_that_takes_nothing_is_said_and_not_how_cleaning_failed(
 
 
 def test_a_folder_is_no_file_to_keep(tmp_path: Path) -> None:
-    keep_others(tmp_path, lambda _: False, overwrite=False)  # what writes says that it is a folder
+    keep_others(tmp_path, lambda _: False, overwrite=False)  # the writer reports the folder
     keep_others(tmp_path / "new.h5", lambda _: False, overwrite=False)

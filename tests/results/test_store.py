@@ -1,4 +1,4 @@
-"""Results on their way: what a file holds is what memory would."""
+"""Tests of result stores: a file holds the same values as memory."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def _fill(store: Store, points: int) -> None:
     store.create("status", point=points)
     for some in np.split(np.arange(FRAMES), [8, 16]):
         store["position"][some] = random.normal(size=(len(some), points, 2))
-        if some[0] != 8:  # the rest is never written
+        if some[0] != 8:  # the other frames are never written
             store["status"][some] = random.integers(0, 9, (len(some), points))
     store.put("real_contact_area", random.normal(size=FRAMES))
     store.put("normal_force", random.normal(size=FRAMES), {"verdict": "text", "limit": 0.5})
@@ -54,7 +54,7 @@ def test_a_file_holds_what_memory_does(points: int, tmp_path: Path) -> None:
 
 
 def test_points_may_be_added(tmp_path: Path) -> None:
-    """Also to what was written before: empty, or with what stands for it."""
+    """Points can be added later: earlier frames are filled with NaN, or with the given value."""
     memory, path = MemoryStore(VARIABLES, FRAMES), tmp_path / "result.h5"
     with FileStore(VARIABLES, FRAMES, path) as file:
         for store in (memory, file):
@@ -72,7 +72,7 @@ def test_points_may_be_added(tmp_path: Path) -> None:
 
 
 def test_nothing_of_a_finished_file_grows(tmp_path: Path) -> None:
-    """The size of a dimension without an end is that of its longest variable: readers ask all of them, every time."""
+    """A finished file has no unlimited dimension, whose size readers would look up in all variables each time."""
     _, path = _both(tmp_path, 300)
     with xr.open_dataset(path, engine="h5netcdf") as stored:
         assert stored.sizes["point"] == 300
@@ -80,7 +80,7 @@ def test_nothing_of_a_finished_file_grows(tmp_path: Path) -> None:
 
 
 def test_the_file_is_netcdf4(tmp_path: Path) -> None:
-    """By a reader that knows dimensions by their scales alone."""
+    """The file is netCDF4 for a reader that knows dimensions only by their scales."""
     _, path = _both(tmp_path, 300)
     with h5netcdf.File(path) as file:
         sizes = {name: one.size for name, one in file.dimensions.items()}

@@ -1,4 +1,4 @@
-"""Tables and maps: what they hold against the arrays they are made of, read back by other libraries."""
+"""Tests of tables and maps: their content against the arrays they are made of, read back by other libraries."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ GRADIENT = np.array([[0.2, -0.1], [0.05, 0.3]])
 
 @pytest.fixture(scope="module")
 def result() -> xr.Dataset:
-    """Points on 4 x 3 mm that drift, with fields that are linear in the place; one point lost in the last frame."""
+    """Return drifting points on 4 x 3 mm with fields linear in position; one point is lost in the last frame."""
     random = np.random.default_rng(3)
     start = random.uniform((0, 0), (4, 3), (POINTS, 2))
     position = start + 0.1 * np.arange(FRAMES)[:, None, None]
@@ -93,7 +93,7 @@ def test_a_row_a_point(result: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_tracks_as_napari_takes_them(result: xr.Dataset, tmp_path: Path) -> None:
-    """ID, t, y, x; sorted by ID, then by time; every place finite (napari refuses others)."""
+    """Tracks have the columns ID, t, y, x, sorted by ID and time, and only finite positions, as napari requires."""
     export_table(result, tmp_path / "tracks.csv", "track", ["divergence"])
     names, rows = read(tmp_path / "tracks.csv")
     assert names == ["track_id", "t", "y", "x", "divergence (µm/mm)"]
@@ -109,7 +109,7 @@ def test_tracks_as_napari_takes_them(result: xr.Dataset, tmp_path: Path) -> None
 def test_one_switch_shows_deformation_in_percent(
     result: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Tables, maps, axes and pages take the unit from the record; what has no unit in % keeps its own."""
+    """Tables, maps, axes and pages show deformation in % on one switch; variables without a unit in % keep theirs."""
     monkeypatch.setenv(IN_PERCENT, "1")
     export_table(result, tmp_path / "tracks.csv", "track", ["divergence", "displacement"])
     names, rows = read(tmp_path / "tracks.csv")
@@ -141,20 +141,22 @@ def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_pat
 
 
 def test_a_linear_field_is_mapped_exactly(result: xr.Dataset) -> None:
-    """Interpolation is linear: what differs is the rounding of float32."""
+    """A linear field is mapped exactly, to the rounding of float32, as interpolation is linear."""
     maps = maps_of(result, "displacement", 0.2)
     assert maps.components == ("x", "y")
     x, y = np.meshgrid(maps.x, maps.y)
     truth = np.stack([x, y], -1) @ GRADIENT.T
     for frame in range(FRAMES):
         known = np.isfinite(maps.values[frame, 0])
-        # 4 x 3 mm in places of 0.04 mm^2, less the border that no triangle covers.
+        # 4 x 3 mm in cells of 0.04 mm^2, without the border that no triangle covers.
         assert 0.8 * 300 < known.sum() <= 336
         np.testing.assert_allclose(maps.values[frame].transpose(1, 2, 0)[known], 1e3 * truth[known], atol=1e-3)
 
 
 def test_where_no_point_is_near_nothing_is_known(result: xr.Dataset) -> None:
-    """Within half a gauge length, 0.8 mm, of a point; triangles across a wider gap say nothing."""
+    """Maps are NaN further than half a gauge length, 0.8 mm, from all points; triangles across a wider gap are not
+    used.
+    """
     cut = result.copy(deep=True)
     gone = np.abs(result["position"].values[..., 0] - 2) < 1.2
     cut["divergence"].values[gone] = np.nan
@@ -171,7 +173,7 @@ def test_triangles_are_mapped_as_they_lie(result: xr.Dataset) -> None:
     found = drifted.find_simplex(np.stack([x, y], -1))
     assert (np.sort(drifted.simplices, 1) == np.sort(result["triangles"].values, 1)).all()
     values = np.where(np.isnan(maps.values[0, 0]), -1, (maps.values[0, 0] / 1e3).round()).astype(int)
-    assert (values == found).mean() > 0.999  # a place on a side belongs to either triangle
+    assert (values == found).mean() > 0.999  # a position on a side belongs to either triangle
 
 
 def test_imagej_reads_scale_and_interval(result: xr.Dataset, tmp_path: Path) -> None:
@@ -181,7 +183,7 @@ def test_imagej_reads_scale_and_interval(result: xr.Dataset, tmp_path: Path) -> 
         assert file.is_imagej
         assert file.series[0].axes == "TYX"
         numerator, denominator = file.pages.first.tags["XResolution"].value
-        assert numerator / denominator == pytest.approx(5, rel=1e-6)  # pixels a mm
+        assert numerator / denominator == pytest.approx(5, rel=1e-6)  # pixels per mm
         about = file.imagej_metadata
         assert about is not None
         assert about["unit"] == "mm"
@@ -271,7 +273,7 @@ def test_the_shell_completes_commands() -> None:
 
 
 def test_output_is_a_place_in_every_command() -> None:
-    """Never the name of a variable."""
+    """`--output` names a file or folder in every command, never a variable."""
     for command in ("process", "calibrate", "export"):
         said = CliRunner().invoke(app, (command, "--help"), env={"COLUMNS": "200", "TERM": "dumb"}).stdout
         line = next(line for line in said.splitlines() if "--output" in line)

@@ -1,7 +1,7 @@
-"""Scene files that are wrong, and what is said of each: for whoever reads scenes.
+"""Wrong scene files and the error message of each, for all readers of scenes.
 
-A case changes one place of a scene that is right, in a folder that `write_folder` makes. ``said`` is a part of the one
-line of the complaint, ``start`` is how the line begins that is blamed, in the file as it is then.
+A case changes one part of a valid scene, in a folder that `write_folder` makes. ``said`` is a part of the one-line
+message, ``start`` is the beginning of the line that the message blames, in the changed file.
 """
 
 from pathlib import Path
@@ -85,7 +85,7 @@ class WrongScene(NamedTuple):
 
 
 def write_folder(folder: Path) -> Path:
-    """The files that RIGHT names, and calibrations; the path of a scene file that is not there yet."""
+    """Write the files that RIGHT names, and calibrations; return the path of a scene file that does not exist yet."""
     for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
         (folder / name).write_bytes(b"")
     hole = Disc((100.0, 90.0), (80.0, 79.0), 0.3, 0.1, 0.5, 1.0, 0.4, 30.0)
@@ -112,7 +112,7 @@ def write_folder(folder: Path) -> Path:
 
 
 def _forces(line: str, said: str) -> WrongScene:
-    """A line more in [forces]."""
+    """Return a case with an additional line in [forces]."""
     return WrongScene('normal = "normal_force"', f'normal = "normal_force"\n{line}', line.partition(" ")[0], said)
 
 
@@ -126,7 +126,7 @@ def _calibrated(name: str, said: str) -> WrongScene:
 
 
 WRONG = (
-    # Keys that are not there, or not known.
+    # Missing and unknown keys.
     WrongScene("[recording]", "[recordings]", "[recordings]", "recordings is not a key; did you mean 'recording'?"),
     WrongScene("[contact]", "[contakt]", "[contakt]", "contakt is not a key; did you mean 'contact'? known here: "),
     WrongScene("median_px", "median_pix", "median_pix", "contact.median_pix is not a key; did you mean 'median_px'?"),
@@ -198,7 +198,7 @@ WRONG = (
     _number("frame_rate", "300.0", "recording.frame_rate is 3.001e-318: it should be greater than 1e-06", "300.1e-320"),
     _number("sample_rate", "1000.0", "forces.sample_rate is -1: it should be greater than 0", "-1"),
     _number("first_frame", "2", "recording.first_frame is -1: it should be greater than or equal to 0", "-1"),
-    # One of some words.
+    # Enumerations.
     _number("direction", '"forward"', "tracking.direction is 'up': it should be 'forward' or 'backward'", '"up"'),
     _number("template", '"keyframe"', "tracking.template is 1: it should be 'keyframe' or 'previous'", "1"),
     _number("strain", '"green_lagrange"', "'as_printed' or 'infinitesimal'", '"hencky"'),
@@ -230,7 +230,7 @@ WRONG = (
     _number("topography_to_contact", MATRIX, "it should be a list of 2 lists of 3 numbers", "[[1, 0], [0, 1]]"),
     _number("topography_to_contact", MATRIX, "of its items it should be a valid number", "[[1, 0, 'x'], [0, 1, 0]]"),
     _number("topography_to_contact", MATRIX, "it maps the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
-    # Keys that do not go together.
+    # Keys that contradict each other.
     _number("last_frame", "20", "recording.last_frame is 1: that is before first_frame, 2; both are included", "1"),
     WrongScene(
         "trigger_level = 2.5\n", "", "trigger = ", "forces.trigger is 'trigger': trigger and trigger_level belo"
@@ -249,7 +249,7 @@ WRONG = (
     WrongScene(
         _CALIBRATION, 'file = "rig.toml"\nmm_per_px = 1', 'file = "rig', "a file and mm_per_px exclude each other"
     ),
-    # How a sensor is read.
+    # Keys of force sensors.
     WrongScene('normal = "normal_force"', 'normal = ["a", "b"]', "normal", "forces.normal is ['a', 'b']: it should be"),
     WrongScene(
         'tangential = "tangential_force"', 'tangential = ["a", "b", "c"]', "tang", "or a list of up to 2 of them"

@@ -1,4 +1,4 @@
-"""Scene files: what is right is read, what is wrong is named with its line."""
+"""Tests of scene files: valid files are read, errors are named with their line."""
 
 import re
 import tomllib
@@ -39,7 +39,7 @@ def write(folder: Path, old: str = "", new: str = "", **settings: Any) -> Path:
         "forces": "forces.csv",
         "calibration": f"mm_per_px = 0.0325\ntopography_to_contact = {MATRIX}",
     }
-    text = re.sub(r" +# .*", "", scene_text(**{**given, **settings}))  # without the comments beside keys
+    text = re.sub(r" +# .*", "", scene_text(**{**given, **settings}))  # without comments after keys
     assert old in text
     path = folder / "scene.toml"
     path.write_text(text.replace(old, new) if old else text, encoding="utf-8")
@@ -153,7 +153,7 @@ def test_the_line_is_that_of_the_key(folder: Path, old: str, new: str, start: st
 
 
 def test_keys_in_other_spellings_have_their_line(folder: Path) -> None:
-    """Inline tables, dotted and quoted keys are the same TOML."""
+    """Errors in inline tables, dotted and quoted keys, which are the same TOML, name their line."""
     inline = write(folder, "[tracking]\npoints = 700\n", '[tracking]\n"points"= 1\n')
     assert f"line {line_of(inline, QUOTED)}: tracking.points is 1" in message_of(inline)
     text = "fields = { gauge_length_mm = -1 }\n" + write(folder).read_text().split("[fields]")[0]
@@ -204,7 +204,9 @@ def test_a_calibration_file_gives_scale_and_transform(folder: Path) -> None:
 
 
 def test_a_scale_alone_is_no_calibration_of_two_views(folder: Path) -> None:
-    """The identity in its place would be wrong by many pixels, and nobody would see it."""
+    """A calibration without a transform is refused for two views; the identity would be wrong by many pixels,
+    unnoticed.
+    """
     write_calibration(folder / "calibration.toml", {"contact": VIEWS["contact"]}, None)
     path = write(folder, calibration=FILE)
     message = message_of(path)
@@ -268,7 +270,7 @@ def test_missing_file_and_broken_toml(folder: Path) -> None:
 
 
 def test_a_scene_has_a_kind(folder: Path) -> None:
-    """A press, or slip where there is a table of that; or what it states."""
+    """A scene is a press, or slip if it has a [slip] table, unless it states its kind."""
     assert load_scene(write(folder)).kind == "press"
     assert load_scene(write(folder, slip=True)).kind == "slip"
     assert load_scene(write(folder, "[recording]", 'kind = "slip"\n[recording]')).kind == "slip"
@@ -287,7 +289,7 @@ def test_a_scene_says_what_it_has(folder: Path) -> None:
     bare = load_scene(write(folder, TOPOGRAPHY_TABLE, "", forces=None))
     for need in ("views.topography", "forces", "forces.tangential"):
         assert not bare.has(need), need
-    assert not scene.has("views.markers")  # of another kind
+    assert not scene.has("views.markers")  # a view of another kind of scene
     with pytest.raises(AttributeError):
         scene.has("tracking.pionts")
 

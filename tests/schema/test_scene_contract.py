@@ -1,4 +1,4 @@
-"""One contract of scenes: `fingerflow process` and the player give the same verdict in the same words."""
+"""Tests that `fingerflow process` and the player accept and refuse the same scenes with the same messages."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -96,7 +96,7 @@ def test_what_a_stream_may_do_without(old: str, new: str, said: str, tmp_path: P
 
 
 def test_what_a_stream_needs_besides(tmp_path: Path) -> None:
-    """Both views, whatever the kind: the graphs of a bundle take them."""
+    """A stream needs both views, whatever the kind, as the graphs of a bundle take both."""
     path = write_folder(tmp_path)
     views = RIGHT[RIGHT.index("[views.topography]") : RIGHT.index("[background]")]
     path.write_text(RIGHT.replace(views, ""), encoding="utf-8")
@@ -137,7 +137,7 @@ def test_defaults_are_values_that_may_be_given() -> None:
 
 
 def test_a_new_kind_is_an_entry_in_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sensor whose one view shows markers: its scene is read, and a stream, which cannot play it, says so."""
+    """A new kind of scene, a sensor with a single view of markers, is read; a stream refuses it."""
     monkeypatch.setitem(KINDS, "markers", Kind(views=("markers",), stages=("loading",)))
     path = write_folder(tmp_path)
     views = RIGHT[RIGHT.index("[views.contact]") : RIGHT.index("[background]")]

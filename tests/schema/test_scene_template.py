@@ -1,4 +1,4 @@
-"""The commented scene file, the page's form and the list of keys say what the table of keys says."""
+"""Tests that the commented scene file, the form of the page and the list of keys agree with the table of keys."""
 
 import re
 import tomllib
@@ -31,7 +31,7 @@ ENTRIES = dict(entry for name, table in TABLES.items() for entry in entries(tabl
 
 
 def everything_written() -> dict[str, Any]:
-    """The commented file without its marks of comments before keys and tables."""
+    """Return the commented scene file as a dictionary, with keys and tables uncommented."""
     text = re.sub(r"^# (?=[a-z_]+ = |\[)", "", scene_text(), flags=re.M)
     return tomllib.loads(text)
 

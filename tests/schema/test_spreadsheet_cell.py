@@ -1,4 +1,4 @@
-"""Cells that a spreadsheet would run as a formula are quoted, and read as they were."""
+"""Tests that cells which a spreadsheet would run as a formula are quoted, and read back unchanged."""
 
 from typing import Any
 

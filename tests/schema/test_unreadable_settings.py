@@ -1,4 +1,6 @@
-"""Scenes, calibrations, bundles and stream folders whose files no reader can take: a sentence each, and no waiting."""
+"""Tests of scenes, calibrations, bundles and stream folders that no reader can read: a one-line error each, without
+waiting.
+"""
 
 import os
 from collections.abc import Callable

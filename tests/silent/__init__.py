@@ -1,1 +1,3 @@
-"""Mistakes and damages that must not be wrong in silence: `python -m tests.silent GROUP` prints a table of them."""
+"""Mistakes and damage that must not give wrong results without a warning: `python -m tests.silent GROUP` prints a
+table.
+"""

@@ -7,7 +7,7 @@ from tests.silent.case import Case
 
 
 def main() -> None:
-    """Run the group that the command line names."""
+    """Run the group named on the command line."""
     if len(sys.argv) != 2:
         raise SystemExit("python -m tests.silent GROUP, the name of a module of tests/silent with a function cases()")
     rows = [Case._fields, *import_module(f"tests.silent.{sys.argv[1]}").cases()]

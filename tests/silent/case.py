@@ -1,10 +1,10 @@
-"""One case that must not be wrong in silence."""
+"""A case that must not give a wrong result without a warning."""
 
 from typing import NamedTuple
 
 
 class Case(NamedTuple):
-    """What was tried, a number of the result, its truth, what the result states, and the verdict."""
+    """The case, a number of its result, the true number, the statement of the result, and the verdict."""
 
     case: str
     number: str

@@ -1,7 +1,7 @@
-"""What lies in the contact view beside the finger: faults of a small press that make areas wrong.
+"""Cases of objects and faults in the contact view beside the finger that make the areas of a small press wrong.
 
-The number is the largest gross and real area, mm2, beside the truth of the whole contact. Presses and slides without a
-fault must give no warning; `gross area` is the mean error of all frames from 10 mm2 on, and the largest.
+The number is the largest gross and real area, mm2, compared with the truth of the whole contact. Presses and slides
+without a fault must give no warning; `gross area` is the mean and the largest error over all frames from 10 mm2 on.
 """
 
 import tempfile
@@ -39,8 +39,8 @@ _RIGHT = 0.01, 0.015  # relative errors of gross and real area, beyond those wit
 
 
 class Fault(NamedTuple):
-    """A fault: what it does to the share of the light in the contact views of frames (n, h, w) and of the background,
-    and words of the warning.
+    """A fault: its effect on the share of light in the contact views of frames (n, h, w) and of the background, and
+    words of the warning.
     """
 
     case: str
@@ -54,12 +54,14 @@ def _columns(pictures: Pictures) -> NDArray[np.float64]:
 
 
 def _dark_third(pictures: Pictures, press: Press) -> Pictures:
-    """Return pictures whose right part, which a part of the contact reaches, is without light."""
+    """Return pictures whose right part, into which the contact extends, is without light."""
     return pictures * np.where(_columns(pictures) > 0.58 * pictures.shape[2], 0.01, 1.0)
 
 
 def _strip(width: int, angle: float, place: float = 0.45, kept: float = 0.3) -> Change:
-    """Return a dark strip, `width` px wide, through `place` of the view's width, turned by `angle` rad."""
+    """Return a change that adds a dark strip, `width` px wide, at the fraction `place` of the view's width, rotated by
+    `angle` rad.
+    """
 
     def change(pictures: Pictures, press: Press) -> Pictures:
         y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]]
@@ -70,7 +72,9 @@ def _strip(width: int, angle: float, place: float = 0.45, kept: float = 0.3) -> 
 
 
 def _halo(depth: float) -> Change:
-    """Return the shadow of a finger, `depth` of the light, whose edge lies a millimetre outside the contact."""
+    """Return a change that adds the shadow of a finger, which takes `depth` of the light at the contact and fades
+    outside over about a millimetre.
+    """
 
     def change(pictures: Pictures, press: Press) -> Pictures:
         y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]] * press.mm_per_px
@@ -89,7 +93,7 @@ def _halo(depth: float) -> Change:
 
 
 def _sweat(pictures: Pictures, press: Press) -> Pictures:
-    """Return pictures in which sweat fills the valleys in patches of 0.6 mm across, once skin touches there."""
+    """Return pictures in which sweat fills the valleys in patches 0.6 mm wide once skin touches there."""
     generator = np.random.default_rng(1)
     result, (right, down) = pictures.copy(), press.contact_centre
     y, x = np.mgrid[: pictures.shape[1], : pictures.shape[2]] * press.mm_per_px
@@ -132,7 +136,7 @@ FAULTS = (
 )
 BUMP_PX = 5
 PATTERNS = ("loop", "whorl", "arch")
-# Percent, of gross areas from 10 mm² on. In 2 % of the frames a valley along the border costs more than 2 %.
+# In percent of gross areas from 10 mm² on. In 2 % of the frames a valley along the border costs more than 2 %.
 MOST_BIAS, MOST_ERROR = 0.5, 3.0
 
 
@@ -150,7 +154,7 @@ def cases() -> Iterator[Case]:
 
 
 def _small_contacts() -> Iterator[Case]:
-    """Yield presses of which less than 1 mm² ever touches."""
+    """Yield presses with a contact area below 1 mm²."""
     skins: dict[str, SyntheticScene] = {"rings": PRESS}
     if FINGERS.is_dir():
         skins |= {f"print {name}": scene_of_print(Press, FINGERS / f"{name}.tif", DPI) for name in ("101_1", "104_1")}
@@ -191,7 +195,7 @@ def _without_faults() -> Iterator[Case]:
 
 
 def _without_fault(name: str, result: xr.Dataset) -> Case:
-    """Judge the warnings of a result that has nothing wrong."""
+    """Judge the warnings of a result without a fault."""
     said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
     return Case(
         f"no fault: {name}", f"{len(said)} warnings", "0", (said or ["nothing"])[0], "false alarm" if said else "right"
@@ -199,7 +203,7 @@ def _without_fault(name: str, result: xr.Dataset) -> Case:
 
 
 def _areas(name: str, press: Press, result: xr.Dataset) -> Case:
-    """Judge the gross areas of a press of which 10 mm² and more touch."""
+    """Judge the gross areas of a press with a contact area of 10 mm² or more."""
     truth = np.array([press.truth.gross_contact_area_mm2(frame) for frame in range(press.n_frames)])
     errors = 100 * (result["gross_contact_area"].values / np.maximum(truth, 1e-9) - 1)[truth > 10]
     worst = errors[np.argmax(np.abs(errors))]
@@ -213,7 +217,9 @@ def _areas(name: str, press: Press, result: xr.Dataset) -> Case:
 
 
 def try_fault(fault: Fault, recording: Path, right: xr.Dataset) -> Case:
-    """Make a fault in a recorded press and judge what its result states; `right` is the result without it."""
+    """Apply a fault to a recorded press and judge the warnings and areas of its result; `right` is the result without
+    the fault.
+    """
     view = PRESS.views["contact"]
     frames, empty, dark = (
         np.load(recording / f"{name}.npy").astype(np.float64) for name in ("frames", "empty", "dark")

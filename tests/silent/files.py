@@ -1,7 +1,7 @@
-"""Files that are damaged, or hold other than their headers state, requests that no page sends, and loss of power.
+"""Cases of damaged files, files that contradict their headers, requests that no page sends, and loss of power.
 
-Flipped bits of pixels are no case where a format has no checksum (raw frames, BMP, H.264): the file is another valid
-file, and nothing in it differs from one of the camera's.
+Flipped bits of pixels are no case in formats without a checksum (raw frames, BMP, H.264): the file stays valid and
+cannot be told from a recording.
 """
 
 import http.client
@@ -24,7 +24,7 @@ from tests.recordings.camera_files import write_video
 from tests.recordings.hdf5_index import damaged_indexes
 from tests.silent.case import Case
 
-_FLIPPED, _DAMAGED = 60, 1000  # damaged files of a case
+_FLIPPED, _DAMAGED = 60, 1000  # numbers of damaged files per case
 _FILTERS = {"none": {}, "gzip": {"compression": "gzip"}, "fletcher32": {"fletcher32": True},
             "gzip, fletcher32": {"compression": "gzip", "fletcher32": True}}  # fmt: skip
 _BODIES = (b"", b"{", b"[]", b"5", b"{}", b"[" * 99_999, b'{"set": [5]}', b'{"set": [["a.b", {"toml": 1}]]}',
@@ -48,7 +48,7 @@ def _case(name: str, count: int, unit: str, stated: str, wrong: int) -> Case:
 
 
 def _silent(path: Path, truth: np.ndarray, known: tuple[str, ...] = ()) -> tuple[bool, str]:
-    """Return whether a file gives other frames than `truth` without a word, and how else it is answered."""
+    """Return whether a file gives frames other than `truth` without a warning, and the response to the file."""
     try:
         with open_recording(path) as recording:
             frames = recording.read()
@@ -107,7 +107,7 @@ def _fewer(folder: Path) -> Iterator[Case]:
 
 
 def _refusal(act: Callable[[], object]) -> str:
-    """Return what is said, without the name of the file; "" if nothing is."""
+    """Return the error message without the name of the file; "" if there is no error."""
     try:
         act()
     except FingerflowError as error:
@@ -157,7 +157,7 @@ def _ask(port: int, method: str, path: str, body: bytes, headers: dict[str, str]
 
 
 def _power(folder: Path) -> Case:
-    """What is on the disk in which order, by the calls of fsync."""
+    """Judge, by the calls of fsync, the order in which content and name of a replaced file reach the disk."""
     path, order = folder / "a.txt", []
     path.write_text("before")
 

@@ -1,10 +1,11 @@
-"""Bad frames of a slide, a few in a row: recorded with default settings, and live.
+"""Cases of bad frames of a slide, a few in a row, in a recording with default settings and in a stream.
 
-Each case spoils some frames at several places of a slide. The number is how many of them are excluded, and the largest
-departure of all others from the clean run over the stated deviation: of energy, median divergence and the displacement
-of most points (recorded), of median divergence and the position of most points (live). Frames that are not excluded are
-wrong in silence unless they, too, keep within three deviations. A copy that fits where it stands is excluded together
-with its original: neither is recognised as the copy. At the end, clean recordings, of which no frame may be excluded.
+Each case spoils frames at several positions of a slide. The number is how many of these are excluded, and the largest
+difference of the other frames from the clean run in stated deviations. A recording is compared by energy, median
+divergence and the median displacement of the points, a stream by median divergence and the median position. Frames that
+are not excluded are wrong without a warning unless they, too, stay within three deviations. A copy that fits at its
+position is excluded together with its original, as neither is recognised as the copy. Clean recordings follow, of which
+no frame may be excluded.
 """
 
 import contextlib
@@ -46,16 +47,16 @@ Frames = Array
 
 _SMALL: dict[str, Any] = {"frame_shape": (192, 480), "semi_axes": (2.1, 1.7), "finger": (2.9, 2.4)}
 SLIDE = Slide(**_SMALL, creep=0.45, travel=0.8)
-PLACES = (45, 90, 120, 150, 220, 260)  # where the skin creeps, as the contact begins to slip, and as it travels
+PLACES = (45, 90, 120, 150, 220, 260)  # during creep, at the onset of slip, and while sliding
 
 
 class Fault(NamedTuple):
-    """What is wrong with some frames in a row.
+    """A fault of several consecutive frames.
 
     Attributes:
-        spoil: returns frame k of all of them (F, H, W).
-        places: numbers of the first frame of each row of bad frames.
-        live: whether a stream can tell.
+        spoil: returns frame k, given all frames (F, H, W).
+        places: numbers of the first frame of each run of bad frames.
+        live: whether a stream can detect the fault.
     """
 
     case: str
@@ -66,7 +67,9 @@ class Fault(NamedTuple):
 
 
 def _of(later: int, noise: bool = False) -> Callable[[Frames, int], Array]:
-    """The frame of another moment, byte by byte, or with noise of its own in the last bit."""
+    """Return a function that gives the frame `later` frames later, identical or with noise of its own in
+    the last bit.
+    """
 
     def frame(frames: Frames, k: int) -> Array:
         bit = np.random.default_rng(k).integers(0, 2, frames[k].shape, frames.dtype) if noise else 0
@@ -117,7 +120,7 @@ def cases() -> Iterator[Case]:
 
 
 def spoiled(frames: Frames, fault: Fault) -> tuple[Frames, list[int]]:
-    """Return frames with a fault, and the numbers of those that have it."""
+    """Return frames with a fault, and the numbers of the spoiled frames."""
     result = frames.copy()
     bad = [place + k for place in fault.places for k in range(fault.frames)]
     for k in bad:
@@ -126,7 +129,7 @@ def spoiled(frames: Frames, fault: Fault) -> tuple[Frames, list[int]]:
 
 
 def repeated(frames: Frames, count: int) -> tuple[Frames, list[int]]:
-    """Return frames of which some come once more, `count` times."""
+    """Return frames in which single frames are repeated `count` times, and the numbers of the repetitions."""
     result = frames.copy()
     bad = [place + k for place in PLACES for k in range(count)]
     for place in PLACES:
@@ -142,7 +145,7 @@ def _all_faults(frames: Frames) -> Iterator[tuple[Fault, Frames, list[int]]]:
 
 
 def recorded(folder: Path) -> Iterator[Case]:
-    """Yield the faults of a recording with default settings."""
+    """Yield the faults in a recording with default settings."""
     write_recording(folder / "slide", SLIDE)
     frames = np.load(folder / "slide" / "frames.npy")
     clean = process(load_scene(folder / "slide" / "scene.toml"))
@@ -160,7 +163,7 @@ def recorded(folder: Path) -> Iterator[Case]:
 
 
 def live(folder: Path) -> Iterator[Case]:
-    """Yield the faults of a stream."""
+    """Yield the faults in a stream."""
     scene = write_scene_of_bundle(folder / "live", SLIDE)
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
     frames = np.load(folder / "live" / "frames.npy")
@@ -174,7 +177,7 @@ def live(folder: Path) -> Iterator[Case]:
         return np.array(player.read_results(folder / "out").records)
 
     clean = play(frames)
-    deviation = process(scene, ["median_divergence_std"])["median_divergence_std"].values  # a stream gives none
+    deviation = process(scene, ["median_divergence_std"])["median_divergence_std"].values  # a stream states none
     for fault, bad_frames, bad in _all_faults(frames):
         if fault.live:
             found = play(bad_frames)
@@ -207,7 +210,7 @@ def _judged(kind: str, fault: Fault, bad: list[int], frames: Frames, status: Arr
     return Case(f"{kind}: {fault.frames} {fault.case}", number, "0 deviations", names, "wrong" if wrong else told)
 
 
-#: Frames of a real clip that are far from both neighbours: its exposure steps by 25 % and the picture is not whole.
+#: Frames of a real clip that differ from both neighbours: the exposure changes by 25 %, and the frame is incomplete.
 KNOWN = {"grasp_bag_of_peanuts.avi": [0, 32]}
 
 

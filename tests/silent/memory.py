@@ -1,4 +1,4 @@
-"""Cases of the group `memory`: hostile calls of kernels, and where compiled and portable forms once differed."""
+"""Cases of hostile calls of kernels, and of inputs for which compiled and portable implementations once differed."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ def cases() -> Iterator[Case]:
 
 
 def _hostile() -> Iterator[Case]:
-    """A line for each function of kernels: how many hostile calls end how."""
+    """Yield a case for each function of the kernels: the outcomes of its hostile calls."""
     for name, call in hostile_calls.plain_calls().items():
         every = list(hostile_calls.hostile_calls({name: call}))
         words = Counter(word for _, word, _ in hostile_calls.outcomes(every, call))

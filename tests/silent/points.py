@@ -1,9 +1,9 @@
-"""What makes tracked points wrong: dust that rests on the glass, salt and pepper, lossy video, a second touch.
+"""Cases that make tracked points wrong: dust on the glass, defective pixels, lossy video, and a second touch.
 
-Of dust and pixels, the number is the share of accepted positions that are wrong by more than 0.5 px and by more than
-four of their deviations, and the strain energy over its deviation from that without them. A share of 0.1 % is right;
-a larger one, and what is NaN, needs a warning of the cause. Of touches it is the median divergence, um/mm, in the last
-frame. Recordings without a fault must drop no point, and give no new warning.
+For dust and pixels, the number is the share of accepted positions that are wrong by more than 0.5 px and four
+deviations, and the difference of the strain energy from the clean recording in deviations. A share below 0.1 % is
+right; a larger share, or NaN, needs a warning that names the cause. For touches the number is the median divergence,
+um/mm, in the last frame. Recordings without a fault must lose no point and give no new warning.
 """
 
 import tempfile
@@ -36,9 +36,9 @@ OUTPUTS = ["position_px", "position_std_px", "status", "strain_energy", "strain_
     "median_divergence_std", "field_coverage", "in_contact"]  # fmt: skip
 WRONG_PX, DEVIATIONS, MOST_WRONG = 0.5, 4.0, 1e-3
 _LOOKS = 24  # frames
-_DARK, _RADII = 0.5, (1.5, 3.0)  # of the light, and px: specks as in the suite `flow_outliers`
-_AWAY = 90  # px by which each of two touches lies beside the middle
-_DEEP_MM = 0.2  # inside the border: farther than it can be wrong
+_DARK, _RADII = 0.5, (1.5, 3.0)  # share of the light, and px: specks as in the suite `flow_outliers`
+_AWAY = 90  # px, distance of each of two touches from the middle
+_DEEP_MM = 0.2  # depth inside the border, larger than the border's error
 
 
 def cases() -> Iterator[Case]:
@@ -57,7 +57,7 @@ def cases() -> Iterator[Case]:
 
 
 class Spoiled(NamedTuple):
-    """Arrays in place of the files of a recording, and words of the warning that states the cause."""
+    """Arrays that replace the files of a recording, and words of the warning that names the cause."""
 
     case: str
     arrays: dict[str, Array]
@@ -65,7 +65,7 @@ class Spoiled(NamedTuple):
 
 
 def _spoiled(name: str, trial: SyntheticScene, recording: Path) -> Iterator[Case]:
-    """Yield the cases of a trial whose pictures are spoiled."""
+    """Yield the cases of a trial with spoiled frames."""
     right = process(recording / "scene.toml", OUTPUTS)
     for one in _spoilings(trial, recording):
         with tempfile.TemporaryDirectory() as folder:
@@ -91,7 +91,7 @@ def _spoilings(trial: SyntheticScene, recording: Path) -> Iterator[Spoiled]:
 
 
 def specks(trial: SyntheticScene, count: int) -> Array:
-    """Return the share (H, W) of the light that specks of dust leave, at the same places of the glass in both views."""
+    """Return the share (H, W) of light under specks of dust, at the same positions on the glass in both views."""
     (rows, columns), generator = trial.frame_shape, np.random.default_rng(5)
     matrix, half = np.array(trial.topography_to_contact), columns // 2
     share = np.ones((rows, columns), np.float32)
@@ -118,7 +118,7 @@ def _encoded(recording: Path, folder: Path) -> Scene:
 
 
 def judged(case: str, trial: SyntheticScene, result: xr.Dataset, right: xr.Dataset, cause: str) -> Case:
-    """Judge positions and energy of a spoiled trial, of which `right` is the result without the fault."""
+    """Judge positions and energy of a spoiled trial; `right` is the result without the fault."""
     position, deviation = result["position_px"].values, result["position_std_px"].values
     looks = np.unique(np.linspace(1, trial.n_frames - 1, _LOOKS).astype(int))
     true = np.stack([trial.truth.follow(position[0], 0, frame) for frame in looks])
@@ -139,7 +139,7 @@ def judged(case: str, trial: SyntheticScene, result: xr.Dataset, right: xr.Datas
 
 
 def second_touch() -> Case:
-    """Judge a finger that is lifted, and touches again with other skin at another place."""
+    """Judge a finger that is lifted and touches again with other skin at another position."""
     press = replace(PRESS, semi_axes=(2.2, 1.9), finger=(3.0, 2.6), n_frames=60, frame_rate=60.0)
     others = replace(press, texture=RidgeTexture(centre=(2.0, 1.5)))
     with tempfile.TemporaryDirectory() as folder:
@@ -180,7 +180,7 @@ def _prints() -> Iterator[Case]:
 
 
 def _at_the_rim(name: str, press: Press, result: xr.Dataset) -> Case:
-    """Judge the points that are never in contact, and lie in the true one by more than its border can be wrong."""
+    """Judge the points that are never in contact but lie in the true contact, by more than the error of its border."""
     onset, last = result["onset_frame"].values, press.n_frames - 1
     ellipse = press.truth.ellipse(last)
     assert ellipse is not None
@@ -193,7 +193,7 @@ def _at_the_rim(name: str, press: Press, result: xr.Dataset) -> Case:
 
 
 def _stream_without_region(press: Press, folder: Path) -> Case:
-    """Judge a stream whose scene says nothing of where points are seeded, with too few of them for the whole view."""
+    """Judge a stream without a seeding region, with too few points for the whole view."""
     text = (folder / "press" / "scene.toml").read_text(encoding="utf-8")
     scene = folder / "press" / "whole.toml"
     scene.write_text(text[: text.index("[stream]")] + f'[stream]\noutput = "{(folder / "live").as_posix()}"\n')
@@ -209,7 +209,7 @@ def _stream_without_region(press: Press, folder: Path) -> Case:
     known = float(np.isfinite(found[covered]).mean())
     off = np.abs(found - true)[covered]
     deviation = 1e3 * records["median_divergence_std"][covered]
-    beyond = int((off > DEVIATIONS * deviation).sum())  # none where no deviation is stated
+    beyond = int((off > DEVIATIONS * deviation).sum())  # 0 where no deviation is stated
     verdict = "right" if known > 0.9 and not beyond else "wrong"
     number = f"median divergence known in {known:.0%} of frames, up to {np.nanmax(off):.1f} um/mm off"
     stated = f"{int(records['restart'][-1])} seedings, a deviation in {np.isfinite(deviation).mean():.0%}"

@@ -1,4 +1,4 @@
-"""What other users of the computer, other sites in the browser and files of strangers could make fingerflow do."""
+"""Cases of what other users of the computer, other sites in the browser and foreign files could make fingerflow do."""
 
 import csv
 import http.client
@@ -86,7 +86,9 @@ def _is_ended(port: int, begun: bytes) -> bool:
 
 
 def _command_line(folder: Path) -> Case:
-    """The browser is told to open a file: its command line can be read by everybody, the file by its owner alone."""
+    """Judge how the token reaches the browser: everybody can read its command line, so the token is in a file that only
+    the owner can read.
+    """
     with redirect_file("http://127.0.0.1:1/?token=secret") as path:
         sleeping = subprocess.Popen([sys.executable, "-c", "input()", path.as_uri()], stdin=subprocess.PIPE)
         listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
@@ -113,7 +115,9 @@ def _cells(folder: Path) -> Case:
 
 
 def _graphs(folder: Path) -> Case:
-    """A cached graph is run: the folder must be of this user, and for no other to write to."""
+    """Judge the folder of cached graphs, which are executed: the folder must belong to this user and be writable by
+    nobody else.
+    """
     user, used = os.getuid(), 0
     with mock.patch("tempfile.gettempdir", return_value=str(folder)), mock.patch("tempfile.tempdir", str(folder)):
         own = folder / f"fingerflow-graphs-{user}"

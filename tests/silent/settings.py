@@ -1,7 +1,8 @@
-"""Settings and data that contradict each other: each mistake is made on the default press with default settings.
+"""Cases of settings and data that contradict each other: each mistake is made on the default press with default
+settings.
 
-The number is the peak gross area, force or energy, or what the mistake changes; a result that agrees with the truth
-needs no warning, and one that does not states the cause.
+The number is the peak gross area, force or energy, or the variable that the mistake changes. A result that agrees with
+the truth needs no warning; any other result must name the cause.
 """
 
 import shutil
@@ -26,10 +27,10 @@ LOST = 27  # frames
 
 
 class Mistake(NamedTuple):
-    """A mistake: texts of the scene that are replaced, the variable that it changes, and words of the warning.
+    """A mistake: texts of the scene that are replaced, the variable that the mistake changes, and words of the warning.
 
     Attributes:
-        arrays: arrays in place of the files, from the frames of the press.
+        arrays: arrays that replace the files, from the frames of the press.
         forces: factor on the forces in the file; None for a trial without forces.
     """
 
@@ -93,7 +94,9 @@ def cases() -> Iterator[Case]:
 
 
 def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset) -> Case:
-    """Make a mistake on a recorded press and judge what its result states; `right` is the result without it."""
+    """Make a mistake on a recorded press and judge the warnings of its result; `right` is the result without the
+    mistake.
+    """
     truth = _peak(right, mistake.variable)
     with tempfile.TemporaryDirectory() as folder:
         replaced = dict(mistake.replaced)
@@ -113,7 +116,9 @@ def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset
 
 
 def _scaled(forces: Path, to: Path, factor: float) -> dict[str, str]:
-    """Write forces times a factor under the same heading; return the text that names their file instead."""
+    """Write the forces times a factor under the same heading; return the replacement of their file name
+    in the scene.
+    """
     heading, *lines = forces.read_text().splitlines()
     factors = [factor if "force" in name else 1.0 for name in heading.split(",")]
     values = np.loadtxt(lines, delimiter=",") * factors
@@ -135,7 +140,7 @@ def _peak(result: xr.Dataset, variable: str) -> str:
     return f"{variable} {np.nanmax(values):.4g}" if np.isfinite(values).any() else f"{variable} nan"
 
 
-#: Warnings that recordings without a mistake have always given.
+#: Warnings that recordings without a mistake also give.
 KNOWN = (
     "the forces do not cover",
     "is never below 1.99 N",
@@ -147,7 +152,7 @@ KNOWN = (
 
 
 def without_mistake(name: str, result: xr.Dataset) -> Case:
-    """Judge the warnings of a result that has nothing wrong."""
+    """Judge the warnings of a result without a mistake."""
     said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
     verdict = "false alarm" if said else "right"
     return Case(f"no mistake: {name}", f"{len(said)} new warnings", "0", (said or ["nothing"])[0][:90], verdict)

@@ -1,4 +1,4 @@
-"""No damaged file, no request and no loss of power gives a wrong number in silence."""
+"""Tests that no damaged file, request or loss of power gives a wrong number without a warning."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""No row of bad frames is wrong in silence, and nothing right is excluded."""
+"""Tests that no run of bad frames gives wrong results without a warning, and that no clean frame is excluded."""
 
 from pathlib import Path
 

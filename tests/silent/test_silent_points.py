@@ -1,4 +1,4 @@
-"""No tracked point is wrong in silence, and nothing right is dropped."""
+"""Tests that no tracked point is wrong without a warning, and that no right point is dropped."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Nobody else reads, writes or runs anything."""
+"""Tests that nobody else can read, write or run anything."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""No mistake of a setting is wrong in silence, and nothing right is warned of."""
+"""Tests that no mistake of a setting gives wrong results without a warning, and that right settings give no warning."""
 
 import pytest
 

@@ -1,11 +1,12 @@
-"""`python -m tests.study.blows`: a study that is struck at random moments, and run again.
+"""`python -m tests.study.blows`: interrupt a study at random moments, and check that a rerun completes it.
 
-A small study of eight trials runs by its command, in processes of its own. Blows are drawn by a seeded generator: the
-client with its workers, a worker, or the scheduler is killed, Ctrl-C, the disk of the results fills up, a tenth of the
-files of recordings is damaged before a run and mended after it, a tenth of the files of results is damaged. Each comes
-when so many rows stand as was drawn, too. After three of them the study is run once more, and its table has to equal
-that of a run that nothing has struck, number for number, with nothing left behind. Before each blow half of the
-trials are removed, so that it strikes work. The disk is a file system in memory, which needs the right to mount.
+A small study of eight trials runs by its command, in processes of its own. A seeded generator draws the faults: the
+client with its workers, a worker or the scheduler is killed, Ctrl-C is sent, the disk of the results becomes full, a
+tenth of the files of recordings is damaged before a run and restored afterwards, or a tenth of the files of results is
+damaged. The number of finished rows at which each fault occurs is drawn as well. After three faults the study is run
+again. Its table must equal that of an undisturbed run exactly, and no temporary file may remain. Half of the trials are
+removed before each fault, so that there is work to interrupt. The disk is a file system in memory, which needs the
+right to mount.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from tests.study.lab import write_lab, write_one_press
 __all__ = ["BLOWS", "main"]
 ROOT = Path(__file__).resolve().parents[2]
 _IN_A_ROUND = 3
-_PATIENCE = 300.0  # s for a process to come to its end
+_PATIENCE = 300.0  # s, timeout for the end of a process
 SCHEDULER = """
 import sys
 from distributed import LocalCluster
@@ -49,12 +50,12 @@ with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_
 
 
 def table_of(study: Manifest) -> pd.DataFrame:
-    """All that is measured, as it is written; without the names of the files of results."""
+    """Write the tables of a study and return the trials, without the names of the files of results."""
     return pd.read_parquet(write_tables(study).trials).drop(columns="result")
 
 
 def start(lab: Path, *options: str) -> subprocess.Popen[bytes]:
-    """`fingerflow study run` in a group of processes of its own."""
+    """Start `fingerflow study run` in its own group of processes."""
     command = [sys.executable, "-m", "fingerflow", "study", "run", str(lab), *(options or ("--workers", "2"))]
     return subprocess.Popen(
         command, env=_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
@@ -62,7 +63,7 @@ def start(lab: Path, *options: str) -> subprocess.Popen[bytes]:
 
 
 def start_scheduler() -> tuple[subprocess.Popen[str], str]:
-    """A scheduler with its worker in one process, and its address."""
+    """Start a scheduler with its worker in one process; return the process and the address."""
     command, pipe = [sys.executable, "-c", SCHEDULER], subprocess.PIPE
     process = subprocess.Popen(command, stdin=pipe, stdout=pipe, env=_environment(), text=True)
     assert process.stdout is not None
@@ -70,14 +71,14 @@ def start_scheduler() -> tuple[subprocess.Popen[str], str]:
 
 
 def workers_of(client: subprocess.Popen[bytes]) -> list[psutil.Process]:
-    """Of a client with a cluster of its own."""
+    """Return the worker processes of a client with its own cluster."""
     found = psutil.Process(client.pid).children(recursive=True)
     servers = {one.pid for one in found if "forkserver" in " ".join(one.cmdline()) and one.ppid() == client.pid}
     return [one for one in found if one.ppid() in servers or "spawn_main" in " ".join(one.cmdline())]
 
 
 def until(done: Callable[[], bool], process: subprocess.Popen[Any]) -> None:
-    """Waits for something, or for the end of a process; raises AssertionError where neither comes."""
+    """Wait until `done()` is true or a process ends; raise AssertionError after 300 s."""
     for _ in range(3000):
         if done() or process.poll() is not None:
             return
@@ -86,20 +87,20 @@ def until(done: Callable[[], bool], process: subprocess.Popen[Any]) -> None:
 
 
 def end(process: subprocess.Popen[bytes], number: int = signal.SIGKILL) -> None:
-    """A process with its group, where it still runs."""
+    """Kill a process with its group if the process still runs."""
     if process.poll() is None:
         os.killpg(process.pid, number)
     process.wait(_PATIENCE)
 
 
 def rows_of(study: Manifest) -> int:
-    """Trials that have one."""
+    """Return the number of trials that have a row."""
     return len(list(study.results.glob("*/row.json")))
 
 
 def damage(files: Sequence[Path], rng: random.Random) -> dict[Path, bytes]:
-    """Damages a tenth of these files, one at least: cut short, emptied, or with other bytes in the middle. What was in
-    them, by file.
+    """Damage a tenth of these files, at least one: truncated, emptied, or with other bytes in the middle. Return the
+    original contents by file.
     """
     before = {}
     for file in rng.sample(list(files), max(1, len(files) // 10)):
@@ -111,30 +112,30 @@ def damage(files: Sequence[Path], rng: random.Random) -> dict[Path, bytes]:
 
 
 def mend(before: Mapping[Path, bytes]) -> None:
-    """Undoes `damage`."""
+    """Restore the files that `damage` changed."""
     for file, content in before.items():
         file.write_bytes(content)
 
 
 def recorded(lab: Path) -> list[Path]:
-    """Files of the recordings of a study."""
+    """Return the files of the recordings of a study."""
     return sorted(one for kind in ("npy", "csv") for one in lab.glob(f"p*/*/*/*.{kind}"))
 
 
 def written(study: Manifest) -> list[Path]:
-    """Files of its results, a folder a trial."""
+    """Return the files of the results of a study, one folder per trial."""
     return sorted(one for one in study.results.glob("*/*") if one.is_file())
 
 
 class Struck:
-    """A study with the blows that it can be dealt, each by its name."""
+    """A study and the faults that can interrupt its runs, each by its name."""
 
     def __init__(self, lab: Path, study: Manifest, ballast: Path | None, rng: random.Random) -> None:
         self._lab, self._study, self._ballast, self._rng = lab, study, ballast, rng
         self._moment = 0
 
     def deal(self, blow: str) -> None:
-        """A run that meets this blow when some rows more stand than before; there is work for half of the trials."""
+        """Remove the results of half of the trials, and start a run in which this fault occurs after some more rows."""
         for entry in self._rng.sample(self._study.trials, len(self._study.trials) // 2):
             shutil.rmtree(self._study.results / entry.name, ignore_errors=True)
         self._moment = rows_of(self._study) + self._rng.randrange(3)
@@ -209,7 +210,7 @@ def main(arguments: list[str] | None = None) -> int:
         left = [one for one in BLOWS if mounted or one != "full disk"]
         deck: list[str] = []
         for number in range(asked.rounds):
-            while len(deck) < _IN_A_ROUND:  # each kind as often as another
+            while len(deck) < _IN_A_ROUND:  # each kind occurs equally often
                 deck += rng.sample(left, len(left))
             dealt, deck = deck[:_IN_A_ROUND], deck[_IN_A_ROUND:]
             for blow in dealt:

@@ -1,4 +1,4 @@
-"""The study of `lab`, and a scheduler for it."""
+"""Fixtures: the study of `lab`, and a scheduler for it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,7 +33,7 @@ def study(lab: Path) -> Manifest:
 
 @pytest.fixture(scope="session")
 def undisturbed(one_press: Path, tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Manifest:
-    """The same study elsewhere, run once: what its table and results have to be."""
+    """Return the same study in another folder, run once: the reference of tables and results."""
     folder = tmp_path_factory.mktemp("undisturbed") / "lab"
     write_lab(folder, one_press)
     study = load_manifest(folder)
@@ -43,9 +43,9 @@ def undisturbed(one_press: Path, tmp_path_factory: pytest.TempPathFactory, sched
 
 @pytest.fixture(scope="session")
 def scheduler() -> Iterator[str]:
-    """The address of a scheduler whose one worker is a thread here: no process has to load torch.
+    """Return the address of a scheduler whose worker is a thread of this process, so that no process must load torch.
 
-    A test of another room may stand in the way of that thread for minutes: it is not given up for that.
+    A test of another module may block that thread for minutes, so the worker has no time limit.
     """
     with (
         dask.config.set({"distributed.scheduler.worker-ttl": None}),

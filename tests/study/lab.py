@@ -1,4 +1,4 @@
-"""A folder of small recordings as a lab has it: two participants, two conditions, each trial a press of its own."""
+"""Folder of small recordings as in a lab: two participants, two conditions, and one press per trial."""
 
 import shutil
 from pathlib import Path
@@ -13,13 +13,15 @@ TRIALS = [(participant, condition, trial) for participant in (1, 2) for conditio
 
 
 def write_one_press(folder: Path) -> Path:
-    """The recording that all trials are copies of."""
+    """Write the recording of which all trials are copies, and return its folder."""
     write_recording(folder, TINY_PRESS)
     return folder
 
 
 def write_files(folder: Path, press: Path) -> None:
-    """Folders such as p01/2um/trial1, with answers.csv beside; each recording differs in a pixel of the glass."""
+    """Write folders such as p01/2um/trial1, and answers.csv beside them; recordings differ in one pixel
+    of the glass.
+    """
     lines = ["participant,trial,condition,answer"]
     for number, (participant, condition, trial) in enumerate(TRIALS):
         place = folder / f"p{participant:02d}" / f"{condition}um" / f"trial{2 * (condition > 0) + trial}"
@@ -32,6 +34,6 @@ def write_files(folder: Path, press: Path) -> None:
 
 
 def write_lab(folder: Path, press: Path) -> None:
-    """The same with the manifest of its study."""
+    """Write these files with the manifest of their study."""
     write_files(folder, press)
     init_study(folder, folder / "answers.csv")

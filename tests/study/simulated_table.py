@@ -19,7 +19,7 @@ from fingerflow.models.skin_parameters import parameter_set
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
-_POINTS = 4001  # of the integrals, over eight deviations beyond the means
+_POINTS = 4001  # points of the integrals, which extend eight deviations beyond the means
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def simulate_table(design: TableDesign) -> dict[str, Any]:
     """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
 
     Strain and its energy follow the divergence with added noise, so they predict the answer less well. Global
-    displacement, force angle, areas, curl, rates and force are independent of it.
+    displacement, force angle, areas, curl, rates and force are independent of the divergence.
     """
     draw = np.random.default_rng(design.seed)
     who, condition, trial = (

@@ -1,4 +1,4 @@
-"""Memory that is freed is used again, also where Dask has told the C library to give it back at once."""
+"""Tests that freed memory is reused, even if Dask has told the C library to return it to the system at once."""
 
 import os
 import platform
@@ -28,11 +28,13 @@ print(first, faults())
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="mallopt is of the GNU C library")
 def test_arrays_take_pages_that_are_there() -> None:
-    """In a process of its own, started as Dask starts a worker: what is set here would stay."""
+    """New arrays reuse pages of the heap; this runs in a process of its own, started as Dask starts a worker, because
+    the setting lasts.
+    """
     environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
     done = subprocess.run([sys.executable, "-c", _FAULTS], env=environment, capture_output=True, text=True, check=True)
     first, then = map(int, done.stdout.split())
     pages = _BYTES // resource.getpagesize()
     if first < _TIMES * pages:  # huge pages, or a kernel that does not count faults
         pytest.skip(f"this system counts {first} page faults for {_TIMES * pages} new pages, which shows nothing")
-    assert then <= 4 * pages  # once, where the heap has to grow
+    assert then <= 4 * pages  # once, when the heap grows

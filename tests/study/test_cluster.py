@@ -1,4 +1,4 @@
-"""Tasks on workers: each comes back once, whatever happens to the worker."""
+"""Tests of tasks on workers: each task is returned once, whatever happens to its worker."""
 
 import os
 import socket
@@ -59,24 +59,26 @@ def test_workers_are_renewed_from_one_process_and_lose_nothing(monkeypatch: pyte
 def _kept(_: int) -> tuple[int, int | None]:
     from distributed import get_worker
 
-    time.sleep(1.5)  # profiles are put by once a second
+    time.sleep(1.5)  # profiles are stored once a second
     return len(get_worker().profile_history), get_worker().state.log.maxlen
 
 
 def test_little_is_kept_of_what_was_done() -> None:
-    """Profiles would grow for an hour, by 0.4 MB a small recording, logs until they have 1,000 messages."""
+    """Workers keep no profiles and short logs; profiles would grow by 0.4 MB per small recording for an hour, logs up
+    to 1,000 messages.
+    """
     tasks = ((f"task-{number}", number) for number in range(2))
     with socket.socket() as other, warnings.catch_warnings():
         other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         with suppress(OSError):  # another study may run here
             other.bind(("127.0.0.1", 8787))
             other.listen()
-        warnings.simplefilter("error", UserWarning)  # that the port of Dask's pages is taken
+        warnings.simplefilter("error", UserWarning)  # the port of Dask's dashboard is in use
         assert list(run_on_workers(_kept, tasks, 2, _raise, workers=1, progress=False)) == [(0, 100)] * 2
 
 
 def test_a_scheduler_keeps_nothing_of_a_name(scheduler: str) -> None:
-    """It never forgets the first part of a key, and would grow with every trial."""
+    """All keys have one prefix: the scheduler never forgets prefixes, and would grow with every trial."""
     tasks = ((f"01_{number}um_1", number) for number in range(3))
     list(run_on_workers(_process, tasks, 3, _raise, scheduler, progress=False))
     with Client(scheduler) as client:
@@ -98,7 +100,9 @@ def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
 
 
 def test_a_deployment_by_the_name_of_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its workers' threads sleep where they wait for each other, and its workers look at themselves once a second."""
+    """A deployment named by its class has workers whose waiting threads sleep, and that monitor themselves once a
+    second.
+    """
     monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
     tasks = ((f"task-{number}", number) for number in range(2))
     found = list(run_on_workers(_settings, tasks, 2, _raise, "distributed.LocalCluster", 1, progress=False))
@@ -114,7 +118,9 @@ def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """One in flight a thread and two beside it, of those that have come by then."""
+    """Tasks wait for the first worker; then one task per thread and two more are in flight, for all workers that have
+    joined.
+    """
     monkeypatch.setattr(cluster, "_LOOK", 0.05)
     said = ""
     asked = 0
@@ -124,7 +130,7 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
         for asked in range(1, 21):
             yield f"task-{asked}", asked
 
-    with LocalCluster(  # whose workers have a thread each, on any number of cores
+    with LocalCluster(  # its workers have one thread each, on any number of cores
         n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
     ) as empty:
 
@@ -150,7 +156,7 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
         first = next(results)
         assert asked <= 3
         deadline = time.monotonic() + 60
-        while looks.count(4) < 2:  # the result of the first is in use by the second
+        while looks.count(4) < 2:  # the second task uses the result of the first
             assert time.monotonic() < deadline, looks
             time.sleep(0.05)
         second = next(results)
@@ -162,7 +168,9 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
 
 
 def _asks_as_somebody_else(_: int) -> tuple[str, str]:
-    """From a process of another user: the address can be found, the certificate cannot."""
+    """Return the scheduler's address, and the outcomes of connecting to it without its certificate, as another user
+    would.
+    """
     from distributed import Security, get_worker
 
     address, answers = get_worker().scheduler.address, []
@@ -177,7 +185,9 @@ def _asks_as_somebody_else(_: int) -> tuple[str, str]:
 
 
 def test_nobody_else_is_let_in_by_the_scheduler_of_a_study() -> None:
-    """It runs what it is sent: without its certificate nothing is accepted, by TCP or by a certificate of one's own."""
+    """The scheduler, which runs any code that it receives, accepts no connection by TCP or with a foreign
+    certificate.
+    """
     ((address, answers),) = run_on_workers(
         _asks_as_somebody_else, iter([("task", 1)]), 1, _raise, workers=1, progress=False
     )

@@ -1,4 +1,4 @@
-"""What has to be done again, and what not."""
+"""Tests of which trials and stages must be computed again."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a study is told: a table or a pattern, and errors that name the row."""
+"""Tests of the manifest of a study: a table or a pattern, and errors that name the row."""
 
 import re
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
             (tmp_path / name).with_suffix(suffix).touch()
     study = load_manifest(tmp_path)
     assert [entry.name for entry in study.trials] == ["01_0_1", "01_2_2"]
-    assert [entry.answer for entry in study.trials] == [True, False]  # what stands in the table counts
+    assert [entry.answer for entry in study.trials] == [True, False]  # the table takes precedence
     assert [study.scene_of(entry).tracking.points for entry in study.trials] == [700, 500]
 
 

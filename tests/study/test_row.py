@@ -1,4 +1,4 @@
-"""The row of a trial whose series are formulas of time: every number is known."""
+"""Tests of the row of a trial whose series are formulas of time, so that every number is known."""
 
 import json
 
@@ -16,7 +16,9 @@ ANGLE = 0.4
 
 
 def _result(**changed: np.ndarray) -> xr.Dataset:
-    """Contact from frame 10 on; by N a divergence of 0.01 and a strain of 0.02 along ANGLE and -0.01 across it."""
+    """Return a result with contact from frame 10 on; per N a divergence of 0.01, a strain of 0.02 along ANGLE and -0.01
+    across.
+    """
     area = np.where(np.arange(FRAMES) >= 10, 10 * FORCE, 0.0)
     along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
     across = np.array([-np.sin(ANGLE), np.cos(ANGLE)])
@@ -97,7 +99,7 @@ def test_numbers_of_the_whole_trial() -> None:
 
 
 def test_deviation_of_a_turned_strain() -> None:
-    """t' E t with independent components of the same deviation s: s (c^4 + s^4 + 4 c^2 s^2)^(1/2)."""
+    """The deviation of t' E t with independent components of equal deviation s is s (c^4 + s^4 + 4 c^2 s^2)^(1/2)."""
     row, _ = measure(_result())
     cosine, sine = np.cos(ANGLE), np.sin(ANGLE)
     assert row["strain_std"] == pytest.approx(1e-4 * np.sqrt(cosine**4 + sine**4 + 4 * cosine**2 * sine**2), rel=1e-9)

@@ -1,4 +1,4 @@
-"""Runs: what is done, what is skipped, what fails, and that numbers do not depend on who computes them."""
+"""Tests of runs: computed, skipped and failed trials, and numbers that do not depend on the worker."""
 
 import json
 import random
@@ -73,7 +73,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     after = table_of(changed)
     assert (before["real_contact_area"] == after["real_contact_area"]).all()
     assert (before["divergence"] != after["divergence"]).all()
-    # One result a trial: the one before is not left behind.
+    # One result per trial: the earlier result is removed.
     assert all(len(list((changed.results / entry.name).glob("*.h5"))) == 1 for entry in changed.trials)
     frames = np.load(lab / "p02/0um/trial1/frames.npy")
     frames[3] //= 2
@@ -86,7 +86,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
 def test_trials_together_are_what_each_is_by_itself(
     study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
 ) -> None:
-    """And one that fails is one row."""
+    """Trials processed together have the same numbers as alone, and a failed trial is one failed row."""
     (lab / "p01/2um/trial3/forces.csv").write_text("no forces", encoding="utf-8")
     found = _run(study, scheduler, together=3)
     assert [name for name, status in found.items() if status == FAILED] == ["01_2_3"]
@@ -100,7 +100,7 @@ def test_trials_together_are_what_each_is_by_itself(
 
 
 def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many as its free memory holds, at most eight; without a GPU, or on a cluster, one by one."""
+    """A group has as many trials as the free GPU memory holds, at most eight; without a GPU or on a cluster one."""
     assert run._default_group_size(study, None) == 1
     free = [80e9]
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -171,7 +171,7 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
     reasons = table.loc[FAILED, "reason"].tolist()
     assert "frames.npy" in reasons[0]
     assert "does not exist" in reasons[1]
-    # They are not tried again for nothing, but where somebody asks, and where the file has changed.
+    # They are run again only on request, or if the file has changed.
     assert plan_run(study) == []
     assert {one.entry.name for one in plan_run(study, retry_failed=True)} == failed
     for path, content in zip(broken, whole, strict=True):
@@ -181,8 +181,8 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
 
 
 def test_a_tenth_of_the_files_is_damaged(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
-    """Of the recordings before a run, and mended after it, then of the results; as drawn, and a number of a row and a
-    byte of a result besides, which nothing but their digests tells.
+    """Damaged files are detected: a tenth of the recordings, restored after a run, then a tenth of the results, and a
+    number in a row and a byte of a result, which only digests detect.
     """
     expected, rng = table_of(undisturbed), random.Random(18)
     before = damage(recorded(lab), rng)
@@ -197,7 +197,7 @@ def test_a_tenth_of_the_files_is_damaged(study: Manifest, lab: Path, scheduler: 
     struck = {file.parent.name for file in damage(written(study), rng)}
     row, other = (study.results / entry.name for entry in [one for one in study.trials if one.name not in struck][:2])
     text = (row / "row.json").read_text(encoding="utf-8")
-    number = re.search(r'"divergence": -?0\.0*([1-9])', text)  # the last digit may be no other number
+    number = re.search(r'"divergence": -?0\.0*([1-9])', text)  # a change of the last digit may not change the number
     assert number is not None
     other_digit = str(int(number[1]) % 9 + 1)
     (row / "row.json").write_text(text[: number.start(1)] + other_digit + text[number.end(1) :], encoding="utf-8")
@@ -256,7 +256,9 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
 
 
 def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
-    """A small one: with room for some results, then for none and for no row either, then emptied."""
+    """Trials fail without partial rows while the disk has room for some or for no results, and succeed after it is
+    emptied.
+    """
     few = replace(study, trials=study.trials[:3])
     _run(few, scheduler)
     undisturbed = table_of(few)
@@ -275,7 +277,7 @@ def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
         assert {one.entry.name for one in plan_run(small)} == failed
         leave_free(ballast, 0)
         assert _run(small, scheduler) == dict.fromkeys(sorted(failed), FAILED)
-        assert {name: read_row(small.results / name) for name in first} == rows  # as they were, none is half written
+        assert {name: read_row(small.results / name) for name in first} == rows  # unchanged, none is half written
         ballast.unlink()
         assert _run(small, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
         pd.testing.assert_frame_equal(table_of(small), undisturbed, check_exact=True)
@@ -302,7 +304,7 @@ def test_a_worker_of_another_version_is_refused(
 
 
 def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
-    """A run that was planned before another one had finished leaves what is there."""
+    """A run planned before another run finished leaves the rows of the other run unchanged."""
     late = [one.entry for one in plan_run(study, only="01_0_*")]
     _run(study, scheduler, only="01_0_*")
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
@@ -316,7 +318,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
 def test_a_result_that_is_not_needed_is_not_read(
     study: Manifest, lab: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of another recording, nothing holds; its digest takes all its bytes."""
+    """The result of a changed recording is not read, since its digest would need all its bytes."""
     _run(study, scheduler, only="01_0_1")
     frames = np.load(lab / "p01/0um/trial1/frames.npy")
     frames[3, 50, 50] ^= 1
@@ -345,8 +347,8 @@ def test_no_scheduler_there(study: Manifest) -> None:
 def test_processes_that_are_killed_lose_nothing(
     study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
 ) -> None:
-    """The client with all its workers in the middle of a run; in the next one a worker alone, then Ctrl-C: the table at
-    the end is that of an undisturbed run in one process, bit for bit.
+    """After the client with its workers is killed, then a worker, then Ctrl-C, the final table equals that of an
+    undisturbed run bit for bit.
     """
     there, started = rows_of(study), start(lab)
     try:
@@ -356,7 +358,7 @@ def test_processes_that_are_killed_lose_nothing(
     there, started = rows_of(study), start(lab)
     try:
         until(lambda: rows_of(study) > there, started)
-        if started.poll() is None:  # else the machine was faster than the blow
+        if started.poll() is None:  # else the run ended before the fault
             for worker in workers_of(started)[:1]:
                 worker.kill()
         until(lambda: rows_of(study) > there + 1, started)
@@ -378,14 +380,16 @@ def test_processes_that_are_killed_lose_nothing(
 
 
 def _attributes(result: xr.Dataset, study: Manifest) -> dict[str, str]:
-    """But when and how fast it was made, and where."""
+    """Return the attributes of a result without time, speed and folder of its computation."""
     where = str(study.path.parent)
     return {name: str(value).replace(where, "") for name, value in result.attrs.items() if name not in _PROVENANCE}
 
 
 @pytest.mark.long
 def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, scheduler: str, undisturbed: Manifest) -> None:
-    """In a process of its own, with its worker: the run ends and says so; the rest is done by the next one."""
+    """If the scheduler, a process with its worker, is killed, the run ends with a message, and the next run completes
+    the rest.
+    """
     other, address = start_scheduler()
     with other, ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_study, study, address, progress=False)

@@ -1,6 +1,6 @@
-"""Distributions of simulated trials against the printed values, and rendered trials measured against their truth.
+"""Tests of simulated trials: distributions against printed values, and rendered trials against their truth.
 
-B5 and so on: printed values of Willemet et al. 2021, supplement.
+B5 etc. are printed values of Willemet et al. 2021, supplement.
 """
 
 from dataclasses import replace
@@ -38,8 +38,10 @@ def presses() -> Presses:
 
 
 def test_forces_times_and_rates_are_those_printed(presses: Presses) -> None:
-    """B34 to B38. The standard error of a mean of 16,800 presses is below 1 %; what is beyond is the redrawing of
-    presses outside of the printed ranges, which the printed numbers leave open."""
+    """Forces, times and rates have the distributions of B34 to B38. The standard error of a mean of 16,800 presses is
+    below 1 %; larger differences come from redrawing presses outside the printed ranges, which the printed numbers do
+    not specify.
+    """
     assert presses.force.mean() == pytest.approx(5.5, abs=0.2)
     assert 1 <= presses.force.min() < 1.1
     assert 17 < presses.force.max() <= 18
@@ -54,7 +56,9 @@ def test_forces_times_and_rates_are_those_printed(presses: Presses) -> None:
 
 
 def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
-    """B40, B43, B44. Angles end where the finger would slide: at the lowest friction that takes 0.2 degrees."""
+    """Angles and displacements have the distributions of B40, B43 and B44. Angles are limited by friction; at the
+    lowest friction this costs 0.2 degrees.
+    """
     angle = np.degrees(presses.angle)
     for amplitude, mean, deviation in ((0.0, 9.9, 4.9), (3.0, 4.2, 2.1)):
         own = angle[presses.amplitude == amplitude]
@@ -67,8 +71,8 @@ def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
 
 
 def test_contact_areas_are_those_printed(presses: Presses) -> None:
-    """B5 to B9: apparent and real area over participants, and what vibration does to both."""
-    # Two groups that differ in what they feel take twice the printed spread of apparent areas.
+    """Apparent and real areas over participants, and the effect of vibration on both, agree with B5 to B9."""
+    # Two groups of different sensitivity need twice the printed spread of apparent areas.
     areas = (presses.gross_contact_area, 70.1, 10.2), (presses.real_contact_area, 23.7, 4.5)
     for area, mean, deviation in areas:
         own = _by_participant(presses, area)
@@ -85,8 +89,9 @@ def test_contact_areas_are_those_printed(presses: Presses) -> None:
 
 
 def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> None:
-    """B66: the soft group is better at amplitudes up to 1 µm, by 0.06 with a standard error of 0.008, and most studies
-    of 16 participants show two groups. Equal glass is answered by chance, and more vibration is felt better."""
+    """The soft group is better at amplitudes up to 1 µm (B66), by 0.06 with a standard error of 0.008, and most studies
+    of 16 participants show two groups. Equal stimuli are answered by chance, and larger vibrations better.
+    """
     reference, comparison = presses.pairs()
     answers = answers_of(DESIGN, reference, comparison)
     firm, soft = (
@@ -114,8 +119,10 @@ def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> Non
 
 
 def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
-    """Interpolated over the force, to 1 µm/mm (its curve bends by 15 µm/mm between two forces), and the area to 1 %.
-    The whole disc and one of its radii have the same median: to 0.5 µm/mm by their grids."""
+    """Tables interpolated over the force agree with the truth of rendered presses to 1 µm/mm, as the curve bends by 15
+    µm/mm between two forces, and to 1 % of the area. The median of the whole disc equals that of a radius to 0.5 µm/mm,
+    the error of their grids.
+    """
     for number in range(3, 63, 12):
         press = recording_of(DESIGN, presses, number)
         truth, peak = press.truth, int(np.argmax(press.normal_force(press.times)))
@@ -129,7 +136,9 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
 
 
 def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
-    """A study of six pairs by its commands: what was drawn comes back, pairs are found, an interrupted call goes on."""
+    """A study of six pairs by its commands returns the numbers that were drawn and finds the pairs; an interrupted call
+    continues.
+    """
     design = Design(participants=2, trials=1, amplitudes=(0.0, 1.0, 3.0), force_range=(2.0, 9.0), view_px=418)
     write_recordings(tmp_path, design)
     write_recordings(tmp_path, design)
@@ -147,7 +156,7 @@ def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
     assert np.abs(table["global_displacement"] - table["true_displacement"]).max() < 0.01
     assert np.abs(table["gross_contact_area"] / table["true_gross_contact_area"] - 1).max() < 0.05
     assert np.abs(table["real_contact_area"] - table["true_real_contact_area"]).max() < 4.5
-    # Half of the pictures' error is common: the border of the contact (docs/accuracy.md).
+    # Half of the error of rendered presses is common, due to the border of the contact (docs/accuracy.md).
     assert 1e3 * np.abs(table["divergence"] - table["true_divergence"]).max() < 5.0
     assert np.corrcoef(table["divergence"], table["true_divergence"])[0, 1] > 0.9
     compared = table["reference"].notna()

@@ -1,4 +1,4 @@
-"""What was put into a simulated study comes out of its table."""
+"""Tests that the statistics of a simulated study agree with its design."""
 
 import json
 import math
@@ -38,7 +38,7 @@ def _statistics(seed: int, resamples: int = 500) -> dict:
 
 
 def test_truth_by_integration_is_that_of_a_million_trials() -> None:
-    """Sampling leaves 1 / sqrt(n) of a few standard deviations: 0.5 % of d' and of the area."""
+    """The true statistics by integration equal those of 980,000 sampled trials to 0.5 %, the sampling error."""
     design = TableDesign(participants=2000, trials=70, seed=1)
     table = simulate_table(design)
     correct, incorrect = (table["divergence"][table["answer"] == kind] for kind in (True, False))
@@ -53,8 +53,8 @@ def test_truth_by_integration_is_that_of_a_million_trials() -> None:
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """Of 20 studies an interval of 95 % misses 1 on average; that it misses 5 or more happens once in 400. And two
-    groups of skin are found in each.
+    """Intervals of 95 % miss the truth in fewer than 5 of 20 studies (1 is expected, 5 or more have a probability of
+    1/400), and each study shows two groups of skin.
     """
     truth, missed = truth_of(TableDesign()), dict.fromkeys(("d_prime", "auc", "criterion"), 0)
     for seed in range(_STUDIES):
@@ -74,7 +74,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
 def test_one_study_whole() -> None:
     found = _statistics(3)
     others = {name: one for name, one in found["observer"]["metrics"].items() if name != "divergence"}
-    # Divergence was made the better predictor: no other comes near, in the same trials.
+    # The design makes divergence the best predictor: no other metric comes near in the same trials.
     assert len(others) >= 10
     for name, one in others.items():
         assert one["beside_divergence"]["interval"][1] < 0, name
@@ -97,7 +97,9 @@ def test_one_study_whole() -> None:
 
 
 def test_few_tables_without_effect_have_one_that_holm_leaves() -> None:
-    """15 metrics, all independent of the condition: 5 % of the studies have a p below 0.05, not 54 %."""
+    """With 15 metrics independent of the condition, Holm's correction leaves a p below 0.05 in 5 % of the studies, not
+    54 %.
+    """
     corrected, alone = 0, 0
     for seed in range(100):
         draw = np.random.default_rng(seed)
@@ -157,7 +159,7 @@ def test_figures_of_a_table(tmp_path: Path) -> None:
     )  # fmt: skip
     written = write_figures(frame, sample_of(frame), curves, tmp_path, files=FigureFiles(("pdf",)))
     assert all((tmp_path / one.file).stat().st_size > 10_000 for one in written)
-    assert [one.file for one in written] == [f"{one.name}.png" for one in written]  # a page shows no PDF
+    assert [one.file for one in written] == [f"{one.name}.png" for one in written]  # a page cannot show a PDF
     assert all((tmp_path / f"{one.name}.pdf").exists() for one in written)
     (curl,) = [one.caption for one in written if one.name == "S13"]
     assert "95 % interval by Student's t" in curl
@@ -194,7 +196,9 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
 
 
 def test_the_curve_of_answers_follows_the_design() -> None:
-    """The simulated observer answers yes or no, and says yes to less than a half of what does not vibrate."""
+    """The curve fits an observer who answers yes to fewer than half of the still stimuli only with the
+    yes-no design.
+    """
     trials = sample_of(pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
         axes = FIGURES["S12"](Sources(trials=trials, design=design)).figure().axes[-1]
@@ -213,7 +217,9 @@ def test_a_trial_that_is_far_off_is_found() -> None:
 
 
 def test_curves_are_averaged_over_participants() -> None:
-    """Means of 1 and 3 (three trials and one): 2, not 1.5; t of one degree of freedom, 12.7062 x sqrt(2) / sqrt(2)."""
+    """Curves are averaged over participants: their means 1 (three trials) and 3 (one trial) give 2, not 1.5, with t of
+    one degree of freedom, 12.7062.
+    """
 
     def trial(number: int, who: str, value: float, until: int) -> tuple[TrialEntry, TrialRow]:
         curve = [value if column < until else None for column in range(len(FORCE_GRID))]

@@ -57,7 +57,7 @@ def test_salt_and_pepper_stay_in_their_view() -> None:
     frame = camera.read_out(torch.full(SHAPE, 120.0), 0, defects=view)
     extreme = (frame == 0) | (frame == 255)
     assert not extreme[:, :250].any()
-    # 1000 drawn, of which some fall on each other: 1 - exp(-0.01) at most; half of them white.
+    # 1000 pixels are drawn, some twice: a share of 1 - exp(-0.01) at most; half of them are white.
     assert extreme[:, 250:].mean() == pytest.approx(0.00995, abs=0.0002)
     assert (frame == 255).sum() / extreme.sum() == pytest.approx(0.5, abs=0.08)
 

@@ -1,4 +1,4 @@
-"""A press whose skin moves as the skin chain has it, and the way back from its pictures to the chain's divergence."""
+"""Tests of a press whose skin moves as the skin chain does: truth, and the chain's divergence measured from frames."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ FRICTIONS = (0.2, 1.0)
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[ChainPress, xr.Dataset]]:
-    """One press a friction, as simulated and as processed by default settings."""
+    """Return the press and its result with default settings, for each friction."""
     folder: Path = tmp_path_factory.mktemp("loop")
     found = []
     for friction in FRICTIONS:
@@ -35,8 +35,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[ChainPress,
 
 @pytest.mark.parametrize("friction", FRICTIONS)
 def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
-    """Its field to 0.3 um/mm RMS and 1 in the worst place, 0.1 mm from the edge: differences of the chain's neighbours
-    step by as much. Edge of the contact to 0.01 mm, a third of an element."""
+    """The truth equals the field of the chain to 0.3 um/mm RMS and 1 um/mm at most, up to 0.1 mm from the edge:
+    differences between neighbours of the chain are as large. The edge of the contact agrees to 0.01 mm, a third of an
+    element.
+    """
     press = ChainPress(friction=friction, n_frames=5, frame_rate=4 / 0.9, frames_before_trigger=0, contact_time=0.0)
     seen = since_onset(press.chain)
     for frame, row in ((1, 64), (2, 128), (3, 192), (4, 256)):
@@ -61,7 +63,9 @@ def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
 def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
     recorded: list[tuple[ChainPress, xr.Dataset]],
 ) -> None:
-    """To 1.2 um/mm in every frame from 5 mm² on, 0.6 RMS, for each friction and for their difference of 3.8."""
+    """The inner divergence is measured to 1.2 um/mm in every frame from 5 mm² on and 0.6 RMS, for each friction and for
+    their difference of 3.8.
+    """
     found = [inner_divergence(press, result) for press, result in recorded]
     errors = [measured - chain for measured, chain in found]
     for error in (*errors, errors[0] - errors[1]):
@@ -74,8 +78,9 @@ def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
 
 
 def test_the_median_divergence_comes_back_from_the_pictures(recorded: list[tuple[ChainPress, xr.Dataset]]) -> None:
-    """`median_divergence` to 1 um/mm RMS, and in the last frames; in single ones to 1.6. The median is where the field
-    falls by 70 um/mm over the area: an edge of the contact that is found 4 % of the area off moves it by 1.4."""
+    """`median_divergence` is measured to 1 um/mm RMS and in the last frames, to 1.6 in single frames. At the median the
+    field falls by 70 um/mm over the area, so an error of 4 % of the area changes the median by 1.4.
+    """
     errors = []
     for press, result in recorded:
         measured, chain = median_divergence(press, result)
@@ -91,8 +96,9 @@ def test_the_median_divergence_comes_back_from_the_pictures(recorded: list[tuple
 def test_a_report_draws_the_chain_beside_the_trial(
     recorded: list[tuple[ChainPress, xr.Dataset]], tmp_path: Path
 ) -> None:
-    """The stiffness that made the pictures comes back to 5 % (the ramp's drag and the edge of the contact), and of the
-    predictions the one at the friction that made them lies within 1 um/mm of what was measured, the other 3 off."""
+    """The fitted stiffness agrees to 5 % (drag of the ramp, edge of the contact); the prediction with the right
+    friction is within 1 um/mm of the measurement, the other one more than 2.5 off.
+    """
     for number, (_, result) in enumerate(recorded):
         beside = compare_with_chain(result, FRICTIONS, "paper")
         assert beside.fit.tissue_stiffness == pytest.approx(130.0, rel=0.05)
@@ -130,7 +136,9 @@ def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:
 
 
 def test_progress_of_a_press_that_is_held() -> None:
-    """A constant rate, a path that several presses share, and a hold in which the force relaxes and the skin shifts."""
+    """Progress rises steadily for a constant rate, for a path shared by several presses, and during a hold with
+    relaxing force and shifting skin.
+    """
     plain = ChainPress(n_frames=40, frame_rate=30.0, frames_before_trigger=0)
     shared = replace(plain, force=3.0, path_force=12.0)
     for press in (plain, replace(plain, steady=True), shared, replace(shared, steady=True)):
@@ -140,7 +148,7 @@ def test_progress_of_a_press_that_is_held() -> None:
         assert (np.diff(progress) > 0).all()
 
         assert press.progress(np.array([0.0, peak, press.times[-1]])).tolist() == pytest.approx([0, 1, 2])
-        # On a shared path the chain is where the force has it.
+        # On a shared path the force determines the state of the chain.
         share = press.normal_force(time[time < peak]) / (press.path_force or press.force)
         end = press.force / (press.path_force or press.force)
         place = progress[time < peak] * 2 / np.pi * np.arcsin(end**0.5)
@@ -155,8 +163,9 @@ def test_progress_of_a_press_that_is_held() -> None:
 
 
 def test_skin_shifts_as_a_whole_while_the_force_is_held() -> None:
-    """Displacement changes by the shift, divergence and area do not; a path that is shared gives the same press to the
-    drag of the skin, which is faster on it: 3 % of the area and 1.5 µm/mm."""
+    """During a hold the displacement changes by the shift, divergence and area do not. A shared path gives the same
+    press to 3 % of the area and 1.5 µm/mm, due to drag at its higher speed.
+    """
     held = ChainPress(
         friction=0.2,
         softness=3.0,

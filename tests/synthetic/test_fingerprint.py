@@ -1,4 +1,4 @@
-"""Loop, whorl and arch against what fingerprints are known to be, by evidence that does not use the formula."""
+"""Tests of loop, whorl and arch against known properties of fingerprints, by methods independent of the formula."""
 
 import math
 
@@ -29,7 +29,7 @@ def ridge_image(pattern: str, seed: int = 0) -> Tensor:
 
 
 def winding(image: Tensor, centre: tuple[float, float], radius: float) -> float:
-    """Turns of the ridges on one way around a circle (mm), by the structure tensor of the picture."""
+    """Return the number of turns of the ridge direction along a circle (mm), by the structure tensor of the image."""
     down, right = (part.numpy() for part in torch.gradient(image))
     xx, xy, yy = (cv2.GaussianBlur(part, (0, 0), 9) for part in (right * right, right * down, down * down))
     around = np.linspace(0, 2 * math.pi, 400)
@@ -46,7 +46,7 @@ def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float, s
 
 
 def test_loop_has_a_delta() -> None:
-    """On a way around both it turns by the sum, 1/2 - 1/2."""
+    """Along a circle around core and delta the ridge direction turns by 1/2 - 1/2 = 0."""
     centre = (MIDDLE + 2.0, MIDDLE + 1.6)
     assert winding(ridge_image("loop"), centre, 5.2) == pytest.approx(0, abs=0.05)
     assert winding(ridge_image("loop"), (MIDDLE + 4.6, MIDDLE + 5.0), 2.0) == pytest.approx(-0.5, abs=0.05)
@@ -54,12 +54,14 @@ def test_loop_has_a_delta() -> None:
 
 @ANY_PATTERN
 def test_ridges_have_their_distance_everywhere(pattern: str) -> None:
-    """Of a sine of wave number k the slope is k times the value, by root mean squares over 1.6 mm."""
+    """The ridge period is 0.46 mm everywhere, from root mean squares over 1.6 mm: the slope of a sine of wave number k
+    is k times its value.
+    """
     image = ridge_image(pattern)
     slope = sum(part.square() for part in torch.gradient(image, spacing=MM_PER_PX))
     value, steep = (torch.nn.functional.avg_pool2d(part[None], 50, 25)[0] for part in (image.square(), slope))
     periods = 2 * math.pi * torch.sqrt(value / steep)
-    # Minutiae and deltas have more and less in their neighbourhood.
+    # Periods are longer and shorter near minutiae and deltas.
     assert periods.median() == pytest.approx(0.46, rel=0.08)
     assert periods.min() > 0.3
     assert periods.max() < 0.75
@@ -67,7 +69,7 @@ def test_ridges_have_their_distance_everywhere(pattern: str) -> None:
 
 @ANY_PATTERN
 def test_ridges_end_and_branch(pattern: str) -> None:
-    """Minutiae of the skeleton of the ridges, away from the frame: a print has 0.1 to 0.6 of them in 1 mm²."""
+    """The skeleton of the ridges has 0.1 to 0.6 minutiae per mm² away from the frame, as in a print."""
     skeleton = (cv2.ximgproc.thinning(255 * (ridge_image(pattern).numpy() > 0).astype(np.uint8)) > 0).astype(int)
     ring = [(-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)]
     around = np.stack([skeleton[40 + row : 440 + row, 40 + column : 440 + column] for row, column in ring])
@@ -79,10 +81,10 @@ def test_ridges_end_and_branch(pattern: str) -> None:
 
 @ANY_PATTERN
 def test_formula_is_smooth_across_its_cuts_and_singularities(pattern: str) -> None:
-    """Along lines through core and delta and across the cuts of the roots, second differences are bounded.
+    """Second differences are bounded along lines through core and delta and across the branch cuts of the roots.
 
-    Ridges 0.2 mm apart have the curvature (2 pi / 0.2)² = 1000 / mm²; grain and pores add to it. A jump of the value
-    by 1e-6 would be 100 / mm² of these steps, one of the slope by 1 / mm would be 10^4.
+    Ridges 0.2 mm apart have the curvature (2 pi / 0.2)² = 1000 / mm²; grain and pores add to it. A jump of the value by
+    1e-6 would give 100 / mm² with these steps, one of the slope by 1 / mm would give 10^4.
     """
     texture, step = skin(pattern), 1e-4
     along = torch.arange(-6, 6, step, dtype=torch.float64)
@@ -99,7 +101,7 @@ def test_single_precision_differs_by_less_than_a_grey_level(pattern: str) -> Non
     rounded = texture_image(skin(pattern), SHAPE, MM_PER_PX, dtype=torch.float32)
     assert rounded.dtype == torch.float32
     assert exact.abs().max() <= 1
-    # A level is 1 / 95; the noise of the camera is two of them.
+    # A grey level is 1 / 95; the camera noise is two levels.
     assert (rounded - exact).abs().max() < 0.004
 
 
@@ -110,7 +112,7 @@ def test_ridges_touch_less_near_the_edge_and_in_pieces(pattern: str) -> None:
     inside, edge = (texture.ridge_margin(x, y, 0.5, torch.full_like(x, depth)) > 0 for depth in (5.0, 0.0))
     assert 0.3 < inside.double().mean() < 0.5
     assert 0.1 < edge.double().mean() < 0.7 * inside.double().mean()
-    # Many pieces where long ridges were.
+    # Long ridges break into many pieces.
     pieces = [cv2.connectedComponents(mask.numpy().astype(np.uint8))[0] for mask in (inside, edge)]
     assert pieces[1] > 2 * pieces[0]
 

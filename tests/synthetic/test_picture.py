@@ -1,4 +1,4 @@
-"""Skin from a picture: the picture is drawn from a formula here, so that the skin behind it is known."""
+"""Tests of skin from an image that is drawn from a formula, so that the true skin is known."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,9 @@ def source() -> FingerprintTexture:
 
 @pytest.fixture(scope="module")
 def picture(source: FingerprintTexture, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A print of 14 x 16 mm on bright glass, with uneven light: dark ridges in an ellipse, nothing around it."""
+    """Write the image of a print of 14 x 16 mm under uneven light, with dark ridges in an ellipse on bright glass;
+    return its path.
+    """
     path: Path = tmp_path_factory.mktemp("print") / "finger.png"
     ridges = texture_image(source.ridges, (315, 276), MM_PER_PX)[0, 0].numpy()
     row, column = np.mgrid[0:315, 0:276]
@@ -46,7 +48,7 @@ def test_ridges_of_the_picture_are_where_they_were(source: FingerprintTexture, p
     texture = PictureTexture(picture, DPI, centre=(137.5 * MM_PER_PX, 157 * MM_PER_PX))
     y, x = torch.meshgrid(*(torch.arange(4.0, 10.0, 0.013, dtype=torch.float64),) * 2, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
-    # Pixels of 0.05 mm blur edges, which are 10 mm long in each mm².
+    # Pixels of 0.05 mm blur the edges, 10 mm of which lie in each mm².
     assert (touching == (source.ridges(x, y) > 0)).double().mean() > 0.95
     contrast, ridges = texture(x, y), source.ridges(x, y)
     assert np.corrcoef(contrast.flatten(), ridges.flatten())[0, 1] > 0.95
@@ -63,13 +65,15 @@ def test_skin_beyond_the_print_and_the_picture_never_touches(picture: Path) -> N
 
 
 def test_spline_is_twice_differentiable_and_its_slope_is_its_own(picture: Path) -> None:
-    """The margin is the level over the length of its slope: on an edge it has the slope 1 in mm."""
+    """The spline has a continuous second derivative, and the margin, level divided by slope, has the slope 1 per mm at
+    an edge.
+    """
     texture = PictureTexture(picture, DPI)
     along = torch.arange(-3, 3, 1e-4, dtype=torch.float64)
     for x, y in ((along, torch.full_like(along, 0.37)), (torch.full_like(along, -1.2), along)):
         values = texture(x, y)
         slope = torch.gradient(values, spacing=1e-4)[0]
-        # Of a cubic spline the second derivative is continuous: it changes in proportion to the step.
+        # The second derivative of a cubic spline is continuous: it changes in proportion to the step.
         bend = torch.diff(slope[1:-1], n=2).abs().max() / 1e-4
         assert torch.diff(values).abs().max() < 60 * 1e-4
         assert bend < 5
@@ -106,7 +110,7 @@ def test_contact_lies_in_the_print(kind: type[Press] | type[Slide], picture: Pat
 
 
 def test_recording_carries_its_picture(picture: Path, tmp_path: Path) -> None:
-    """The truth is rebuilt without the file that the picture came from."""
+    """The truth is rebuilt from the recording alone, without the file of the image."""
     given = tmp_path / "given.png"
     given.write_bytes(picture.read_bytes())
     scene = Press(**SMALL, texture=PictureTexture(given, DPI), semi_axes=(2.0, 1.6))

@@ -53,7 +53,7 @@ def test_grey_levels_use_the_range_without_saturation(kind: type[SyntheticScene]
     assert 140 < np.quantile(topography, 0.999) < 215
     assert np.median(topography[:20, :20]) == pytest.approx(9, abs=3)
     skin = topography[206:306, 270:370]
-    # Half of the distance between crests and valleys.
+    # Half of the difference between crests and valleys.
     assert (np.quantile(skin, 0.9) - np.quantile(skin, 0.1)) / 2 > 35
     assert np.quantile(contact, 0.98) == pytest.approx(180, abs=12)
     for corner in (contact[:20, :20], contact[:20, -20:], contact[-20:, :20], contact[-20:, -20:]):
@@ -97,7 +97,7 @@ def test_empty_and_dark_pictures_differ_in_their_noise_only() -> None:
     assert (scene.empty(0) != scene.empty(1)).mean() > 0.3
     np.testing.assert_array_equal(scene.empty(1), scene.empty(1))
     left = scene.views["topography"].crop(scene.empty().astype(float) - scene.empty_clean())
-    # Clipping at 0 and rounding of a level of 8 with a deviation of 1.4 move the mean by less than this.
+    # Clipping at 0 and rounding change the mean of a level of 8 with deviation 1.4 by less than this.
     assert left.mean() == pytest.approx(0, abs=0.02)
     assert scene.dark().mean() == pytest.approx(scene.camera.dark, abs=0.15)
 

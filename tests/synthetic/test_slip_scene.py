@@ -1,4 +1,4 @@
-"""A trial that its load drives: what is drawn, loaded and said to be true is the model's."""
+"""Tests of a trial driven by its load: stuck area, load and truth are those of the model."""
 
 import math
 
@@ -26,7 +26,7 @@ def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
     end = trial.full_slip - (0.2 / trial.times[-1] if trial is ABRUPT else 0)
     loading = trial.progress(trial.times) < end
     assert loading.sum() > 200
-    # Of a square root near 1: the load's rounding of 1e-16 over its distance from the critical one.
+    # Rounding of the load (1e-16) is amplified by the square root near the critical load.
     np.testing.assert_allclose(area[loading], stuck_area(load[loading], *friction), rtol=0, atol=1e-12)
     assert load.max() == pytest.approx(float(critical_load_ratio(*friction)))
     assert load[-1] == pytest.approx(trial.kinetic_friction)
@@ -36,7 +36,7 @@ def test_the_critical_area_collapses_in_its_time() -> None:
     area, _ = area_and_load(ABRUPT)
     critical = float(critical_stuck_area(0.8, 0.4))
     collapsing = area[(area < critical) & (area > 0)]
-    # 0.2 s at 60 frames a second, even steps.
+    # 0.2 s at 60 frames/s, in even steps.
     assert len(collapsing) == 12
     np.testing.assert_allclose(np.diff(collapsing), -critical / 12, rtol=1e-9)
     assert (area[ABRUPT.progress(ABRUPT.times) >= 0.75] == 0).all()
@@ -61,7 +61,7 @@ def test_skin_moves_outside_of_the_stuck_ellipse_alone(trial: PartialSlip, frame
     moved = np.linalg.norm(np.stack((x, y), -1) - truth.material(np.stack((x, y), -1), frame), axis=-1)
     assert (moved[radius < 0.999] == 0).all()
     assert (moved[radius > 1.001] > 0).all()
-    # No step at the border, and no skin that folds.
+    # The displacement has no step at the border, and skin does not fold.
     assert np.abs(np.diff(moved, axis=1)).max() < 0.5 * 0.05
 
 
@@ -71,7 +71,7 @@ def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None
     assert first is not None
     assert last is not None
     assert np.hypot(*np.subtract(last.centre, first.centre)) == pytest.approx(3.0)
-    # Skin at the rear rim of the last contact was outside of the first one, and the other way round in front.
+    # Skin at the rear rim of the last contact was outside the first contact; skin at the front rim was inside.
     right, down = ABRUPT.motion.direction
     for side, enters in ((-1, True), (1, False)):
         rim = np.array(last.centre) + side * 4.9 * np.array([right, down])
@@ -91,7 +91,9 @@ def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None
 def test_the_limit_of_40_um_shifts_the_verdict_near_equal_friction(
     kinetic: float, outcome: str, with_the_limit: str
 ) -> None:
-    """Without any error of measurement: skin beside the stuck part has not moved by 40 um yet."""
+    """The limit of 40 µm shifts the verdict without any measurement error, as skin beside the stick region has not yet
+    moved by 40 µm.
+    """
     trial = PartialSlip(static_friction=0.8, kinetic_friction=kinetic)
     area, load = area_and_load(trial)
     assert judge_trial(area, load, trial.times).outcome == outcome
@@ -113,7 +115,9 @@ def test_jumps_carry_contact_and_skin_together() -> None:
 
 
 def test_jumps_before_full_slip_are_of_the_skin_that_slips() -> None:
-    """5 px at the rim, nothing at the border of the stuck part, d² as it is; then `slow_share` is what moved less."""
+    """Jumps before full slip are 5 px at the rim and 0 at the border of the stick region, do not change d², and are
+    part of the displacement that `slow_share` limits.
+    """
     jumping = PartialSlip(jumps=(2.6,))
     at = int(np.searchsorted(jumping.times, 2.6))
     motion = jumping.motion
@@ -125,7 +129,7 @@ def test_jumps_before_full_slip_are_of_the_skin_that_slips() -> None:
         assert 0.5 < stuck < 0.9
         assert jumping.stuck_share(frame) == ABRUPT.stuck_share(frame) == pytest.approx(stuck**2)
         for share, expected in ((1.0, gone), (1.3, gone), ((1 + stuck) / 2, gone / 2), (stuck, 0.0), (stuck / 2, 0.0)):
-            # A jump moves skin along the pull: places, not skin, are on the ellipse.
+            # A jump moves skin along the pull: the positions on the ellipse are those on the glass, not on the skin.
             turned = np.stack((share * 5.0 * np.cos(angle), share * 4.2 * np.sin(angle)), -1)
             turn = np.array([[math.cos(0.14), math.sin(0.14)], [-math.sin(0.14), math.cos(0.14)]])
             places = ellipse.centre + turned @ turn

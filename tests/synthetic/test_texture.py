@@ -18,7 +18,7 @@ def field_of_view(count: int) -> Tensor:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_spectrum_ends_below_half_of_the_nyquist_limit(seed: int) -> None:
     image = texture_image(RidgeTexture(centre=(5.0, 4.0), seed=seed), SHAPE, MM_PER_PX)[0, 0]
-    # Blackman's side lobes fall under 1e-6 of the power, so what is left above the limit is the texture's own.
+    # Blackman's side lobes are below 1e-6 of the power, so power above the limit is that of the texture.
     rows, columns = (torch.blackman_window(n, dtype=torch.float64) for n in SHAPE)
     power = torch.fft.rfft2(image * rows[:, None] * columns).abs().square()
     frequency = torch.hypot(
@@ -36,7 +36,7 @@ def test_contrast_stays_in_its_range_and_is_textured_in_every_window(seed: int) 
     products = torch.stack((right * right, right * down, down * down))
     xx, xy, yy = torch.nn.functional.avg_pool2d(products[:, None], 21, stride=5)[:, 0]
     weakest = (xx + yy) / 2 - torch.sqrt(((xx - yy) / 2).square() + xy.square())
-    # Root mean square slope along the ridges: 0.01 a px is one grey level where the contrast spans +-100 levels.
+    # Root mean square slope along the ridges: 0.01 per px is one grey level if the contrast spans +-100 levels.
     assert weakest.min().sqrt() > 0.01
 
 
@@ -56,7 +56,7 @@ def test_shifted_image_is_the_texture_at_shifted_positions() -> None:
     texture = RidgeTexture(centre=(5.0, 4.0))
     still = texture_image(texture, SHAPE, MM_PER_PX)
     moved = texture_image(texture, SHAPE, MM_PER_PX, lambda x, y: (x - 3 * MM_PER_PX, y + 2 * MM_PER_PX))
-    # A whole number of pixels moves the samples onto each other: only the rounding of positions differs.
+    # A shift by whole pixels maps samples onto samples: only the rounding of positions differs.
     torch.testing.assert_close(moved[..., :-2, 3:], still[..., 2:, :-3], rtol=0, atol=1e-11)
 
 

@@ -1,4 +1,4 @@
-"""The truth against independent evidence: finite differences, pixel counts, the pictures themselves."""
+"""Tests of the truth against independent evidence: finite differences, pixel counts, and the rendered images."""
 
 import math
 
@@ -18,7 +18,7 @@ LAST = 299
 
 
 def inside(scene: SyntheticScene, frame: int, count: int, share: float = 1.0) -> Array:
-    """Random positions (count, 2) in mm, even over `share` of the length of the gross contact."""
+    """Return random positions (count, 2) in mm, uniform over the gross contact with its axes scaled by `share`."""
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
     generator = np.random.default_rng(frame)
@@ -86,7 +86,7 @@ def test_onset_frame_is_the_first_inside(scene: SyntheticScene) -> None:
 
 
 def relative_radius(ellipse: Ellipse, position: Array) -> float:
-    """By rotating the point into the ellipse's frame, in NumPy."""
+    """Return the relative radius of a position in an ellipse, in NumPy, by rotation into the ellipse's axes."""
     turn = np.exp(-1j * ellipse.angle)
     principal = complex(*(position - np.array(ellipse.centre))) * turn
     return math.hypot(principal.real / ellipse.semi_axes[0], principal.imag / ellipse.semi_axes[1])
@@ -105,14 +105,14 @@ def test_gradient_equals_finite_differences(scene: SyntheticScene, frame: int) -
         places.append(((now[0] - pair[0]) - (now[1] - pair[1])) / (2 * step))
     by_material, place_by_material = np.stack(displacements, axis=-1), np.stack(places, axis=-1)
     gradient = truth.gradient(material, frame)
-    # Skin that crossed the edge of a contact at rest has its places of onset on one line.
+    # Skin that crossed the edge of a contact at rest has its onset positions on one line.
     defined = ~np.isnan(gradient).any(axis=(-1, -2))
     assert np.array_equal(defined, np.abs(np.linalg.det(place_by_material)) > 1e-6)
     assert defined.mean() > 0.9
     expected = by_material[defined] @ np.linalg.inv(place_by_material[defined])
     errors = np.abs(gradient[defined] - expected).max(axis=(-1, -2))
     # Truncation is step² times a third derivative of order 1 1/mm², cancellation 1e-12 / step: both near 1e-8. The
-    # slide has a kink of its gradient on the edge of the stuck part, where a pair of neighbours may straddle it.
+    # slide has a kink of its gradient on the edge of the stick region, which a pair of neighbours may straddle.
     assert np.quantile(errors, 0.98) < 2e-7
     assert errors.max() < (2e-7 if isinstance(scene, Press) else 1e-3)
 
@@ -208,7 +208,7 @@ def test_areas_equal_pixel_counts(scene: SyntheticScene) -> None:
         assert truth.gross_mask(frame).sum() * pixel == pytest.approx(truth.gross_contact_area_mm2(frame), rel=1e-3)
         assert truth.gross_contact_area_mm2(frame) == pytest.approx(math.pi * math.prod(ellipse.semi_axes))
         area = truth.real_contact_area_mm2(frame)
-        # Some 20 ridges cross the edge: their pixels are counted less evenly than the smooth ellipse's.
+        # Some 20 ridges cross the edge, so pixel counts are less accurate than for a smooth ellipse.
         assert truth.contact_mask(frame).sum() * pixel == pytest.approx(area, rel=5e-3)
         assert area == pytest.approx(0.5 * ellipse.area, rel=0.05)
 
@@ -225,7 +225,7 @@ def test_contact_fraction_is_a_setting() -> None:
 
 @ANY_SCENE
 def test_picture_shows_the_material_where_the_truth_says(scene: SyntheticScene) -> None:
-    """The topography, freed from light and outline, is the texture at the truth's material under each pixel."""
+    """The topography without light and outline equals the texture at the true material position of each pixel."""
     frame = 220
     picture = scene.views["topography"].crop(scene.render_clean(frame, dtype=torch.float64))
     generator = np.random.default_rng(0)
@@ -252,7 +252,7 @@ def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: SyntheticSc
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
     y, x = (torch.from_numpy(part * scene.mm_per_px) for part in np.mgrid[0 : view.shape[0], 0 : view.shape[1]])
-    # Half-way between a touching ridge (1 - 0.5) and the skin between ridges (1 - 0.04).
+    # Halfway between a ridge in contact (1 - 0.5) and the skin between ridges (1 - 0.04).
     dark = quotient < 0.73
     within = (ellipse.distance(x, y) > 0.15).numpy()
     np.testing.assert_array_equal(dark[within], scene.truth.contact_mask(frame)[within])

@@ -33,7 +33,9 @@ SMALL: dict[str, Any] = {
 
 @pytest.mark.parametrize("where", [(os, "posix_fallocate"), (np, "savetxt")])
 def test_a_full_disk_is_said(where: tuple[Any, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Room for the frames is taken before they are written: memory that is mapped would end the process."""
+    """A full disk is reported: disk space is allocated before the frames are written, as a write to mapped memory
+    without space would end the process.
+    """
 
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

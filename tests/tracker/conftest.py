@@ -13,7 +13,9 @@ from fingerflow.kernels import tensors as kernels
 
 @pytest.fixture(params=["native", "torch"])
 def make_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[EngineSettings], Engine]:
-    """Makes an engine of given settings: the compiled one, and torch without compiled kernels."""
+    """Return a function that makes an engine of given settings: the compiled engine, or torch without compiled
+    kernels.
+    """
     if request.param == "torch":
         monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
         return lambda settings: TorchEngine(settings, torch.device("cpu"))

@@ -1,4 +1,4 @@
-"""An engine that knows where points are: what the tracker decides is tested by it, and not what is computed."""
+"""An engine that knows where points are, for tests of what the tracker decides."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,31 +9,33 @@ from fingerflow.engines.engine import Corrected, EngineSettings, Followed, Found
 from fingerflow.kernels.tracking_limits import NUMBERS, REACH, ROUNDS, TrackStatus
 
 Array = np.ndarray[Any, Any]
-_HALF_A_RIDGE = 5.0  # px, within which a look leads to a point
-_STEP = 1.5  # px, at most
+_HALF_A_RIDGE = 5.0  # px, distance within which a look approaches a point
+_STEP = 1.5  # px, largest step of a look
 
 
 class Templates:
-    """Numbers of N points."""
+    """Numbers (N, NUMBERS) of the templates of N points, all 0."""
 
     def __init__(self, count: int) -> None:
         self.numbers = np.zeros((count, NUMBERS), np.float32)
 
 
 class KnownSkin:
-    """Points are where `place` says; images are (K, 1, 1, 1), and not looked at.
+    """Engine whose points are at `place`; images are (K, 1, 1, 1) and not read.
 
-    Each point is found within a pixel, in x and y, of the whole pixel nearest to where it is expected; one that is not
-    leads up to 1.5 px on, five times, if it lies within half a ridge's period.
+    A look finds each point within a pixel, in x and y, of the whole pixel nearest to its expected position. Towards a
+    point further away, but within half a ridge period, it moves by up to 1.5 px in each of `ROUNDS` rounds.
 
     Args:
         place: (N, 2) px, for all frames until it is replaced.
-        by_neighbours: (N, 2) px where neighbours expect points, from those that are found.
+        by_neighbours: returns the positions (N, 2) px that neighbours expect, from those of the points that are found.
+        search_px: reach of a search, px.
 
     Attributes:
-        searches, looks: rows that were asked for, call after call.
-        warp: (N, 2, 2) of the skin.
-        updates: rows of templates that were updated.
+        searches, looks: number of points of each search and look.
+        prepared: number of points of each preparation of updated templates.
+        warp: (N, 2, 2), deformation of the skin at each point.
+        updates: rows of templates that were updated, for each update.
     """
 
     name = described = "known"
@@ -47,7 +49,7 @@ class KnownSkin:
         self.prepared: list[int] = []
         self.updates: list[Array] = []
         self.warp = np.broadcast_to(np.eye(2, dtype=np.float32), (len(place), 2, 2))
-        self.inverse = self.warp  # of templates, as `correct` was told last
+        self.inverse = self.warp  # inverse deformation of the templates, as last given to `correct`
         self._pattern = np.random.default_rng(1).standard_normal((len(place), 81)).astype(np.float32)
 
     def noise(self, image: Array) -> float:
@@ -99,7 +101,9 @@ class KnownSkin:
         return nobody, nobody
 
     def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Places within the reach of a search, to 0.7 px; others are not moved."""
+        """Return positions 0.7 px beside the points within reach of a search, and the guesses of all others; and which
+        are within reach.
+        """
         self.searches.append(len(points))
         rows = [int(np.flatnonzero((self.start == point).all(1))[0]) for point in points]
         there = self.place[rows]

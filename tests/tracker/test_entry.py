@@ -1,4 +1,6 @@
-"""How points come into contact: over a border at rest, or covered by a contact that grows."""
+"""Tests of how points come into contact: by sliding over a border at rest, or by being covered by a contact
+that grows.
+"""
 
 import numpy as np
 import pytest
@@ -21,8 +23,10 @@ Row = tuple[float, ...]
     ],
 )
 def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bool) -> None:
-    """Of 0.3 mm of skin on the left of an ellipse that tilts; mm in 10 frames, of border and skin. By how far
-    neighbours had moved alone, skin was told from 0.2 mm on, whatever the border did.
+    """Points slid into contact if the skin moves faster than the border, and were covered otherwise.
+
+    The parameters are the motion of border and skin in 10 frames, mm, at the left of a tilted ellipse. The motion of
+    neighbours alone called 0.2 mm of motion a slide, whatever the border did.
     """
     frames, tilt = np.arange(11), 0.4
     share = frames[:, None] / 10
@@ -35,7 +39,7 @@ def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bo
     position = places + share[:, None] * slides
     depth = border.inside(position)
     onset = np.where((depth > 0).any(0), (depth > 0).argmax(0), -1)
-    if not (onset > 0).any():  # moves too little: by the border's error
+    if not (onset > 0).any():  # no point enters: they count as entered in the last frame
         onset[onset < 0] = 10
     reference = position[np.maximum(onset, 0), np.arange(len(places))]
     reference[onset < 0] = np.nan
@@ -46,7 +50,7 @@ def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bo
 
 
 def test_distance_inside_a_border() -> None:
-    """Exact in the middle of a side, along the normal."""
+    """The distance inside a border is exact along the normal in the middle of a side."""
     border = Border(np.array([[1.0, 2.0]]), np.array([[5.0, 4.0]]), np.array([np.pi / 6]))
     along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
     across = np.array([-along[1], along[0]])
@@ -55,11 +59,13 @@ def test_distance_inside_a_border() -> None:
 
 
 def test_one_point_among_those_that_moved_in() -> None:
-    """Of a band that moved in, with one point that is not found; and of single ones that are."""
+    """A point among points that slid into contact counts as one of them, unless it was in contact in the first frame or
+    all others are far away; single points that slid in remain so.
+    """
     places = np.stack(np.meshgrid(np.arange(8) * 0.3, np.arange(2) * 0.3), axis=-1).reshape(-1, 2)
     band, every = np.ones(16, dtype=bool), np.ones(16, dtype=bool)
     band[5] = False
     assert with_neighbours(band, places, every, 0.8).all()
-    assert not with_neighbours(band, places, band, 0.8)[5]  # touched in the first frame: not among them
-    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all are far away
+    assert not with_neighbours(band, places, band, 0.8)[5]  # in contact in the first frame
+    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all other points are far away
     assert (with_neighbours(~band, places, every, 0.8) == ~band).all()

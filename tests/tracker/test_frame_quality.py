@@ -1,4 +1,6 @@
-"""Frames that cannot be, told without those to come: by their light, and by how far they are from the last ones."""
+"""Tests of bad frames recognised in a stream, without later frames: by their light and by their distance from earlier
+frames.
+"""
 
 from typing import Any
 
@@ -17,13 +19,13 @@ NOISE = 2.0  # grey levels
 
 
 def _view(skin: Array, number: int) -> Array:
-    """A picture of skin (192, 240) with noise, (1, 1, 192, 240)."""
+    """Return a picture of skin (192, 240) with noise, (1, 1, 192, 240) of uint8."""
     noise = NOISE * np.random.default_rng(number).standard_normal(skin.shape)
     return np.clip(np.round(skin + noise), 0, 255).astype(np.uint8)[None, None]
 
 
 def _skin(seed: int = 2) -> Array:
-    """Ridges that are 12 px apart, in directions of their own."""
+    """Return the grey levels (192, 300) of ridges 12 px apart, in three random directions."""
     generator = np.random.default_rng(seed)
     y, x = np.mgrid[:192, :300]
     angles = generator.uniform(0, np.pi, 3)
@@ -37,7 +39,7 @@ def _moved(skin: Array, px: float) -> Array:
 
 
 def _statuses(skins: list[Array], check: FrameCheck | None = None, end: bool = True) -> list[str]:
-    """The statuses of frames of a contact view alone, as they become known, in order."""
+    """Return the status names of frames with a contact view only, in order, as they become known."""
     check = check or FrameCheck(GLASS, 0 * GLASS, 8)
     told: list[int] = []
     for number, skin in enumerate(skins):
@@ -47,7 +49,7 @@ def _statuses(skins: list[Array], check: FrameCheck | None = None, end: bool = T
 
 
 def test_skin_that_moves_is_no_jump() -> None:
-    """Skin that slides, faster and faster, and that jumps by 5 px and stays, counts in every frame."""
+    """Every frame is usable while skin slides faster and faster, and when it jumps by 5 px and stays there."""
     skin = _skin()
     way = np.cumsum(np.linspace(0, 1.0, 40))
     assert _statuses([_moved(skin, px) for px in way]) == ["usable"] * 40
@@ -58,7 +60,9 @@ def test_skin_that_moves_is_no_jump() -> None:
 @pytest.mark.parametrize("length", range(1, LONGEST + 1))
 @pytest.mark.parametrize("later", [-15, 10, 20])
 def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
-    """Of skin that slides by 0.1 px a frame: as soon as the picture is back, and none of the others."""
+    """Up to `LONGEST` frames of another moment, while skin slides by 0.1 px a frame, are recognised as soon as the
+    picture returns, and no other frames are.
+    """
     skin, moments = _skin(), np.arange(50)
     moments[30 : 30 + length] += later
     found = _statuses([_moved(skin, 2 + 0.1 * k) for k in moments])
@@ -67,9 +71,10 @@ def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
 
 @pytest.mark.parametrize("behind", [2, 3])
 def test_a_bad_frame_behind_a_jump_of_the_skin_is_told(behind: int) -> None:
-    """The jump is in doubt until three more frames have come, one of which is of other skin.
+    """A frame of other skin two or three frames after a jump of the skin is recognised, while the jump itself is still
+    in doubt.
 
-    In the frame right behind the jump steps as long as that are not yet unusual.
+    In the frame right after the jump a step of this length is not yet unusual.
     """
     skin = _skin()
     skins = [_moved(skin, 2 + 0.1 * k + 5 * (k >= 20)) for k in range(40)]
@@ -79,7 +84,9 @@ def test_a_bad_frame_behind_a_jump_of_the_skin_is_told(behind: int) -> None:
 
 
 def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
-    """The fourth of sixteen frames that come back is motion; one behind which nothing is known does not count."""
+    """Frames that jump and return are bad until the fourth within sixteen frames, which is motion; a jump in the last
+    frame, after which nothing is known, is bad.
+    """
     place, away = _skin(2)[:, :240], _skin(3)[:, :240]
     places = (20, 24, 28, 32)
     found = _statuses([away if number in (*places, 59) else place for number in range(60)])
@@ -89,7 +96,9 @@ def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.2])
 def test_a_lamp_that_flickers_is_none(share: float) -> None:
-    """By a fifth, at 115 Hz under 300 frames/s: some frames are lost until it is known for what it is."""
+    """Of a lamp that flickers by up to a fifth at 115 Hz, at 300 frames/s, at most nine frames count as bad, until the
+    flicker is known.
+    """
     place = _skin()[:, :240]
     found = _statuses([place * (1 + share * np.sin(2.4 * k)) for k in range(60)])
     assert [one != "usable" for one in found].count(True) <= 9
@@ -97,7 +106,9 @@ def test_a_lamp_that_flickers_is_none(share: float) -> None:
 
 
 def test_lines_without_light_are_lost_ones() -> None:
-    """Lines that stay without light are the camera's, after three frames."""
+    """Dark lines across the view make a frame bad; dark lines that stay belong to the camera after three frames. Lines
+    that do not reach from side to side may be a contact.
+    """
     view = np.full((192, 240), 180.0)
     lines = view.copy()
     lines[90:100] = 0
@@ -115,7 +126,9 @@ def test_lines_without_light_are_lost_ones() -> None:
 
 @pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0), (1, 0)])
 def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> None:
-    """A camera that gives each picture twice, or a still picture, is no fault of single frames."""
+    """A repeated frame is recognised if other frames differ; a camera that gives each picture twice, or a still
+    picture, has no repeated frames.
+    """
     check, skin = FrameCheck(GLASS, 0 * GLASS, 8), _skin()
     repeats = [k for k in range(1, 60) if k % every == 0]
     status, view = [], _view(skin, 0)
@@ -129,7 +142,9 @@ def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> 
 
 
 def test_a_copy_of_an_earlier_frame_is_told_live() -> None:
-    """Three in a row, as equal to the last digit as no camera's noise is, though the skin has not moved since."""
+    """Three copies in a row of earlier frames are recognised, though the skin does not move: the noise of a camera is
+    never equal to the last digit.
+    """
     check, skin = FrameCheck(GLASS, 0 * GLASS, 8), _skin()[:, :240]
     views = [_view(skin, k) for k in range(40)]
     views[30:33] = views[15:18]

@@ -1,4 +1,6 @@
-"""Frames that cannot be, and motion and light that can: each drawn, with noise, and nothing else in the way."""
+"""Tests of frames that jump and return, and of copies, against motion and changes of light that are real, all drawn
+with noise.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,9 @@ Frames = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def skin() -> Frames:
-    """Texture that moves on by 0.15 px a frame under light from one side, with noise of two grey levels, (F, H, W)."""
+    """Return frames (F, H, W) of texture that moves by 0.15 px a frame under light from one side, with noise of two
+    grey levels.
+    """
     generator = torch.Generator().manual_seed(3)
     waves = plane_waves([9.0, 11.0, 14.0], generator)
     y, x = torch.meshgrid(torch.arange(HEIGHT * 1.0), torch.arange(WIDTH * 1.0), indexing="ij")
@@ -30,7 +34,7 @@ def skin() -> Frames:
 
 
 def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
-    """As a stage has them, `size` frames at a time."""
+    """Return the distances of frames from earlier ones, computed for `size` frames at a time as a stage does."""
     before, parts = None, []
     for k in range(0, len(frames), size):
         samples = PixelSamples.of(frames[k : k + size])
@@ -45,13 +49,15 @@ def found(frames: Frames, usable: NDArray[np.bool_] | None = None) -> list[int]:
 
 
 def test_distances_are_those_of_the_definition(skin: Frames) -> None:
-    """Band 3 of 8 of 96 lines, the whole view and the light, two frames apart; batches of any size give the same."""
+    """The distances of band 3 of 8 (12 of 96 lines), of the whole view and of the light, two frames apart, are those of
+    the definition, for batches of any size.
+    """
     got = distances(skin)
     even = skin / skin.mean((1, 2), keepdims=True)
     off = np.minimum(np.abs(even[20] - even[18]), 0.3)
     light = np.log(skin[20].mean() / skin[18].mean())
     expected = [(off[36:48].mean() / 1e-2) ** 2, (off.mean() / 1e-2) ** 2, (light / 0.15) ** 2]
-    # Single precision, of differences of some hundredths of the mean.
+    # Float32, with differences of some hundredths of the mean.
     np.testing.assert_allclose(got[20, 1, [3, 8, 9]], expected, rtol=1e-4, atol=1e-8)
     assert np.isnan(got[1, 1]).all()
     assert np.isfinite(got[2, 1]).all()
@@ -96,7 +102,9 @@ def test_skin_that_vibrates_is_none(skin: Frames, period: int) -> None:
 
 
 def test_frames_that_are_known_not_to_be_pictures_measure_none(skin: Frames) -> None:
-    """Between two black frames a good one is far from both, which agree."""
+    """No frame is compared with frames known to be bad: a good frame between two black frames, which resemble each
+    other, is not a jump.
+    """
     frames = skin.copy()
     frames[[20, 22]] = 1 + 0.1 * frames[[20, 22]]
     usable = np.ones(FRAMES, dtype=bool)
@@ -130,12 +138,16 @@ def test_a_copy_of_an_earlier_or_later_frame_is_found(skin: Frames, places: list
 
 
 def test_copies_that_fit_as_well_as_their_originals_are_both_left_out(skin: Frames) -> None:
-    """At rest nothing says which of two equal frames was recorded at its place."""
+    """Of two equal frames of skin at rest both count as copies, because nothing shows which was recorded at its
+    place.
+    """
     still = np.repeat(skin[:1], 40, 0) + 2 * np.random.default_rng(3).standard_normal(skin[:40].shape)
     still[30] = still[10]
     assert copied(still) == [10, 30]
 
 
 def test_a_still_picture_repeats_itself(skin: Frames) -> None:
-    """Without noise, at rest: all frames but the first are copies, which `frame_check` takes for the camera's doing."""
+    """All frames but the first of a still picture without noise are copies, which `frame_check` attributes to the
+    camera.
+    """
     assert copied(np.repeat(skin[:1], 20, 0)) == list(range(1, 20))

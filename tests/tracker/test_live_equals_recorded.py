@@ -1,4 +1,6 @@
-"""Recordings and streams go by one rule: what changes one of its constants changes both; and numbers are the same."""
+"""Tests that recordings and streams follow the same rules: a changed constant changes both, and their numbers are
+equal.
+"""
 
 import shutil
 import sys
@@ -24,20 +26,20 @@ NAMES = ("frame_status", "status", "position_px", "in_contact", "real_contact_ar
 
 
 class Both(NamedTuple):
-    """What a stream and `process` say of a recording, in the numbers of a stream's records."""
+    """Results of a stream and of `process` for a recording, in the types of a stream's records."""
 
     live: dict[str, Array]
     recorded: dict[str, Array]
 
 
 class Trial(NamedTuple):
-    """A scene, and the bundle that plays it."""
+    """A scene and the bundle that plays it."""
 
     scene: Path
     bundle: Path
 
     def play(self) -> Array:
-        """The records of a stream."""
+        """Return the records of a stream of the scene."""
         results = self.scene.parent / "results"
         shutil.rmtree(results, ignore_errors=True)
         options = ["--scene", str(self.scene), "--output", str(results), "--page", "off", "--threads", "1"]
@@ -53,7 +55,9 @@ class Trial(NamedTuple):
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
-    """A press, a slide, and a press of which single frames are of another moment, come twice or in wrong light."""
+    """Return the trials by name: a press, a slide, and a press with single frames of another moment, repeated, or in
+    dim light.
+    """
     folder = tmp_path_factory.mktemp("one_rule")
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
     scenes = {name: write_trial(folder / name, name) for name in ("press", "slide")}
@@ -74,7 +78,7 @@ def as_they_are(trials: dict[str, Trial]) -> dict[str, Both]:
 
 
 def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None:
-    """Gives a constant another value in all modules that have it."""
+    """Set a constant to a new value in all modules that hold it."""
     for module, about in list(sys.modules.items()):
         if module.startswith("fingerflow.") and vars(about).get(name) == old:
             monkeypatch.setattr(about, name, new)
@@ -115,11 +119,12 @@ def test_a_constant_is_one_for_both(
 def test_a_stream_equals_the_recording_bit_for_bit(
     trials: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """Bit for bit, as long as a stream has its first key frame: a recording has no other one. In its key frame itself a
-    stream looks for points, a recording knows where they are.
+    """A stream equals a recording bit for bit as long as it has its first key frame; a recording has no other one.
+    Standard deviations and errors of points are not compared in the key frame itself, in which a stream tracks the
+    points and a recording knows their positions.
 
-    The median divergence is the same where each touch is one that has come to stay: of one in passing a recording knows
-    what comes, and counts from the last.
+    The median divergence is compared in frames without a passing touch: a recording knows the end of such a touch and
+    counts from the last touch.
     """
     made = Inputs.__post_init__
 
@@ -149,7 +154,7 @@ def test_a_stream_equals_the_recording_bit_for_bit(
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:
-    """(F,) frames in which each point that is touched is where it will count from."""
+    """Return for each frame (F,) whether every point in contact has its final reference position."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
     border = Border.of({name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")})

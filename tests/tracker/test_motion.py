@@ -1,4 +1,6 @@
-"""Where points are expected: by the mean of their displacements, their neighbours, and nothing that is chance."""
+"""Tests of the expected positions of points: by the mean of their displacements and by their neighbours, not by
+chance.
+"""
 
 from typing import Any
 
@@ -11,7 +13,9 @@ START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)
 
 
 def _moving() -> tuple[PointMotion, Array, Array]:
-    """Four points that have moved for 60 frames, of which every third was seen, and one that is none."""
+    """Return the motion of five points after 60 frames, of which every third was seen, with their positions and speeds
+    (5, 2); the last point is NaN.
+    """
     start = np.array([[10, 20], [30, 40], [50, 60], [70, 80], [np.nan, np.nan]], np.float32)
     speed = np.array([[1, 0], [2, -1], [0.5, -3], [0, 0], [0, 0]], np.float32)
     motion = PointMotion.at_rest(start)
@@ -22,7 +26,7 @@ def _moving() -> tuple[PointMotion, Array, Array]:
 
 
 def test_points_are_expected_where_they_move() -> None:
-    """Each at its own speed, up to 4 frames ahead."""
+    """Each point is expected at its own speed, up to 4 frames ahead."""
     motion, place, speed = _moving()
     for ahead, frames in ((0, 0), (1, 1), (4, 4), (5, 4), (100, 4)):
         assert motion.expect(ahead).dtype == np.float32
@@ -37,16 +41,17 @@ def test_lost_points_go_on_and_come_to_rest() -> None:
     np.testing.assert_allclose(motion.expect(0), place + speed, rtol=1e-5)
     for _ in range(58):
         motion = motion.see(np.full_like(place, np.nan))
-    rest = place + speed + 4 * speed  # 1 + 3/4 + 9/16 ...
-    rest[1] -= speed[1]  # a frame before the others
+    rest = place + speed + 4 * speed  # the sum 1 + 3/4 + 9/16 ...
+    rest[1] -= speed[1]  # lost a frame before the others
     np.testing.assert_allclose(motion.expect(), rest, rtol=1e-5)
-    motion = motion.see(rest + 0.8)  # found beside: that is no motion
+    motion = motion.see(rest + 0.8)  # found 0.8 px beside its expected position, which is no motion
     np.testing.assert_allclose(motion.expect(4), rest + 0.8, rtol=1e-5)
 
 
 def test_noise_is_not_taken_for_motion() -> None:
-    """What is expected 4 frames ahead has weights 3, -1, -1/2, -1/4 ... of the positions, and 3.2 times their noise; by
-    the last two positions alone it would have weights 5 and -4, and 6.4 times."""
+    """The position expected 4 frames ahead has 3.2 times the noise of a position, with weights 3, -1, -1/2, -1/4 ...;
+    from the last two positions alone, with weights 5 and -4, it would have 6.4 times the noise.
+    """
     generator = np.random.default_rng(3)
     start = np.full((5000, 2), 100.0)
     motion = PointMotion.at_rest(start)
@@ -67,7 +72,9 @@ def test_one_jolt_is_no_motion_and_a_second_one_is() -> None:
 
 
 def test_lost_points_move_with_their_neighbours() -> None:
-    """Not at the speed that they had: skin at rest begins to move by 1.5 px a frame, a fourth of it unseen."""
+    """Lost points move with their neighbours and not at their last speed: skin at rest begins to move by 1.5 px a
+    frame, and a fourth of its points are not seen.
+    """
     motion, lost = PointMotion.at_rest(START), np.arange(200) % 4 == 0
     for number in range(1, 20):
         place = START + np.float32(1.5 * number)
@@ -85,11 +92,13 @@ def test_new_points_have_the_speed_of_those_around_them() -> None:
     seeded = motion.seeded(new)
     np.testing.assert_allclose(seeded.speed[:2], [[0, 0], [1.2, -1.2]], atol=1e-4)
     np.testing.assert_array_equal(seeded.place, new)
-    assert not PointMotion.at_rest(START[:7]).seeded(new).speed.any()  # of too few
+    assert not PointMotion.at_rest(START[:7]).seeded(new).speed.any()  # too few points around
 
 
 def test_frames_followed_in_one_call_lead_where_neighbours_say() -> None:
-    """Of points that are lost in the last one; place and speed of the others are those of the engine."""
+    """After frames tracked in one call, points lost in the last frame are expected where neighbours are; all others
+    have the position and speed of the engine.
+    """
     motion, place = PointMotion.at_rest(START), START + np.float32(3)
     points = place.copy()
     points[::3] = np.nan

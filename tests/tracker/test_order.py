@@ -1,4 +1,4 @@
-"""A stream gives the same numbers in whatever order its frames begin and end, within its lag."""
+"""Tests that a stream gives the same numbers in whatever order its frames begin and end, within its lag."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,13 +22,13 @@ from fingerflow.tracker.frame_tracker import (
 Array = np.ndarray[Any, Any]
 Make = Callable[[EngineSettings], Engine]
 HEIGHT, WIDTH, FRAMES = 144, 176, 30
-JUMPS = 17  # frame in which all skin jumps by 6 px, and stays: it is in doubt until the next one has come
+JUMPS = 17  # frame in which all skin jumps by 6 px and stays: in doubt until the next frame
 ACROSS, DOWN = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
 
 
 @pytest.fixture(scope="module")
 def frames() -> list[Array]:
-    """Skin that stretches by 0.6 % a frame, so that templates are updated within eight frames."""
+    """Return frames of skin that stretches by 0.6 % a frame, so that templates are updated within eight frames."""
     rng = np.random.default_rng(0)
     skin = sum(ndimage.gaussian_filter(rng.standard_normal((400, 400)), size) * size for size in (1.8, 12.0))
     skin = 120 + 45 * skin / skin.std()
@@ -59,7 +59,9 @@ def frame_of(tracker: StreamTracker, topography: Array, number: int, lines_lost:
 
 
 def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[FrameOutcome], list[Event]]:
-    """Outcomes and events where up to `beside` frames, at most the lag, have begun before the first of them ends."""
+    """Return the outcomes and events of frames of which up to `beside`, at most the lag, have begun before the first of
+    them ends.
+    """
     tracker = tracker_of(engine, lag)
     passed: list[Event | FrameOutcome] = []
     works = []
@@ -93,7 +95,9 @@ def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, fra
 
 
 def test_frames_before_the_first_usable_one_are_not_called_usable(make_engine: Make, frames: list[Array]) -> None:
-    """Lines of the contact view are lost from the first frame on; some of these frames are far from the others."""
+    """Frames with lost lines before the first usable frame are bad, although some of them differ much from the
+    others.
+    """
     tracker = tracker_of(make_engine(EngineSettings()))
     found = []
     for number, (place, lost) in enumerate([(0, True), (29, True), (0, True), (29, True), (0, False), (1, False)]):

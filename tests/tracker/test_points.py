@@ -1,4 +1,4 @@
-"""Points followed through motion that a frame alone cannot follow, and templates updated as the skin deforms."""
+"""Tests of points tracked through motion beyond the reach of one look, and of templates updated as the skin deforms."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,7 +27,9 @@ def _points(engine: KnownSkin, lag: int = 1) -> Points:
 
 
 def _see(points: Points, late: Array | None = None) -> tuple[Resolved, FoundPoints]:
-    """A frame, from where points are expected, or were some frames before."""
+    """Track the points in a frame, from their expected positions or from `late`; return the resolved and the accepted
+    points.
+    """
     guess = points.expect() if late is None else late
     resolved = points.resolve(IMAGE, guess, points.look(IMAGE, guess))
     return resolved, points.accept(IMAGE, resolved)
@@ -47,7 +49,9 @@ def test_a_frame_that_loses_nothing_costs_one_look() -> None:
 
 
 def test_few_points_that_are_gone_cost_a_search() -> None:
-    """A tenth of 200: they are searched for, and nobody takes it for a jump."""
+    """A tenth of the points, if gone, are searched for once and looked at once more; their loss is not taken for a
+    jump.
+    """
     place = START.copy()
     place[:20] += 40
     engine = KnownSkin(place)
@@ -58,8 +62,9 @@ def test_few_points_that_are_gone_cost_a_search() -> None:
 
 
 def test_a_step_of_speed_is_followed_from_the_frame_before() -> None:
-    """0.6 px a frame more: two frames late that is 1.2 px, beyond what a frame is sure to reach, and 0.6 px from the
-    frame before."""
+    """Points are tracked when their speed grows by 0.6 px a frame: two frames late they are 1.2 px off, beyond the
+    certain reach of a look, but from the frame before only 0.6 px.
+    """
     engine = KnownSkin(START)
     points = _points(engine, lag=2)
     for number in range(1, 12):
@@ -70,13 +75,13 @@ def test_a_step_of_speed_is_followed_from_the_frame_before() -> None:
     resolved, _ = _see(points, late)
     assert _found(resolved).all()
     assert not engine.searches
-    np.testing.assert_allclose(points.motion.speed, 0.7, atol=1e-3)  # half the weight
+    np.testing.assert_allclose(points.motion.speed, 0.7, atol=1e-3)  # mean of 0.4 and 1.0
 
 
 @pytest.mark.parametrize("step", [2.5, 4.0])
 @pytest.mark.parametrize("lag", [1, 2])
 def test_a_jump_within_half_a_ridge_needs_no_search(step: float, lag: int) -> None:
-    """A look leads 1.5 px on at a time."""
+    """A jump of up to 4 px needs no search, because a look moves by up to 1.5 px several times."""
     engine = KnownSkin(START + np.float32(step))
     resolved, _ = _see(_points(engine, lag))
     assert _found(resolved).all()
@@ -84,8 +89,9 @@ def test_a_jump_within_half_a_ridge_needs_no_search(step: float, lag: int) -> No
 
 
 def test_a_jump_of_a_part_of_the_skin_is_found_by_a_search_and_by_neighbours() -> None:
-    """Half of the skin jumps by 8 px, beyond what looks lead to: a search of 64 points finds the first of them, a plane
-    through those the others."""
+    """If half of the skin jumps by 8 px, beyond the reach of a look, a search of 64 points finds some of them, and a
+    plane through these the others.
+    """
     half = START[:, 0] > 150
     jumped = START + np.where(half, np.float32(8), np.float32(0))[:, None] * np.array([1, 0], np.float32)
 
@@ -104,7 +110,7 @@ def test_a_jump_of_a_part_of_the_skin_is_found_by_a_search_and_by_neighbours() -
 
 
 def test_a_frame_of_another_moment_costs_one_search() -> None:
-    """Nothing is found: no second search."""
+    """A frame of another moment, in which the search finds nothing, costs no second search."""
     engine = KnownSkin(START + 100)
     resolved, _ = _see(_points(engine))
     assert engine.searches == [64]
@@ -112,7 +118,9 @@ def test_a_frame_of_another_moment_costs_one_search() -> None:
 
 
 def test_what_is_gone_costs_nothing() -> None:
-    """After as many frames as a speed is good for."""
+    """Points that are gone cost one search in each of the first `TRUSTED` frames, while their speed is trusted, and
+    none later.
+    """
     engine = KnownSkin(START + 100)
     points, searches = _points(engine), []
     for _ in range(7):
@@ -131,10 +139,10 @@ def _stretched(by: float) -> Array:
 def test_templates_are_updated_eight_frames_after_they_were_found_to_have_changed(
     monkeypatch: pytest.MonkeyPatch, lag: int, every: int
 ) -> None:
-    """They are checked after every eighth frame; six of them exceed the limit, are prepared in pieces meanwhile, and
-    count from the sixteenth frame on; later ones are not asked for again while they wait.
+    """Templates are checked every eighth frame. Six of them exceed the limit, are prepared in pieces meanwhile, and are
+    used from the sixteenth frame on; meanwhile no others are chosen.
 
-    Pieces begin at the same rows however often there is time to prepare one: in every frame, every second one or none.
+    Pieces begin at the same rows, whether there is time to prepare one in every frame, in every second, or in none.
     """
     monkeypatch.setattr("fingerflow.tracker.points.ROWS", 2)
     engine = KnownSkin(START)
@@ -166,8 +174,9 @@ def test_templates_are_updated_eight_frames_after_they_were_found_to_have_change
 def test_templates_of_fast_skin_are_checked_sooner(
     monkeypatch: pytest.MonkeyPatch, a_frame: float, frames: int
 ) -> None:
-    """At most the frames in which the edge of a window changes by `FASTEST_PX`, a power of two; one point in twenty may
-    be faster, or lost."""
+    """Templates are checked again after the number of frames in which the edge of a window changes by `FASTEST_PX`, at
+    most eight, rounded down to a power of two; one point in twenty may be faster, or lost.
+    """
     engine = KnownSkin(START)
     points = _points(engine)
     check, checked = points._plan_template_update, []
@@ -184,13 +193,13 @@ def test_templates_of_fast_skin_are_checked_sooner(
         warp[0], warp[1:4] = np.nan, warp[1:4] + 100 * index
         engine.warp = warp
         _see(points)
-    first = MOST_FRAMES - 1  # counted from the key frame
+    first = MOST_FRAMES - 1  # frames are counted from the key frame
     assert checked[0] == first
     assert checked[1] == first + frames
 
 
 def test_an_update_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it is prepared, ahead of time or when it is due."""
+    """The error of an update that fails is raised where it is prepared, ahead of time or when it is due."""
     engine = KnownSkin(START)
     points = _points(engine)
     engine.warp = _stretched(1.1 * UPDATE_PX / (engine.settings.window_px // 2) / 2**0.5)

@@ -1,4 +1,6 @@
-"""The flag of incipient slip: silent while skin moves rigidly with noise, raised where a rim begins to slip."""
+"""Tests of the flag of incipient slip: it stays off while skin moves rigidly with noise, and is raised when a rim
+begins to slip.
+"""
 
 import math
 
@@ -32,7 +34,9 @@ def test_the_residual_is_that_of_the_op() -> None:
 
 
 def test_the_motion_of_the_rim_is_that_of_the_fit() -> None:
-    """Displacement by the formula itself, about the mean of the points, gives its coefficients."""
+    """The motion of the rim is that of the coefficients of a displacement made by the formula of the fit, about the
+    mean of the points.
+    """
     z = POINTS.view(np.complex128)[:, 0]
     about = z - z.mean()
     about = about / math.sqrt(2 * np.mean(np.abs(about) ** 2))
@@ -43,7 +47,7 @@ def test_the_motion_of_the_rim_is_that_of_the_fit() -> None:
     assert ahead == pytest.approx((0.4 * mean.conjugate()).real / abs(mean), rel=1e-6)
     assert spread == pytest.approx(math.hypot(abs(0.17 + 0.1j), 0.05), rel=1e-6)
     assert rim_motion(z, z) == (0.0, 0.0)
-    assert np.isfinite(rim_motion(z.real + 0j, z.real + 0.1j)).all()  # points in one line
+    assert np.isfinite(rim_motion(z.real + 0j, z.real + 0.1j)).all()  # points on a line
 
 
 def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> bool:
@@ -52,8 +56,8 @@ def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> b
 
 @pytest.mark.parametrize("motion", ["spread", "shear and twist", "shift while it grows", "roll"])
 def test_motion_of_a_press_is_no_slip(motion: str) -> None:
-    """Skin that spreads, shears, turns, or goes with a contact that grows or rolls over it, with noise of 0.03 px: no
-    alarm in 400 frames of each.
+    """The flag stays off in 400 frames, with noise of 0.03 px, while skin spreads, shears and twists, moves with a
+    growing contact, or is rolled over.
     """
     flag, about = SlipFlag(), POINTS - 150
     for step in np.linspace(0, 1, 400):
@@ -73,7 +77,9 @@ def test_motion_of_a_press_is_no_slip(motion: str) -> None:
 
 
 def test_slip_after_a_press_is_seen_once_the_rim_has_gone_further_than_skin_has_spread() -> None:
-    """Skin spread by 1 px at the rim; then the rim is pulled to one side."""
+    """After skin has spread by 1 px at the rim, the flag is raised once the rim has been pulled to one side by 0.5 to
+    1.6 px.
+    """
     flag, about = SlipFlag(), (POINTS - 150) / 150
     flag.see(POINTS, STD, COVERED)
     square = np.square(about).sum(1, keepdims=True)
@@ -81,7 +87,7 @@ def test_slip_after_a_press_is_seen_once_the_rim_has_gone_further_than_skin_has_
     pull = np.linspace(0, 4, 80)[int(np.argmax(raised))]
     assert 0.5 < pull < 1.6
     assert all(raised[int(np.argmax(raised)) :])
-    # The rest follows: all slides, and the rim keeps its lead.
+    # The whole contact then slides, and the rim keeps its lead.
     assert all(_sees(flag, POINTS + about + [far, 0.0] + 4 * square * [1.0, 0.0]) for far in range(1, 20))
 
 
@@ -93,7 +99,7 @@ def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
         assert frame == 0 or state.residual == pytest.approx(0.03 * math.sqrt(2), rel=0.15)
     raised = []
     for _ in range(4):
-        # The rim slips by 0.3 px: ten times the noise.
+        # The rim slips by 0.3 px, ten times the noise.
         state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
         raised.append(state.slipping)
     assert raised == [False, False, True, True]
@@ -103,7 +109,7 @@ def test_other_points_and_points_that_leave_start_anew() -> None:
     flag = SlipFlag()
     flag.see(POINTS, STD, COVERED)
     elsewhere = POINTS[:, ::-1].copy()
-    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # of which nothing tells how far they came
+    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # how far the new points have moved is unknown
     states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
     assert states[-1].residual == 0
     assert not states[-1].slipping
@@ -122,8 +128,9 @@ def test_too_few_points_say_nothing() -> None:
 
 
 def test_the_flag_outlives_a_choice_of_other_points() -> None:
-    """Other points take over the displacement of the nearest ones: on skin whose rim is 3 px ahead of its middle, to
-    0.3 px, which is what four neighbours some 15 px away leave of it; and the residual stays."""
+    """After points are seeded again, new points take over the displacement of the nearest old points, and flag and
+    residual stay: on skin whose rim is 3 px ahead, to 0.3 px, the error of a mean of four neighbours some 15 px away.
+    """
     old, new = POINTS[:200], 300 * np.random.default_rng(4).random((150, 2))
     std, covered = np.full(200, 0.03), np.ones(200, np.uint8)
 
@@ -148,7 +155,7 @@ def test_the_flag_is_held_where_no_old_point_is_left_until_the_contact_ends() ->
     flag = SlipFlag()
     flag.see(old, std, covered)
     assert [flag.see(slipped, std, covered).slipping for _ in range(4)][-1]
-    assert all(flag.see(lost, std, covered).slipping for _ in range(6))  # unknown is no rest
+    assert all(flag.see(lost, std, covered).slipping for _ in range(6))  # lost points do not end the slip
     flag.follow_others(lost, slipped)
     assert all(flag.see(slipped, std, covered).slipping for _ in range(6))
     for _ in range(3):

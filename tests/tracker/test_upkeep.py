@@ -1,4 +1,6 @@
-"""When a stream measures its threshold, takes a new key frame and chooses other points: by its frames alone."""
+"""Tests of when a stream measures its threshold, takes a new key frame and seeds points again, from its frames
+alone.
+"""
 
 import math
 
@@ -8,7 +10,9 @@ from fingerflow.tracker.upkeep import CONTACT, ThresholdSearch, Upkeep
 
 
 def test_a_growing_contact_measures_the_threshold_again() -> None:
-    """Where it had grown by a fourth since the threshold counts, two frames later; and so on."""
+    """The threshold is measured two frames after a contact has grown by a fourth since the last threshold came into
+    use, and again after each further fourth.
+    """
     search = ThresholdSearch(2)
     used, measured = {}, []
     for index in range(40):
@@ -21,7 +25,8 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
         area = max(0.0, index - 5)
         search.see(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
     assert measured[:3] == [0, 4, 8]
-    # The threshold counts from 10 on, where the area is 5: beyond 6.25 in frame 12, measured in 14, counts from 16 on.
+    # A threshold applies from frame 10 on, with an area of 5. The area exceeds 6.25 in frame 12: the threshold is
+    # measured in frame 14 and applies from frame 16 on.
     assert measured[3:6] == [14, 21, 30]
     assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
 
@@ -42,7 +47,9 @@ def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
 
 
 def test_single_frames_change_nothing() -> None:
-    """Nor do four that are not in a row; lost points are chosen anew, and not again at once."""
+    """Single frames with few points change nothing, nor do frames that are not four in a row. Lost points are seeded
+    again after 64 frames at the earliest.
+    """
     upkeep = Upkeep(0.8, math.inf)
     upkeep.restarted(0, 0, 100)
     tracked = [100, 10, 100, 10, 10, 10, 100, 70, 70, 70, 100]
@@ -66,7 +73,7 @@ def test_a_threshold_is_measured_later_where_its_frame_does_not_count() -> None:
     search.see(2, 10.0, None)
     search.see(3, 20.0, None)
     assert search.wants(5)
-    search.passed_over()  # frame 5 was black
+    search.passed_over()  # frame 5 is black
     assert not search.wants(6)
     search.see(6, 20.0, None)
     assert search.wants(8)
@@ -82,3 +89,13 @@ def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
         causes.append(upkeep.see(index, index, 100))
     assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
     assert {causes[14], causes[71]} == {CONTACT}
+
+
+def test_a_growing_contact_may_have_enough_points_between_two_evaluations_with_too_few() -> None:
+    upkeep = Upkeep(0.8, math.inf)
+    upkeep.restarted(0, 0, 100)
+    causes = []
+    for index in range(20):
+        upkeep.see_contact(True, index % 2 == 0)
+        causes.append(upkeep.see(index, index, 100))
+    assert [index for index, cause in enumerate(causes) if cause] == [2]

@@ -1,4 +1,6 @@
-"""Verification of points: what is right passes, what is beside its skin fails, and results have neither then."""
+"""Tests of the verification of points: points on their skin pass, points beside it fail and have no values in
+results.
+"""
 
 import json
 import math
@@ -30,14 +32,16 @@ STRAIGHT = np.eye(2, dtype=np.float32)
 
 
 def skin(x: Array, y: Array) -> Array:
-    """Ridges that bend and differ in height: waves of 13 to 40 px, so that no place looks like another."""
+    """Return the grey levels of ridges that bend and differ in height, with waves of 13 to 40 px, so that no two
+    positions look alike.
+    """
     ridges = np.sin(2 * math.pi * (0.8 * x + 0.6 * y + 4 * np.sin(y / 30)) / 15)
     found: Array = 128 + 40 * ridges + 20 * np.sin(2 * math.pi * (x - 0.4 * y) / 37 + 1.0)
     return found
 
 
 def picture(gradient: Array, shift: tuple[float, float], noise: float, seed: int) -> Array:
-    """(1, 160, 200) of skin that has moved: x = (I + gradient) X + shift about the middle."""
+    """Return a picture (1, 160, 200) of skin moved about its middle, x = (I + gradient) X + shift, with noise."""
     x, y = np.meshgrid(np.arange(200.0), np.arange(160.0))
     middle = np.array([100.0, 80.0])
     there = np.stack((x, y), -1) - middle - np.array(shift)
@@ -49,7 +53,7 @@ def picture(gradient: Array, shift: tuple[float, float], noise: float, seed: int
 
 
 def points(gradient: Array, shift: tuple[float, float]) -> tuple[Array, Array]:
-    """(N, 2) then and now."""
+    """Return positions (N, 2) px of the points in the first and the second image."""
     x, y = np.meshgrid(np.arange(40.0, 161, 8), np.arange(30.0, 131, 8))
     then = np.stack((x.ravel(), y.ravel()), -1)
     middle = np.array([100.0, 80.0])
@@ -58,7 +62,7 @@ def points(gradient: Array, shift: tuple[float, float]) -> tuple[Array, Array]:
 
 
 def warps(gradient: Array, count: int) -> Array:
-    """(N, 2, 2) the same deformation for all points."""
+    """Return the same deformation (N, 2, 2) for all points."""
     return np.broadcast_to((STRAIGHT + gradient).astype(np.float32), (count, 2, 2))
 
 
@@ -66,12 +70,14 @@ UNMOVED = np.zeros((2, 2), np.float32)
 
 
 def correlation(one: Array, other: Array) -> Array:
-    """(N,) of windows (N, m)."""
+    """Return the correlations (N,) of pairs of windows (N, m)."""
     return correlation_of(Centred.of(one), Centred.of(other))
 
 
 def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) -> None:
-    """Without noise what cubic convolution leaves of waves of 15 px; with it 1 - correlation is sigma^2 / S."""
+    """With noise, 1 - correlation of the same skin is sigma^2 / S; without noise it is at most 1e-3, from cubic
+    convolution of waves of 15 px.
+    """
     engine = make_engine(SETTINGS)
     then, now = points(GRADIENT, (1.3, -2.6))
     number = np.zeros(len(then), np.int64)
@@ -83,7 +89,7 @@ def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) ->
         apart = 1 - correlation(one, other)
         expected = noise**2 / one.var(1)
         if noise:
-            # Interpolation between pixels averages some of it.
+            # Interpolation between pixels averages some of the noise.
             assert least < float(np.median(apart / expected)) < most
         else:
             assert float(apart.max()) < most
@@ -98,8 +104,9 @@ def test_correlation_is_that_of_numpy_and_unknown_for_a_blank_window() -> None:
 
 
 def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
-    """From none to that of the skin, to 0.01 in each number: what noise of 0 leaves of four rounds. A window beyond the
-    picture keeps the deformation it had."""
+    """The deformation of the skin is found from none to 0.01 in each component within four rounds, without noise. A
+    window beyond the picture keeps its deformation.
+    """
     engine = make_engine(SETTINGS)
     then, now = points(GRADIENT, (0.0, 0.0))
     now[7] = (3, 3)
@@ -119,7 +126,9 @@ def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
 
 @pytest.mark.parametrize(("least", "most", "share"), [(2.0, 4.0, 0.7), (4.0, 16.0, 0.97)])
 def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: float, most: float, share: float) -> None:
-    """Of 2 to 4 px in any direction 77 % are found here: along a ridge nothing changes."""
+    """Of points 2 to 4 px beside their skin at least 70 % fail (77 % here: along a ridge nothing changes), of those 4
+    to 16 px beside it 97 %, and no other point fails.
+    """
     engine = make_engine(SETTINGS)
     then, now = points(GRADIENT, (1.3, -2.6))
     first = engine.images(picture(UNMOVED, (0, 0), 3.0, 1))
@@ -159,11 +168,11 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     np.testing.assert_array_equal(check(beside), only)
     np.testing.assert_array_equal(check(now), only)
     assert not check(now).any()
-    # One that is lost cannot be checked, and stays as it was.
+    # A lost point cannot be checked and keeps its result.
     check(beside)
     lost = np.where(only, TrackStatus.MISMATCH, 0).astype(np.uint8)[None]
     np.testing.assert_array_equal(check(np.where(only[:, None], np.float32(np.nan), now), lost), only)
-    # Nor can one whose deformation is not known.
+    # A point of unknown deformation cannot be checked either.
     unknown = np.where(only[:, None, None], np.float32(np.nan), straight)
     np.testing.assert_array_equal(run_alone(verification.check(image, beside[None], status, unknown)).differs, only)
 
@@ -182,9 +191,12 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
 
 
 def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
-    """Specks rest while the skin moves by 3 px. A point beside a speck that is 0.6 px back is held; of one that is
-    0.2 px back the shift is in the variance. Of the others, whose windows contain specks too, one in twenty may be
-    lost: here points lie on a grid, and the skin hardly changes along some ridges."""
+    """Points held back by specks at rest, while the skin moves by 3 px, are found: a point 0.6 px back is marked as
+    held, and the shift of a point 0.2 px back is in its variance.
+
+    At most one in twenty of all other points, whose windows contain specks too, may be marked: points lie on a grid
+    here, and the skin hardly changes along some ridges.
+    """
     engine = make_engine(SETTINGS)
     then, now = points(UNMOVED, (3.0, 0.0))
     some = np.arange(len(then)) % 23 == 11
@@ -225,7 +237,9 @@ def test_a_press_loses_no_point_to_it(scene_path: Path) -> None:
 
 
 def test_points_that_fail_have_no_position_and_are_counted(scene_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tracker is made to give another place for three points, 5 px off, from the tenth frame on."""
+    """Three points that the tracker gives 5 px off from the tenth frame on have the status `window_differs` and no
+    position, and are counted in `window_differs_share`.
+    """
     step, seen = Points._step, [1]
 
     def beside(points: Points, images: Any, around: Any) -> Steps[Any]:

@@ -1,4 +1,4 @@
-"""A press in a small frame, with its result."""
+"""Fixtures of the tests of the page: a synthetic press of 12 small frames, with and without its result."""
 
 import shutil
 from dataclasses import replace
@@ -16,8 +16,10 @@ PRESS = replace(TINY_PRESS, n_frames=12, frame_rate=12.0)
 
 @pytest.fixture(scope="session")
 def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with 12 frames of 96 x 240 px, a scene, everything it names, and `result.h5`, of all variables that the
-    stages of a default run can give; not to be written to.
+    """Return the folder of a processed press, which no test may write to.
+
+    The folder holds 12 frames of 96 x 240 px, a scene with all files that it names, and `result.h5` with all variables
+    that the stages of a default run can compute.
     """
     folder = tmp_path_factory.mktemp("view") / "press"
     write_recording(folder, PRESS)
@@ -28,7 +30,7 @@ def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def press(processed: Path, tmp_path: Path) -> Path:
-    """The same for one test, without the result."""
+    """Return a copy of the folder of the press for one test, without `result.h5`."""
     folder = tmp_path / "press"
     shutil.copytree(processed, folder, ignore=shutil.ignore_patterns("result.h5"))
     return folder

@@ -1,4 +1,4 @@
-"""`fingerflow view`, as it is typed."""
+"""Tests of the command `fingerflow view` as a process of its own."""
 
 import http.client
 import signal
@@ -10,7 +10,7 @@ from urllib.parse import urlparse
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = 300  # s, of a busy machine
+SLOW = 300  # s, enough for a busy machine
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt cannot be sent to one process alone")

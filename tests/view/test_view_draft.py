@@ -1,4 +1,6 @@
-"""A scene file that is being set up: comments stay, what others wrote is not replaced, nothing wrong is written."""
+"""Tests of drafts of a scene file: comments are kept, files that others have changed are not replaced without leave,
+and no wrong scene is written.
+"""
 
 import re
 import tomllib
@@ -29,7 +31,7 @@ def test_a_change_leaves_the_rest_of_the_file_as_it_was(press: Path) -> None:
         ["columns", "=", "[130,", "240]"],
         ["median_px", "=", "5"],
     ]
-    assert changed[1][0].partition("#")[2] == changed[1][1].partition("#")[2]  # its comment
+    assert changed[1][0].partition("#")[2] == changed[1][1].partition("#")[2]  # the comment of the changed line
     assert load_scene(path).contact.median_px == 5
 
 
@@ -78,7 +80,7 @@ def test_nothing_wrong_is_written(press: Path) -> None:
 def test_a_recording_begins_a_scene_that_says_what_is_missing(press: Path) -> None:
     with open_recording(press / "frames.npy") as recording:
         draft = Draft.of_recording(recording)
-    assert draft.path == press / "scene-2.toml"  # there is a scene.toml
+    assert draft.path == press / "scene-2.toml"  # scene.toml exists already
     assert draft.values()["views"] == {
         "contact": {"rows": [0, 96], "columns": [120, 240]},
         "topography": {"rows": [0, 96], "columns": [0, 120]},

@@ -1,4 +1,4 @@
-"""Who is answered: the page itself, opened by the address that was printed, and nobody else."""
+"""Tests of who is answered: the page itself, opened by the printed address, and nobody else."""
 
 import http.client
 import re
@@ -15,7 +15,7 @@ from fingerflow.view import connection as connection_module
 from fingerflow.view.server import Served
 
 Answer = tuple[int, dict[str, str], bytes]
-SLOW = 300  # s, of a busy machine
+SLOW = 300  # s, enough for a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def ask(served: Served, path: str, method: str = "GET", body: str | None = None,
 
 @pytest.fixture(scope="module")
 def cookie(served: Served) -> str:
-    """What the page's own requests carry, from the address that opens it."""
+    """Return the cookie (`NAME=TOKEN`) that the printed address sets and that the requests of the page carry."""
     status, headers, page = ask(served, served.address.partition(str(served.port))[2])
     assert status == 200
     assert b'url=/"' in page
@@ -62,10 +62,10 @@ def test_the_page_and_its_files_are_answered_and_may_load_nothing_from_elsewhere
     [
         ({}, 200),
         ({"Host": "127.0.0.1:1"}, 421),
-        ({"Host": "example.org"}, 421),  # a name that was made to point here
+        ({"Host": "example.org"}, 421),  # a foreign name whose DNS entry points to this computer
         ({"Origin": "http://example.org"}, 403),
         ({"Origin": "null"}, 403),
-        ({"Origin": "http://127.0.0.1:1"}, 403),  # cookies know no ports: this site's page would send ours
+        ({"Origin": "http://127.0.0.1:1"}, 403),  # a page of another port would send our cookie
         ({"Sec_Fetch_Site": "cross-site"}, 403),
         ({"Sec_Fetch_Site": "same-site"}, 403),
         ({"Sec_Fetch_Site": "same-origin"}, 200),
@@ -140,7 +140,7 @@ def test_connections_beyond_the_limit_are_closed(served: Served, cookie: str, mo
     assert [read(line) for line in idle[3:]] == [b""] * 7
     for line in idle:
         line.close()
-    for _ in range(600):  # and there is room again
+    for _ in range(600):  # new connections are accepted again
         try:
             assert ask(served, "/", Cookie=cookie)[0] == 200
             return
@@ -150,7 +150,7 @@ def test_connections_beyond_the_limit_are_closed(served: Served, cookie: str, mo
 
 
 def read(line: socket.socket) -> bytes:
-    """What came, nothing at the end of the connection."""
+    """Return the bytes that have arrived, or none at the end of the connection."""
     try:
         return line.recv(65536)
     except ConnectionError:
@@ -163,7 +163,9 @@ def test_a_port_that_is_taken_is_named(served: Served, processed: Path) -> None:
 
 
 def test_every_module_of_the_page_is_asked_for_at_once() -> None:
-    """Else one waits for the other that imports it, and the first picture for all of them."""
+    """Every JavaScript module is preloaded by index.html: otherwise a module is requested only after the module that
+    imports it has arrived, and the first picture waits for all of them.
+    """
     page = resources.files("fingerflow.view") / "page"
     scripts = {one.name for one in page.iterdir() if one.name.endswith(".js")} - {"main.js"}
     assert len(scripts) > 5

@@ -1,4 +1,4 @@
-"""The page in a real Chromium: from nothing but a recording to its result; and who else may drive it."""
+"""Tests of the page in Chromium: from a recording to its result, and requests of a page of another site."""
 
 import http.server
 import json
@@ -24,12 +24,16 @@ from tests.view.walk import drag as drag_in
 pytestmark = pytest.mark.long
 
 WIDTH = 240  # px of a frame
-SLOW = 120_000  # ms: torch is loaded, and a machine may be busy
+SLOW = 120_000  # ms, enough to load torch on a busy machine
 
 
 @contextmanager
 def opened(browser: Any, path: Path, width: int = 1300, refused: str = "none") -> Iterator[tuple[Any, Served]]:
-    """The page; it may not ask anybody else for anything, and nothing may go wrong in it."""
+    """Open the page of a path in the browser; yield the page and its server.
+
+    On leaving, fail if the page has requested anything from another server, or has reported an error that does not
+    contain `refused`.
+    """
     with Served(path) as served:
         context = browser.new_context(viewport={"width": width, "height": 900}, accept_downloads=True)
         page = context.new_page()
@@ -56,7 +60,7 @@ drag = partial(drag_in, frame_width=WIDTH)
 
 
 def orange(page: Any) -> int:
-    """Pixels of the picture in the colour of contact."""
+    """Return the number of pixels of the picture in the colour of contact."""
     return int(
         page.evaluate(
             """() => {
@@ -71,13 +75,13 @@ def orange(page: Any) -> int:
 
 
 def area_of(page: Any) -> float:
-    """The real contact area that the page states, while a scene is set up."""
+    """Return the real contact area (mm²) that the page states while a scene is set up."""
     found = page.wait_for_function("() => document.querySelectorAll('#panel dd')[1]?.firstChild.data")
     return float(found.json_value())
 
 
 def draw_around(page: Any, corners: list[tuple[float, float]]) -> None:
-    """Draw a region by the mouse, through places in px of the frame."""
+    """Draw a region with the mouse through corners (x, y) in px of the frame."""
     page.click("#region")
     box = page.locator("#picture").bounding_box()
     for k, (x, y) in enumerate(corners):
@@ -90,9 +94,9 @@ def draw_around(page: Any, corners: list[tuple[float, float]]) -> None:
 def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
     written = load_scene(press / "scene.toml")
     (press / "scene.toml").rename(press / "kept.txt")
-    # What is asked for while a file has no channel yet is refused.
+    # Requests for forces are refused as long as the force file has no channel.
     with opened(browser, press / "frames.npy", refused="422 (") as (page, _):
-        # Frames, before anything else is known.
+        # Frames are shown before any setting is given.
         page.wait_for_selector("#problems")
         assert "background.frames" in text_of(page, "#problems")
         assert "Cannot process: 3 problems in Background, Calibration, Recording" in text_of(page, "#setup-status")
@@ -100,7 +104,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         show_frame(page, 9)
         assert "frame 9 of 0–11" in text_of(page, "#where")
 
-        # What the page cannot know.
+        # Fill in the settings that the page cannot find in the recording.
         fill(page, "recording.frame_rate", "12")
         fill(page, "recording.trigger_frame", "1")
         fill(page, "background.frames", "empty.npy")
@@ -112,21 +116,21 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         page.wait_for_selector("#picture[data-mask=true]")
         page.wait_for_selector("#courses:not([hidden])")
 
-        # Contact is live.
+        # Contact follows the threshold at once.
         before = orange(page)
         assert before > 500
         set_value(page, '[aria-label="contact.threshold number"]', 0.6)
         page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() == '0.6'")
         page.wait_for_function("() => document.getElementById('picture').dataset.mask == 'true'")
-        assert orange(page) < before / 2  # hardly anything loses so much light
+        assert orange(page) < before / 2  # few pixels lose more than 0.6 of the light
         page.select_option('[aria-label="contact.threshold"]', "reference_frame")
         page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() != '0.6'")
 
-        # A view is dragged by an edge.
+        # Drag an edge of a view.
         drag(page, (239, 50), (231, 50))
         page.wait_for_function("() => document.getElementById('text').textContent.includes('[120, 23')")
 
-        # Skin touches within a region, and everywhere again.
+        # Limit the contact to a region, and remove the region again.
         whole, area = area_of(page), "+document.querySelectorAll('#panel dd')[1]?.firstChild.data"
         draw_around(page, [(150, 20), (178, 20), (178, 80), (150, 80), (150, 24)])
         page.wait_for_selector("#no-region", state="visible")
@@ -136,7 +140,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         page.wait_for_function(f"whole => {area} == whole", arg=whole)
         assert "\n[views.contact.region]" not in page.text_content("#text")
 
-        # It is written, and is what was seen.
+        # Write the scene: it has the settings of the page.
         page.click("#write")
         page.wait_for_selector(".good:has-text('has these settings')")
         scene = load_scene(press / "scene.toml")
@@ -145,7 +149,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         assert scene.contact.threshold == "reference_frame"
         assert scene.recording.trigger_frame == 1
 
-        # It is processed, and the result is there.
+        # Process the scene: the page shows the result.
         page.click("#process")
         page.wait_for_selector("#tab-results.on")
         page.wait_for_selector("#map")
@@ -169,11 +173,11 @@ def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> No
         page.wait_for_selector("#replace")
         assert (press / "scene.toml").read_text(encoding="utf-8") == "# mine\n"
 
-        # What arrives while the question stands leaves it there, in the same element: a click on it is one.
+        # An answer that arrives while the question is shown does not replace its element, so that a click on it counts.
         asked = page.query_selector("#replace")
         fill(page, "tracking.points", "60")
         page.wait_for_function("() => document.getElementById('text').textContent.includes('points = 60')")
-        page.wait_for_selector("#legend:has-text('of 60 points')")  # what comes later has come too
+        page.wait_for_selector("#legend:has-text('of 60 points')")  # the points arrive after the text
         assert asked.is_visible()
         page.click("#keep")
         page.wait_for_selector("#ask", state="detached")
@@ -191,7 +195,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
     late: list[Callable[[], None]] = []
 
     def hold(route: Any) -> None:
-        """A busy server, or a slow way back."""
+        """Delay a request to the server, as a busy server would, or its answer, as a slow connection would."""
         if held == "question":
             late.append(route.continue_)
         else:
@@ -202,9 +206,9 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
         page.route("**/api/edit", hold, times=1)
         with page.expect_request("**/api/edit"):
             fill(page, "tracking.points", "50")
-        fill(page, "tracking.min_distance_px", "5")  # waits until the first one is through
+        fill(page, "tracking.min_distance_px", "5")  # sent after the answer to the first change
         page.click("#write")
-        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")  # what else is asked has its answer
+        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")  # other requests are answered meanwhile
         late.pop()()
         page.wait_for_selector("#legend:has-text('of 50 points')")
         page.wait_for_selector(".good:has-text('has these settings')")
@@ -217,7 +221,9 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
 
 
 def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, press: Path) -> None:
-    """As where the computer slept: it is said, the field shows what was set, and nothing is lost."""
+    """A setting whose request failed, as when the computer slept, is reported as not written, stays in its field, and
+    is written with the next click on Write.
+    """
     with opened(browser, press / "scene.toml", refused="net::ERR_FAILED") as (page, _):
         page.wait_for_selector("#legend:has-text('points, seeded in frame')")
         page.route("**/api/edit", lambda route: route.abort(), times=1)
@@ -233,7 +239,9 @@ def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, pr
 
 
 def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> None:
-    """By a write that sends it too; what else was set is set, and written when that is asked again."""
+    """A setting that the server refuses is reported, its field shows the value before, and nothing is written. All
+    other settings are kept and are written with the next click on Write.
+    """
     late: list[Any] = []
     with opened(browser, press / "scene.toml", refused="422 (") as (page, _):
         page.wait_for_selector("#legend:has-text('points, seeded in frame')")
@@ -250,7 +258,7 @@ def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> 
         page.wait_for_selector("#error:has-text('kind is')")
         page.wait_for_selector("#legend:has-text('of 50 points')")
         assert "kind is 'x'" in text_of(page, "#error")
-        assert load_scene(press / "scene.toml").tracking.points == 700  # nor is it written without
+        assert load_scene(press / "scene.toml").tracking.points == 700  # nothing is written
         page.click("#write")
         page.wait_for_selector(".good:has-text('has these settings')")
         assert page.is_hidden("#error")
@@ -260,7 +268,7 @@ def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> 
 
 
 def _spoiled(request: Any) -> str:
-    """A request in which one key is another one that is refused."""
+    """Return the body of a request with the key `contact.median_px` replaced by `kind = "x"`, which is refused."""
     given = request.post_data_json["set"]
     return json.dumps({"set": [["kind", "x"] if key == "contact.median_px" else [key, value] for key, value in given]})
 
@@ -272,7 +280,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         page.wait_for_selector("#picture[data-mask=true]")
         assert page.evaluate("() => document.documentElement.scrollWidth <= window.innerWidth")
         show_frame(page, 8)
-        # A point: its number, its history, what became of it.
+        # Click a point: the page shows its number and in which frames it was tracked.
         known = np.flatnonzero(np.isfinite(result["divergence"].values[8]))
         point = int(known[len(known) // 2])
         x, y = result["position_px"].values[8, point] + 0.5
@@ -280,7 +288,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         page.wait_for_function(f"() => document.querySelector('#point dd')?.textContent == '{point}'")
         assert "tracked in" in text_of(page, "#point")
 
-        # Everything that can be shown is drawn without a word of complaint.
+        # Every variable of the menu is drawn without an error.
         for key in page.eval_on_selector_all("#map option", "all => all.map(one => one.value)"):
             page.select_option("#map", key)
             drawn = int(page.get_attribute("#picture", "data-drawn"))
@@ -289,18 +297,18 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         page.wait_for_selector("#legend .scale")
         assert page.is_hidden("#error"), text_of(page, "#error")
 
-        # A region: the points in it, and their median among the curves.
+        # Draw a region: the page counts the points in it and plots their median.
         draw_around(page, [(0, 0), (119, 0), (119, 95), (0, 95), (0, 2)])  # the topography view
         page.wait_for_function("() => /points, selected in frame 8/.test(document.getElementById('point').textContent)")
         inside = int(np.isfinite(result["position"].values[8]).all(-1).sum())
         assert abs(int(text_of(page, "#point").split()[0]) - inside) <= 0.05 * inside
 
-        # A curve takes the picture along.
+        # A click on a curve shows that frame in the picture.
         chart = page.locator("#chart").bounding_box()
         page.locator("#chart").click(position={"x": chart["width"] - 16, "y": 60})
         page.wait_for_selector("#picture[data-frame='11']")
 
-        # One button shows deformation in the other unit, here and in what is saved.
+        # One button changes the unit of deformation.
         value = "#panel dl div:has(dt:text-is('median divergence')) dd"
         seen = float(page.locator(value).first.inner_text())
         page.click("#unit")
@@ -310,7 +318,7 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
         page.click("#unit")
         page.wait_for_selector("#panel dl div:has(dt:text-is('median divergence')) dd.unit:text-is('µm/mm')")
 
-        # What is seen can be saved.
+        # Picture, chart and tables can be saved.
         begins = {"save-png": b"\x89PNG", "save-svg": b"<svg", "save-csv": b"point,x (mm)", "chart-png": b"\x89PNG"}
         for button, first in {**begins, "chart-svg": b"<svg", "chart-csv": b"frame,time (s),normal_force (N)"}.items():
             with page.expect_download() as loading:
@@ -322,7 +330,9 @@ def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, wi
 
 
 def test_a_file_that_only_its_owner_reads_opens_the_page(browser: Any, press: Path) -> None:
-    """So that the token stands in no command line of a browser, which every user of the computer can list."""
+    """The page is opened through a file that only its owner can read, so that the token stands in no command line of a
+    browser, which every user of the computer can list.
+    """
     with Served(press / "scene.toml") as served, redirect_file(served.address) as path:
         if os.name == "posix":
             assert path.parent.stat().st_mode & 0o077 == 0
@@ -336,7 +346,9 @@ def test_a_file_that_only_its_owner_reads_opens_the_page(browser: Any, press: Pa
 
 
 def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:
-    """From another port of this computer: cookies know no ports, so it is the hardest case."""
+    """A page of another port of this computer can neither read from the server nor change or write the scene. This is
+    the hardest case, because cookies are shared by all ports of a host.
+    """
     before = (press / "scene.toml").read_bytes()
 
     class Other(http.server.BaseHTTPRequestHandler):
@@ -379,7 +391,7 @@ def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:
 }""",
                 home,
             )
-            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, and not to be read
+            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, but unreadable
             assert statuses
             assert set(statuses.values()) == {403}
             assert page.evaluate("async () => (await (await fetch('api/setup')).json()).values.contact.median_px") == 3

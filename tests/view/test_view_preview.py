@@ -1,4 +1,6 @@
-"""What the page shows before processing is what `process` finds: its own stages give the same numbers."""
+"""Tests of the previews of the page: contact, points, forces and markers shown before processing are those of
+`process`.
+"""
 
 from pathlib import Path
 
@@ -28,16 +30,16 @@ def test_contact_is_that_of_process(processed: Path, old: str, new: str) -> None
     assert old in text
     scene = scene_of_text(text.replace(old, new), processed / "scene.toml")
     before = Previewer(load_scene(processed / "scene.toml"))
-    preview = Previewer(scene, before)  # as on the page, where one is made of the one before
+    preview = Previewer(scene, before)  # as on the page, where each previewer takes over from the one before
     result = process(scene, [*CONTACT])
     for frame in (0, 5, 11, 6):
         found = preview.contact(frame)
         for name in CONTACT:
-            # Equal with the compiled kernels; portable sums in float32 round by how many frames come at a time.
+            # Equal with the compiled kernels; portable float32 sums depend on the number of frames at a time.
             np.testing.assert_allclose(found.numbers[name], result[name].values[frame], rtol=1e-6, err_msg=name)
         area = found.mask.sum() * scene.calibration.mm_per_px**2
         assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-12)
-    settled = load_result(processed / "result.h5")  # by the settings before: they matter
+    settled = load_result(processed / "result.h5")  # result of the settings before the change, which must differ
     assert any((settled[name].values != result[name].values).any() for name in CONTACT)
 
 
@@ -50,7 +52,7 @@ def test_points_are_those_of_process(processed: Path, direction: str) -> None:
     result = process(scene, ["position_px"])
     assert chosen.frame == (0 if direction == "forward" else 11)
     np.testing.assert_array_equal(chosen.points, result["position_px"].values[chosen.frame])
-    assert any("points" in one for one in chosen.warnings)  # there is no room for 700
+    assert any("points" in one for one in chosen.warnings)  # the view is too small for 700 points
 
 
 def test_forces_are_those_of_process(processed: Path) -> None:
@@ -78,12 +80,12 @@ def test_markers_of_a_soft_sensor_are_those_of_process(gel_recording: Path) -> N
     result = process(scene, ["position_px", "gross_contact_area", "gross_contact_region", "contact_threshold"])
     preview = SensorPreviewer(scene)
     shared = []
-    for frame in (0, 11, 24, 27, 39):  # at rest, pressed, dragged, after gross slip, at rest; 11 and 27 are no looks
+    for frame in (0, 11, 24, 27, 39):  # at rest, pressed, dragged, after gross slip, at rest; 11, 27: not sampled
         found = preview.contact(frame)
         assert found.markers is not None
         followed = result["position_px"].values[frame]
         apart = np.linalg.norm(followed[:, None] - found.markers, axis=-1).min(1)
-        np.testing.assert_array_less(apart[np.isfinite(apart)], 1e-9)  # the very same places
+        np.testing.assert_array_less(apart[np.isfinite(apart)], 1e-9)  # px
         region = result["gross_contact_region"].values[frame] > 0
         area = float(result["gross_contact_area"].values[frame])
         assert found.numbers["gross_contact_area"] == pytest.approx(area, rel=0.1, abs=0.5)
@@ -102,7 +104,7 @@ def test_the_threshold_of_a_soft_sensor_moves_its_contact(gel_recording: Path) -
     text = gel_recording.read_text(encoding="utf-8")
     found = []
     before: SensorPreviewer | None = None
-    for threshold in (0.05, 0.2):  # the light changes by less than the second: what moves is the contact then
+    for threshold in (0.05, 0.2):  # the light changes by less than 0.2: the motion of markers shows contact
         before = SensorPreviewer(scene_of_text(f"{text}\n[contact]\nthreshold = {threshold}\n", gel_recording), before)
         found.append(before.contact(17))
         assert found[-1].numbers["contact_threshold"] == pytest.approx(threshold)

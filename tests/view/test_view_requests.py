@@ -1,4 +1,6 @@
-"""Requests that no page sends are answered in a sentence, and none ends in an error of the server."""
+"""Tests of requests that the page never sends: each is refused in a sentence, and none ends in an error of the
+server.
+"""
 
 import json
 from collections.abc import Iterator
@@ -21,7 +23,7 @@ BODIES = [
 ]  # fmt: skip
 POSTS = ("edit", "calibrate", "write", "process", "end", "result/history", "result/table")
 GETS = ("frame?frame=--5", "frame?frame=%C2%B2", f"result/frame?frame={'1' * 5000}", "result/range?key=xy")
-# Values that the scene's rules report; every answer about the draft is one of the page all the same.
+# Values that the rules of a scene report as problems; the page can still ask for everything about the draft.
 VALUES = [
     ["recording", 5], ["forces", 3], ["calibration", 7], ["views", [1]], ["recording.frame_rate", 2.3e-308],
     ["recording.frame_rate", 1e308], ["recording.frame_rate", {"toml": "nan"}], ["forces.file", "a" * 5000],
@@ -37,7 +39,7 @@ def served(processed: Path) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def own(served: Served) -> dict[str, str]:
-    """The headers of a page of ours."""
+    """Return the headers that requests of the page carry."""
     headers = ask(served, served.address.partition(str(served.port))[2])[1]
     return {"Cookie": headers["set-cookie"].partition(";")[0], "X-Fingerflow": "1"}
 
@@ -72,7 +74,7 @@ def test_values_that_cannot_be_are_problems_of_the_draft(
 
 
 def test_names_that_no_file_can_have_are_problems_of_the_draft(served: Served, own: dict[str, str]) -> None:
-    """TOML has a zero byte too, in a file that was edited by hand."""
+    """A file name with a zero byte, which a TOML file edited by hand can hold, is a problem of the draft."""
     draft = served.session._draft
     assert draft is not None
     draft = served.session._draft = Draft.of_file(draft.path)

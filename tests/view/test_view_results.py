@@ -1,4 +1,4 @@
-"""What is read from a result while it is looked at."""
+"""Tests of the values, ranges and tables that the page reads from a result."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""From raw files of a press of a real finger to its report: with the page alone, and in a few lines of Python."""
+"""Tests of the way from raw files of a press to its report: with the page alone, and in a few lines of Python."""
 
 import re
 from pathlib import Path
@@ -18,19 +18,19 @@ from tests.view.walk import LAST, walk
 pytestmark = pytest.mark.long
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-SLOW = 600_000  # ms, of a busy machine
+SLOW = 600_000  # ms, enough for a busy machine
 _BLOCK = re.compile(r"^```{code-block} python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
 def finger(shared_data: Path) -> SyntheticScene:
-    """The press whose files are walked with, and whose truth is known."""
+    """Return the synthetic press of a real fingerprint, whose truth is known."""
     return press_of(shared_data / "fingers" / "101_1.tif")
 
 
 @pytest.fixture(scope="module")
 def raw(finger: SyntheticScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its raw files; not to be written to."""
+    """Return the folder with the raw files of the press, which no test may write to."""
     folder = tmp_path_factory.mktemp("own") / "trial"
     write_raw_press(folder, finger)
     return folder
@@ -38,7 +38,7 @@ def raw(finger: SyntheticScene, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def files(raw: Path, tmp_path: Path) -> Path:
-    """The same for one test."""
+    """Return a folder for one test with links to the raw files."""
     folder = tmp_path / "trial"
     folder.mkdir()
     for one in raw.iterdir():
@@ -47,22 +47,25 @@ def files(raw: Path, tmp_path: Path) -> Path:
 
 
 def is_as_true(folder: Path, finger: SyntheticScene) -> None:
-    """What the files that were written say of scale, transform and the last frame."""
+    """Assert that the written scene and result have the scale, transform and views of the press, and its area and
+    median divergence in the last frame.
+    """
     scene, result, truth = load_scene(folder / "scene.toml"), load_result(folder / "result.h5"), finger.truth
     calibration = scene.calibration
     assert calibration.mm_per_px == pytest.approx(finger.mm_per_px, rel=1e-3)
     corners = np.array([(0, 0, 1), (639, 0, 1), (0, 511, 1), (639, 511, 1)]).T
     off = (np.array(calibration.topography_to_contact) - np.array(finger.topography_to_contact)) @ corners
-    assert np.abs(off).max() < 0.5  # px; the three discs are found to 0.05 px, and lie in the middle half of a view
+    assert np.abs(off).max() < 0.5  # px; the discs are found to 0.05 px and lie in the middle half
     for name, view in VIEWS.items():
         assert (
             np.abs(np.subtract(scene.views[name].rows + scene.views[name].columns, view.rows + view.columns)).max() < 2
         )
     assert float(result["normal_force"][LAST]) == pytest.approx(5.0, abs=0.01)
-    # Where a valley lies on the border of a real print nothing shows it: 2 to 4 % of area (`python -m bench prints`).
+    # A valley at the border of a real print is not seen as contact: 2 to 4 % of area (`python -m bench prints`).
     assert float(result["gross_contact_area"][LAST]) == pytest.approx(truth.gross_contact_area_mm2(LAST), rel=0.05)
-    # 1.4 um/mm too large here, and at most 1.9 off in other frames of this press. Half a frame at onset makes it 1.4
-    # too small at 40 Hz (`MedianBias`), a border that is found 3.7 % of area too near makes it larger.
+    # The median is 1.4 um/mm too large here, and at most 1.9 off in other frames of this press. Half a frame at onset
+    # makes it 1.4 too small at 40 Hz (`MedianBias`); a contact border found too far inside, by 3.7 % of area, makes it
+    # larger.
     error = abs(float(result["median_divergence"][LAST]) - truth.medians(LAST).divergence)
     assert error < 2.5e-3
     assert error < float(result["median_divergence_std"][LAST]) < 5e-3
@@ -89,7 +92,7 @@ def test_by_the_page_alone(browser: Any, files: Path, finger: SyntheticScene) ->
         walk(page, look)
         report = context.pages[-1]
         assert report.locator("svg").count() > 20
-        # The report is a page of its own: it may not ask the server for anything.
+        # The report is a page of its own: its requests to the server are refused.
         assert report.evaluate("async () => { try { await fetch('/api/setup'); return 1; } catch { return 0; } }") == 0
         context.close()
         assert not wrong
@@ -98,20 +101,20 @@ def test_by_the_page_alone(browser: Any, files: Path, finger: SyntheticScene) ->
     assert (files / "report.html").is_file()
     assert (files / "overlay.mp4").is_file()
 
-    # Bright ridges of the one view lie on the dark ones of the other: in the middle of the contact neither is seen.
+    # Bright ridges of one view lie on dark ridges of the other: in the middle of the contact they cancel.
     spread = {name: _middle_of_contact(picture).std() for name, picture in pictures.items()}
     assert spread["overlay"] < 0.35 * spread["views"]
 
 
 def _middle_of_contact(picture: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Grey levels around the centre of the contact view, of the page's picture of a frame."""
+    """Return the grey levels around the centre of the contact view in a screenshot of the picture."""
     grey = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).astype(np.float64)
     rows, columns = grey.shape
     return np.asarray(grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)])
 
 
 def test_in_a_few_lines_of_python(files: Path, finger: SyntheticScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of the page of the documentation."""
+    """The lines of Python of docs/own_recording.md, fewer than 15, process the raw files and write the report."""
     (block,) = _BLOCK.findall((DOCS / "own_recording.md").read_text(encoding="utf-8"))
     assert len([line for line in block.splitlines() if line.strip()]) < 15
     monkeypatch.chdir(files)

@@ -1,4 +1,4 @@
-"""Through the page as somebody goes who has nothing but files: from a recording to its report, by mouse and keys."""
+"""Steps of a user on the page, by mouse and keys: from a recording to its report."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +12,7 @@ Seen = Callable[[str], None]
 
 
 def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int) -> None:
-    """Between two places in px of the frame."""
+    """Drag the mouse from one position to another, both (x, y) in px of the frame."""
     page.locator("#picture").scroll_into_view_if_needed()
     box = page.locator("#picture").bounding_box()
     scale = box["width"] / frame_width
@@ -25,7 +25,7 @@ def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_
 
 
 def fill(page: Any, key: str, value: str) -> None:
-    """A key of the scene, in its field."""
+    """Enter the value of a key of the scene in its field."""
     field = page.locator(f'[data-key="{key}"]')
     page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
     box = field.locator("input").first
@@ -34,7 +34,9 @@ def fill(page: Any, key: str, value: str) -> None:
 
 
 def browse(page: Any, key: str, file: str) -> None:
-    """Choose a file for a key in its dialog: go up one folder, back into the folder of the scene, and click the file."""
+    """Choose a file for a key in its dialog: go up one folder, back into the folder of the scene, and click the
+    file.
+    """
     field = page.locator(f'[data-key="{key}"]')
     page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
     page.click(f'[aria-label="browse {key}"]')
@@ -48,7 +50,7 @@ def browse(page: Any, key: str, file: str) -> None:
 
 
 def choose(page: Any, key: str, column: str) -> None:
-    """A column of the force file, in the menu of its key."""
+    """Choose a column of the force file in the menu of its key."""
     field = page.locator(f'[data-key="{key}"]')
     page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
     page.wait_for_selector(f'[aria-label="{key}"] option:text-is("{column}")', state="attached")
@@ -56,40 +58,40 @@ def choose(page: Any, key: str, column: str) -> None:
 
 
 def set_value(page: Any, selector: str, value: float) -> None:
-    """Of a field, as while it is typed or dragged."""
+    """Set the value of a field, as if it were typed or dragged."""
     page.locator(selector).evaluate(
         f"element => {{ element.value = {value}; element.dispatchEvent(new Event('input')); }}"
     )
 
 
 def show_frame(page: Any, frame: int) -> None:
-    """By the slider."""
+    """Show a frame by moving the slider."""
     set_value(page, "#frame", frame)
     page.wait_for_selector(f"#picture[data-frame='{frame}']")
 
 
 def settled(page: Any) -> None:
-    """Until contact, points and forces of a complete scene are there."""
+    """Wait until the page shows contact, points and forces of a complete scene."""
     page.wait_for_selector("#picture[data-mask=true]")
     page.wait_for_selector("#legend:has-text('points, seeded in frame')")
     page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
 
 
 def walk(page: Any, seen: Seen) -> None:
-    """The page is open at the recording of `write_raw_press`, and shows its report in the end.
+    """Walk from the page opened at the recording of `write_raw_press` to the report.
 
-    `seen` is told where there is something to look at, by a name.
+    `seen` is called with the name of each step that leaves something to look at.
     """
     page.wait_for_selector("#problems")
     show_frame(page, LAST)
     seen("opened")
 
-    # The views are the halves of the frame at first: their corners are dragged to where the light is.
+    # The views are the halves of the frame at first: drag their corners to the bright areas.
     height, width = FRAME_SHAPE
     half = width / 2
     for view, (left, right) in (("topography", (0, half)), ("contact", (half, width))):
         (top, bottom), (first, end) = VIEWS[view].rows, VIEWS[view].columns
-        # Held a little inside the corner.
+        # The mouse takes hold a few px inside the corner.
         drag(page, (left + _HELD, _HELD), (first + _HELD, top + _HELD), width)
         drag(page, (right - _HELD, height - _HELD), (end - _HELD, bottom - _HELD), width)
     page.wait_for_function("() => !document.getElementById('text').textContent.includes('[0, ')")
@@ -110,7 +112,7 @@ def walk(page: Any, seen: Seen) -> None:
     seen("calibrated")
     page.click("#calibration summary")
 
-    # Ridges of one view should fall on those of the other.
+    # Look at the overlay: ridges of one view should fall on those of the other.
     page.check(_LAYER.format("Check calibration: overlay the views"))
     page.uncheck(_LAYER.format("points"))
     page.uncheck("label.toggle:text-is('contact') input")
@@ -125,13 +127,13 @@ def walk(page: Any, seen: Seen) -> None:
     choose(page, "forces.tangential", "tangential_force")
     choose(page, "forces.trigger", "trigger")
     fill(page, "forces.trigger_level", "2.5")
-    page.wait_for_selector("#error:has-text('sign')")  # it is negative while the finger presses
+    page.wait_for_selector("#error:has-text('sign')")  # the force is negative while the finger presses
     page.wait_for_selector("#setup-status:has-text('Cannot process: see the error above')")
     page.click('[aria-label="forces.sign 1"]')
     page.wait_for_selector("#courses:not([hidden])")
     settled(page)
 
-    # A threshold by hand, and back to the one that is found.
+    # Set a threshold by hand, and return to the threshold that is found.
     set_value(page, '[aria-label="contact.threshold number"]', 0.3)
     page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() == '0.3'")
     page.select_option('[aria-label="contact.threshold"]', "reference_frame")

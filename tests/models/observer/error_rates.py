@@ -1,7 +1,8 @@
-"""Error rates of the tests, by simulation: `python -m tests.models.observer.error_rates` prints all, with statsmodels'.
+"""Error rates of the tests by simulation: `python -m tests.models.observer.error_rates` prints all, with those of
+statsmodels.
 
-Participants differ: in how they press, in how well they answer (both together), and in the slope of their answers
-against the rate where `own_slope` is not 0. Without an effect the mean slope is 0.
+Participants differ in how they press and in how well they answer, with a correlation between both, and where
+`own_slope` is not 0 in the slope of their answers with the force rate. Without an effect the mean slope is 0.
 """
 
 import sys
@@ -60,10 +61,11 @@ def related(seed: int, people: int, own: float = 1.0, effect: float = 0.0) -> tu
 
 
 def counted(seed: int, guess: float | None, people: int = 8, trials: int = 14) -> tuple[dict[str, Any], float]:
-    """Return blocks of answers at 7 amplitudes, and the stimulus that all participants together answer in 75 %.
+    """Return blocks of answers at 7 amplitudes, and the stimulus that all participants together answer correctly in 75
+    %.
 
-    Thresholds are normal over participants, so the common curve is as wide as both spreads together. Without a guess
-    rate of the design a tenth of the answers is yes at no stimulus.
+    Thresholds are normal over participants, so the common curve has the combined width of both distributions. Without a
+    guess rate of the design a tenth of the answers is yes at no stimulus.
     """
     draw = np.random.default_rng(seed)
     lowest = 0.1 if guess is None else guess
@@ -79,7 +81,7 @@ def counted(seed: int, guess: float | None, people: int = 8, trials: int = 14) -
 
 
 def share(p_of: Callable[[int], float], studies: int) -> float:
-    """Return the share of studies, one a seed, whose p is below 0.05."""
+    """Return the share of studies, one per seed, whose p is below 0.05."""
     return float(np.mean([p_of(seed) < ALPHA for seed in range(studies)]))
 
 

@@ -1,4 +1,4 @@
-"""d', area under the ROC, criterion: right values, intervals that keep their word, degenerate input."""
+"""Tests of d', area under the ROC curve and criterion: values, coverage of the intervals, and degenerate input."""
 
 import math
 from typing import Any
@@ -21,7 +21,9 @@ Drawn = tuple[Values, Values, tuple[NDArray[Any], NDArray[Any]]]
 
 
 def drawn(seed: int, difference: float, participants: int = 20, trials: int = 20, spread: float = 0.5) -> Drawn:
-    """Correct and incorrect trials of unit deviation; a participant's trials share an offset of deviation `spread`."""
+    """Return the metric of correct and incorrect trials (unit deviation) and their participants; trials of a
+    participant share an offset of deviation `spread`.
+    """
     draw = np.random.default_rng(seed)
     who = np.repeat(np.arange(participants), trials)
     right = draw.random(who.size) < 0.65
@@ -46,7 +48,7 @@ def test_the_area_is_that_of_all_pairs() -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """500 draws, 20 participants: 95 % within the error of 500 draws and of so few participants."""
+    """Intervals of 95 % contain the truth in 92 to 98 % of 500 draws of 20 participants."""
     truth = 1.0, float(ndtr(1 / math.sqrt(2)))
     hits = np.zeros(2)
     for seed in range(500):
@@ -102,7 +104,9 @@ def test_d_prime_of_nothing_contains_zero() -> None:
 
 
 def test_many_trials_have_the_textbook_interval() -> None:
-    """Hanley & McNeil's standard error of the area, binormal, and the large-sample one of d'."""
+    """With many trials the intervals have the widths of Hanley & McNeil's standard error of the binormal area and of
+    the large-sample error of d'.
+    """
     draw = np.random.default_rng(11)
     first, second = draw.standard_normal(6000) + 1, draw.standard_normal(4000)
     low, high = d_prime(first, second, resamples=400).interval
@@ -173,7 +177,9 @@ def test_input_that_cannot_be() -> None:
 
 
 def test_permutations_within_participants() -> None:
-    """A participant who answers better and has larger values makes a metric look good that tells nothing."""
+    """Permutations within participants give no significance to a metric that only differs between participants;
+    permutations over all trials do.
+    """
     draw = np.random.default_rng(8)
     who = np.repeat([0, 1], 100)
     right = draw.random(200) < np.where(who == 0, 0.9, 0.3)

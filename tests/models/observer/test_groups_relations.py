@@ -1,4 +1,4 @@
-"""Groups of participants, correlations, analysis of variance."""
+"""Tests of groups of participants, correlations and analysis of variance."""
 
 import math
 
@@ -27,7 +27,9 @@ def test_two_groups_are_found() -> None:
 
 
 def test_one_group_is_mostly_left_whole() -> None:
-    """At 5 %, 40 samples of one Gaussian: 2 expected, 7 or more once in two hundred times."""
+    """At a level of 5 %, at most 6 of 40 samples of one Gaussian are split: 2 are expected, 7 or more have a
+    probability of 1/200.
+    """
     draw = np.random.default_rng(1)
     split = [participant_groups(draw.normal(5, 2, 18), resamples=100, seed=k).groups == 2 for k in range(40)]
     assert sum(split) <= 6
@@ -107,7 +109,9 @@ def test_one_way_analysis_of_variance() -> None:
 
 
 def test_repeated_measures_by_hand() -> None:
-    """Two groups are the paired t test; three are the two-way analysis of the participants' means."""
+    """With two groups the analysis equals the paired t test of the participants' means, and levels of participants have
+    no influence.
+    """
     draw = np.random.default_rng(8)
     who, group = np.repeat(np.arange(6), 4), np.tile([0, 0, 1, 1], 6)
     values = draw.standard_normal(24) + 3 * draw.standard_normal(6)[who] + group

@@ -1,4 +1,4 @@
-"""The psychometric curve: recovered, its interval, and data that have none."""
+"""Tests of the psychometric curve: its recovery, its interval, and data without a curve."""
 
 import math
 
@@ -11,11 +11,13 @@ from fingerflow.models.observer import fit_psychometric
 
 STIMULI = np.linspace(0, 3, 7)
 TRIALS = np.full(7, 40)
-TRUTH = 1.2 + 0.5 * float(ndtri(0.25 / 0.48))  # stimulus of 75 % on the curve below
+TRUTH = 1.2 + 0.5 * float(ndtri(0.25 / 0.48))  # stimulus with 75 % correct answers on the curve below
 
 
 def answered(seed: int, overdispersion: float = 0.02) -> NDArray[np.int64]:
-    """Counts of a curve from 0.5 to 0.98, middle 1.2, width 0.5; the share of a block itself is drawn."""
+    """Return the numbers of correct answers (7,) of a curve from 0.5 to 0.98 with middle 1.2 and width 0.5; with
+    `overdispersion` the probability of a block is random.
+    """
     draw = np.random.default_rng(seed)
     share = 0.5 + 0.48 * ndtr((STIMULI - 1.2) / 0.5)
     if overdispersion:

@@ -1,4 +1,4 @@
-"""The table of trials, and the ideal observer as printed."""
+"""Tests of the table of trials, and of the ideal observer as printed in the paper."""
 
 import math
 from typing import Any
@@ -36,7 +36,7 @@ def test_a_table_is_a_mapping_or_a_data_frame(kind: type) -> None:
 
 
 def test_trials_of_fingers_that_slid_are_nan_and_counted() -> None:
-    """The limit itself is within; a displacement that is not known is not known to be small."""
+    """Trials in which the finger slid further than the limit, or by an unknown distance, become NaN and are counted."""
     trials = leave_out_moved(read_trials(table()))
     np.testing.assert_array_equal(trials.metrics["divergence"], [10, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(trials.metrics["global_displacement"], [0.1, 0.3, 0.2, np.nan])
@@ -83,7 +83,7 @@ def test_the_printed_observer_on_gaussians() -> None:
     assert found.d_prime == pytest.approx(d_prime(correct, incorrect, resamples=100).value, abs=0.06)
     assert found.auc == pytest.approx(ndtr(4 / 5), abs=0.01)
     assert found.criterion == pytest.approx(14 + 3 * ndtri(0.25), abs=0.15)
-    # Swept from 0 to 1 alone, as printed, the curve would end at the hits and false alarms of a criterion of 1.
+    # With criteria from 0 to 1 only, as printed, the curve would end at the hits and false alarms of a criterion of 1.
     assert found.hits[0] == found.false_alarms[0] == 1
     assert found.hits[-1] == found.false_alarms[-1] == 0
     at_one = np.searchsorted(found.criteria, 1.0)

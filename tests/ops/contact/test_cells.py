@@ -1,4 +1,4 @@
-"""Cells: means, values between them, and what a region covers."""
+"""Tests of cells: means, interpolation between cells, and the positions that a region covers."""
 
 import pytest
 import torch
@@ -29,7 +29,9 @@ def test_values_between_cells_are_those_of_a_plane() -> None:
 
 @pytest.mark.parametrize("cell", [1, 4])
 def test_a_border_is_found_to_a_fraction_of_a_pixel(cell: int) -> None:
-    """A straight border at x = 21.3 px; beyond the frame and for what is no number nothing is covered."""
+    """A straight border at x = 21.3 px separates 21.25 px from 21.35 px; positions beyond the frame and positions that
+    are NaN or infinite are not covered.
+    """
     middles = cell * torch.arange(40 // cell) + (cell - 1) / 2
     density_margin = (21.3 - middles).expand(1, 1, 30 // cell, -1)
     x = torch.tensor([[21.25, 21.35, -0.4, -0.6, torch.nan, torch.inf, 5.0, 5.0]])

@@ -1,4 +1,4 @@
-"""Filled holes and largest parts against SciPy's labels."""
+"""Tests of filled holes and largest components against SciPy's labels."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,15 @@ def scipy_largest(mask: np.ndarray) -> np.ndarray:
     labels, _ = scipy.ndimage.label(mask, np.ones((3, 3)))
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    return (labels == areas.argmax()) & mask  # argmax and SciPy's labels: the first in reading order
+    return (labels == areas.argmax()) & mask  # of equal areas the first in reading order, as SciPy labels
 
 
 @pytest.mark.parametrize("density", [0.1, 0.3, 0.41, 0.5, 0.6, 0.75, 0.95])
 @pytest.mark.parametrize("shape", [(40, 53), (64, 64), (1, 30), (30, 1), (2, 2)])
 def test_equal_scipy_on_noise(density: float, shape: tuple[int, int]) -> None:
-    """Around the densities 0.41 and 0.59 noise percolates: the parts are as long and winding as they get."""
+    """Holes and components of random masks equal SciPy's, also at the percolation densities of 0.41 and 0.59, where
+    components are longest and most winding.
+    """
     mask = np.random.default_rng(int(100 * density)).random((6, *shape)) < density
     tensor = torch.from_numpy(mask)[:, None]
     filled = np.stack([scipy.ndimage.binary_fill_holes(m) for m in mask])
@@ -37,7 +39,7 @@ def test_finger_with_ridges() -> None:
 
 
 def test_gross_contact_of_separate_ridges() -> None:
-    """A ring, a spot in it and a larger line outside it: filled first, the disc is the largest part."""
+    """A ring with a spot inside is filled before components are compared, and so is larger than a line outside."""
     mask = torch.zeros(1, 1, 40, 60, dtype=torch.bool)
     mask[0, 0, 5:25, 5:25] = True
     mask[0, 0, 6:24, 6:24] = False
@@ -50,7 +52,9 @@ def test_gross_contact_of_separate_ridges() -> None:
 
 
 def spiral(size: int) -> np.ndarray:
-    """A corridor one pixel wide between walls one pixel wide, from the outside to the middle."""
+    """Return a mask (size, size) of a corridor one pixel wide between walls one pixel wide, from the
+    outside inwards.
+    """
     wall = np.zeros((size, size), dtype=bool)
     y, x, dy, dx = 0, 0, 0, 1
     wall[0, 0] = True

@@ -1,4 +1,4 @@
-"""The lamp's brightness from the glass that is seen: skin little darker than it, hardly any glass, none."""
+"""Tests of the illumination gain: skin little darker than glass, hardly any glass, and no glass."""
 
 import math
 
@@ -14,13 +14,13 @@ RIDGES_PX = 14.0
 
 
 def glass(height: int, width: int) -> Tensor:
-    """Uneven light of a lamp, (1, 1, H, W) counts."""
+    """Return the uneven light of a lamp, (1, 1, H, W) counts."""
     y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
     return (200 - 60 * (x * x + 0.5 * y * y) + 20 * x)[None, None]
 
 
 def kept(height: int, width: int, share: float, angle: float, valley: float) -> Tensor:
-    """Light kept (1, 1, H, W) by skin with ridges over this share of a view."""
+    """Return the share of light (1, 1, H, W) that remains where skin with ridges covers this share of the frame."""
     y, x = torch.meshgrid(torch.arange(height) - height / 2, torch.arange(width) - width / 2, indexing="ij")
     inside = torch.hypot(x / width, y / height) < math.sqrt(share / math.pi) if share < 1 else torch.ones_like(x) > 0
     ridge = torch.cos(2 * math.pi / RIDGES_PX * (x * math.cos(angle) + y * math.sin(angle))) > 0
@@ -36,7 +36,9 @@ def frame(light: Tensor, share: Tensor, gain: float, noise: float = 2.0, seed: i
 @pytest.mark.parametrize("gain", [0.8, 0.97, 1.0, 1.2])
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 def test_gain_is_that_of_the_glass(shape: tuple[int, int], gain: float, share: float) -> None:
-    """To 0.3 % where few blocks are free; skin between ridges keeps 98 % of the light and is not mistaken for it."""
+    """The gain is found to 0.3 %, even if few blocks show glass; skin between ridges transmits 98 % of the light and is
+    not mistaken for glass.
+    """
     light = glass(*shape) * 0.9
     for angle in (0.0, 0.7, math.pi / 2):
         view = frame(light, kept(*shape, share, angle, 0.02), gain)
@@ -58,7 +60,7 @@ def test_a_reflection_and_dirt_do_not_count() -> None:
     share[..., 10:60, 20:70] = 1.25
     share[..., 400:440, 600:630] = 0.7
     view = frame(light, share, 0.95)
-    view[..., ::53, ::31] = 255  # salt
+    view[..., ::53, ::31] = 255  # salt noise
     assert float(illumination_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(0.95, rel=0.003)
 
 
@@ -73,7 +75,9 @@ def test_dtype_changes_nothing(dtype: torch.dtype) -> None:
 
 
 def test_hard_frames_have_no_gain() -> None:
-    """Blank, saturated, not a number; light that has gone up or down so far that it could be contact."""
+    """Blank, saturated and NaN frames have no gain; neither have frames whose light changed so far that the change
+    could be contact.
+    """
     light = glass(128, 160)
     black = torch.zeros_like(light)
     frames = torch.cat([0 * light, 0 * light + 2000, light * torch.nan, 0.5 * light, 1.6 * light])
@@ -86,7 +90,7 @@ def test_hard_frames_have_no_gain() -> None:
 
 @pytest.mark.parametrize("shape", [(0, 1, 64, 64), (2, 1, 5, 7), (1, 1, 16, 15), (3, 1, 33, 47)])
 def test_small_frames(shape: tuple[int, ...]) -> None:
-    """Without a whole block nothing is known."""
+    """A frame smaller than one block has no gain (NaN)."""
     light = torch.full((1, *shape[1:]), 100.0)
     gains = illumination_gain(0.9 * light.expand(shape), light, 0 * light)
     assert gains.shape == shape[:1]

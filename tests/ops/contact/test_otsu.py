@@ -1,4 +1,4 @@
-"""Counts against NumPy, thresholds against OpenCV; hard frames."""
+"""Tests of Otsu's threshold against OpenCV and of histograms against NumPy, with hard frames."""
 
 from pathlib import Path
 
@@ -52,7 +52,9 @@ def test_mask_is_the_same_as_cutting_out() -> None:
 
 @pytest.mark.parametrize(("dtype", "bits"), [(torch.int16, 10), (torch.int16, 12), (torch.uint16, 16)])
 def test_more_bits_give_the_same_classes(dtype: torch.dtype, bits: int) -> None:
-    """A frame shifted left by some bits, in bins as much wider, has the same classes and the shifted threshold."""
+    """A frame shifted left by some bits has the same classes and the shifted threshold if its bins are as
+    much wider.
+    """
     frame = torch.from_numpy(two_classes(np.random.default_rng(3), (64, 80)))[None, None]
     scale = 2 ** (bits - 8)
     threshold = otsu_threshold(frame)
@@ -101,7 +103,7 @@ def test_two_grey_levels_are_separated(low: int, high: int) -> None:
     frame = torch.full((1, 1, 8, 8), low, dtype=torch.uint8)
     frame[..., 2, 3] = high
     threshold = otsu_threshold(frame)
-    assert threshold.item() == low  # the lowest of equally good ones
+    assert threshold.item() == low  # the lowest of equally good thresholds
     assert torch.equal(frame > threshold.item(), frame == high)
 
 

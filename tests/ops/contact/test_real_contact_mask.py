@@ -1,4 +1,4 @@
-"""What lies below a share of the light, against SciPy's median of the intensity lost; hard frames."""
+"""Tests of `real_contact_mask` against SciPy's median of the intensity loss, with hard frames."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ pytestmark = pytest.mark.usefixtures("each_form")
 
 
 def scene(shape: tuple[int, int, int], dtype: torch.dtype, bits: int = 8) -> tuple[Tensor, Tensor, Tensor]:
-    """Frames that keep 20 to 110 % of the light of an uneven empty glass, which is a mean of several frames."""
+    """Return frames (B, 1, H, W) that keep 20 to 110 % of the light, the light (1, 1, H, W) of an uneven empty glass,
+    and the dark image (1, 1, H, W), in counts.
+    """
     generator = torch.Generator().manual_seed(shape[2])
     batch, height, width = shape
     scale = 2.0 ** (bits - 8)
@@ -35,11 +37,11 @@ def test_is_the_median_of_the_intensity_loss(
     size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]
 ) -> None:
     frames, light, black = scene(shape, dtype, bits)
-    limit = torch.linspace(0.65, 0.68, len(frames))  # about the median
+    limit = torch.linspace(0.65, 0.68, len(frames))  # near the median share of the light
     found = real_contact_mask(frames, light, black, limit, size)
     lit = (light > 0).numpy()[0, 0]
     for k, frame in enumerate(frames.to(torch.float32 if dtype != torch.float64 else dtype).numpy()[:, 0]):
-        # Of what is not lit no light is lost.
+        # Pixels that are not lit lose no light.
         lost = np.where(lit, (limit[k] * light + black).numpy()[0, 0] - frame, -1.0)
         median = scipy.ndimage.median_filter(lost, size, mode="nearest")
         assert np.array_equal(found[k, 0].numpy(), (median > 0) & lit)
@@ -57,7 +59,9 @@ def test_a_limit_between_whole_numbers_and_on_one() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
 def test_without_a_limit_nothing_counts(dtype: torch.dtype) -> None:
-    """Not even a lit pixel that is darker than the dark frame, which a limit of 0 would count."""
+    """With a limit of NaN no pixel counts, not even a lit pixel darker than the dark image, which a limit
+    of 0 counts.
+    """
     light, black = torch.full((1, 1, 20, 70), 90.0), torch.full((1, 1, 20, 70), 12.0)
     light[..., :5] = 0
     frames = torch.full((2, 1, 20, 70), 8).to(dtype)

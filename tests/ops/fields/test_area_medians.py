@@ -1,4 +1,4 @@
-"""Medians over the area of a deformed ellipse, against closed forms, by both forms of the op."""
+"""Tests of medians over the area of a deformed ellipse against closed forms, by both implementations of the op."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ GAUGE = 1.6
 
 
 def cloud(step: float = 0.35, half: float = 7.0) -> Tensor:
-    """(N, 2) places near the nodes of a grid, float64."""
+    """Return positions (N, 2), float64, near the nodes of a grid."""
     axis = torch.arange(-half, half, step, dtype=torch.float64)
     nodes = torch.cartesian_prod(axis, axis)
     return nodes + 0.3 * step * (torch.rand(nodes.shape, generator=torch.Generator().manual_seed(1)).double() - 0.5)
@@ -31,7 +31,7 @@ def medians(
     kind: torch.dtype = torch.float32,
     **settings: Any,
 ) -> AreaMedians:
-    """Of one frame."""
+    """Return the medians of one frame."""
     ellipse = (torch.tensor([center]), torch.tensor([semi_axes]), torch.tensor([angle]))
     return area_medians(places[None].to(kind), displacement[None].to(kind), *ellipse, gauge_length=GAUGE, **settings)
 
@@ -39,8 +39,11 @@ def medians(
 @pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (300.0, -200.0)])
 def test_a_uniform_gradient_by_reference_positions(measure: str, origin: tuple[float, float]) -> None:
-    """Exact for any deformation: the fit by current positions and the backward check are. Positions of 300 mm are
-    rounded to 3e-5 mm, over a gauge length of 1.6 mm and some 16 points."""
+    """Medians of a uniform finite deformation are exact, since the fit in current coordinates is converted exactly.
+
+    Far from the origin the tolerance is 1e-4: float32 rounds positions of 300 mm to 3e-5 mm, over a gauge length of 1.6
+    mm and some 16 points.
+    """
     gradient = torch.tensor([[0.2, -0.3], [0.25, 0.1]], dtype=torch.float64)
     places = cloud()
     away = torch.tensor(origin)
@@ -55,10 +58,13 @@ def test_a_uniform_gradient_by_reference_positions(measure: str, origin: tuple[f
 
 @pytest.mark.parametrize("stretch", [0.0, 0.2, -0.2])
 def test_the_median_is_that_of_the_current_area(stretch: float) -> None:
-    """du/dx = s + k X^2 while skin stretches along x by s: half of a disc of radius R lies within 0.40397 R of a
-    diameter now, which was 0.40397 R / (1 + s). Over reference positions there would be no such factor.
+    """The median is weighted by current area: with du/dx = s + k X^2 on skin stretched by s along x, the median is the
+    value at X = 0.40397 R / (1 + s).
 
-    The fit smooths: it adds k r^2 / 10, r its radius, 5 % of what is looked for; the positions' places are 1 %."""
+    Half of a disc of radius R lies within 0.40397 R of a diameter. A median over reference positions would lack the
+    factor 1 / (1 + s). The fit smooths and adds k r^2 / 10 for its radius r, 5 % of the term sought; the finite number
+    of positions costs 1 %.
+    """
     places, k = cloud(), 0.002
     x = places[:, 0]
     u = torch.stack((stretch * x + k * x**3 / 3, torch.zeros_like(x)), dim=1)
@@ -69,16 +75,18 @@ def test_the_median_is_that_of_the_current_area(stretch: float) -> None:
 
 
 def test_points_may_crowd_anywhere() -> None:
-    """Divergence grows with x: the median is its value in the middle, wherever most points are."""
+    """The median of a divergence that grows with x is its value in the middle of the ellipse, wherever
+    most points lie.
+    """
     places = torch.cat((cloud(), 0.5 * cloud(0.35, 3.5) - torch.tensor([3.3, 0.0])))
     u = torch.stack((0.005 * places[:, 0] ** 2, torch.zeros(len(places), dtype=torch.float64)), dim=1)
     found = medians(places, u, center=(0.5, 0.0)).median[0, 0].item()
-    assert found == pytest.approx(0.005, abs=2e-4)  # a fiftieth of the half of the range
+    assert found == pytest.approx(0.005, abs=2e-4)  # 1/50 of half the range of the divergence
     assert (0.01 * places[:, 0]).median() < -0.005
 
 
 def test_a_turned_ellipse() -> None:
-    """Curl |along|: 0.40397 of the first semi axis, and of the second one if it is |across|."""
+    """The median of a curl proportional to |distance along an axis| is its value at 0.40397 of that semi-axis."""
     angle = torch.tensor(0.5, dtype=torch.float64)
     along, across = (
         torch.stack((f(angle), g(angle))) for f, g in ((torch.cos, torch.sin), (lambda a: -a.sin(), torch.cos))
@@ -127,8 +135,11 @@ def test_skin_that_travelled_further_than_the_ellipse_is_wide() -> None:
 
 
 def test_how_much_of_an_area_is_known() -> None:
-    """A cloud that ends at x = c, and an ellipse around it: beyond the border by 0.01 gauge lengths at most, as the
-    centroid of what a fit sees must lie within 0.16 of one, and does within 0.15 of a straight border."""
+    """The known share of an ellipse crossed by the border of the cloud equals the covered share to 0.05.
+
+    Fits extend beyond the border by 0.01 gauge lengths at most: the centroid of the points of a fit must lie within
+    0.16 gauge lengths of the position, and does within 0.15 at a straight border.
+    """
     places = cloud()
     for border in (-1.0, 0.0, 1.5):
         cut = places.masked_fill(places[:, :1] > border, torch.nan)
@@ -163,8 +174,12 @@ def test_frames_of_a_batch_have_their_own_ellipse_and_points() -> None:
     ("curvature", "noise"), [(0.0, 0.001), (0.04, 0.001), (0.04, 0.004)], ids=["uniform", "varied", "noisy"]
 )
 def test_the_stated_deviation_is_that_of_noisy_copies(curvature: float, noise: float) -> None:
-    """240 copies know a standard deviation to 5 %. In a field that varies little beside its noise all positions count,
-    in one that varies much those next to the median: within a quarter in both."""
+    """The stated standard deviation agrees within a quarter with the scatter of 240 noisy copies, which is known to 5
+    %.
+
+    In a field that varies little compared to its noise all positions determine the median; in one that varies much, the
+    positions next to the median do.
+    """
     copies, places = 240, cloud(0.4, 5.0)
     shape = torch.exp(-places.square().sum(1, keepdim=True) / 12)
     u = places @ torch.tensor([[0.03, 0.02], [-0.01, 0.03]], dtype=torch.float64) + curvature * places * shape
@@ -199,7 +214,7 @@ def test_points_without_a_covariance_take_no_part() -> None:
 
 
 def test_double_precision() -> None:
-    """Float64 goes the portable way."""
+    """Float64 input is computed in float64, by the portable form."""
     found = medians(cloud(), 0.03 * cloud(), kind=torch.float64)
     assert found.median.dtype == torch.float64
     assert found.median[0, 0].item() == pytest.approx(0.06, abs=1e-12)

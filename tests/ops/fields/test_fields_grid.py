@@ -1,4 +1,4 @@
-"""Scattered points to grid nodes: smooth fields come back, and nothing is invented outside the cloud."""
+"""Tests of scattered points to grid nodes: smooth fields are reproduced, and nodes outside the cloud are NaN."""
 
 import math
 
@@ -12,7 +12,7 @@ GAUGE = 1.5
 
 
 def disc_cloud(count: int = 700, radius: float = 5.0) -> Tensor:
-    """Points (1, count, 2) spread evenly over a disc (a sunflower), with a small jitter."""
+    """Return points (1, count, 2) spread evenly over a disc (a sunflower pattern), with a small jitter."""
     index = torch.arange(count, dtype=torch.float64) + 0.5
     distance, angle = radius * (index / count).sqrt(), index * math.pi * (3 - 5**0.5)
     points = torch.stack((distance * angle.cos(), distance * angle.sin()), dim=-1)[None]
@@ -38,7 +38,9 @@ def test_a_linear_field_is_exact_and_rows_are_y() -> None:
 
 
 def test_a_smooth_field_comes_back_to_the_smoothing_of_its_gauge() -> None:
-    """The Laplacian of this field is under 0.46 and the fit lifts it by R^2 / 16 times that: 0.016."""
+    """A smooth field is reproduced to 0.02: its Laplacian is below 0.46, and the fit adds R^2 / 16 times the Laplacian,
+    0.016.
+    """
     points = disc_cloud()
     grid_x, grid_y = axes()
     rows, columns = torch.meshgrid(grid_y, grid_x, indexing="ij")
@@ -53,7 +55,7 @@ def test_a_smooth_field_comes_back_to_the_smoothing_of_its_gauge() -> None:
     halved = scattered_to_grid(points, values, grid_x, grid_y, GAUGE / 2)[0, 0]
     both = field.isfinite() & halved.isfinite()
     finer, coarser = (halved - truth(columns, rows))[both], (field - truth(columns, rows))[both]
-    assert finer.square().mean() < 0.2 * coarser.square().mean()  # a quarter of the error, a sixteenth of its square
+    assert finer.square().mean() < 0.2 * coarser.square().mean()  # a quarter of the error, squared 1/16
 
 
 def test_nodes_inside_are_filled_and_nodes_outside_are_nan() -> None:

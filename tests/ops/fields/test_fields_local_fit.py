@@ -1,4 +1,4 @@
-"""The local linear fit against linear, quadratic and sinusoidal fields, and against the same fit done one by one."""
+"""Tests of the local linear fit against linear, quadratic and sinusoidal fields, and against NumPy's least squares."""
 
 import math
 
@@ -19,13 +19,13 @@ GAUGE = 2.0
 
 
 def cloud(batch: int = 1, count: int = 200, size: float = 6.0, seed: int = 5) -> Tensor:
-    """Points (batch, count, 2), uniform over a square of `size`: 14 a support of diameter 2 inside."""
+    """Return points (batch, count, 2), uniform over a square of `size`: by default 14 in a support of diameter 2."""
     generator = torch.Generator().manual_seed(seed)
     return size * torch.rand(batch, count, 2, generator=generator, dtype=torch.float64)
 
 
 def inner_queries(count: int) -> Tensor:
-    """Queries (1, count, 2) that the cloud surrounds."""
+    """Return queries (1, count, 2) inside the cloud."""
     return 1 + cloud(count=count, size=4.0, seed=7)
 
 
@@ -34,13 +34,13 @@ def noise_like(tensor: Tensor, seed: int = 6) -> Tensor:
 
 
 def dense_lattice(spacing: float, radius: float) -> Tensor:
-    """A square lattice (1, N, 2) around the origin that fills the support of this radius."""
+    """Return a square lattice (1, N, 2) around the origin that fills the support of this radius."""
     axis = torch.arange(-radius, radius + spacing / 2, spacing, dtype=torch.float64)
     return torch.cartesian_prod(axis, axis)[None]
 
 
 def fit_one_by_one(points: Tensor, values: Tensor, query: Tensor, gauge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (3, C) of the plane at the query, and the matrix (3, N) that gives them, by NumPy least squares."""
+    """Return the coefficients (3, C) of the plane at the query and the estimator (3, N), by NumPy's least squares."""
     offsets = (points - query).numpy()
     weight = np.clip(1 - (offsets**2).sum(-1) / (gauge / 2) ** 2, 0, None) ** 2
     design = np.column_stack((np.ones(len(offsets)), offsets))
@@ -55,7 +55,7 @@ def test_a_linear_field_is_exact() -> None:
     fit = local_gradients(points, values, gauge_length=GAUGE)
     known = fit.gradient.isfinite().all(-1).all(-1)
     assert known.float().mean() > 0.95
-    # Rounding, amplified by the worst support that is let through (spread of 0.1 of the radius: factor 1e2).
+    # Rounding, amplified by the worst support that is accepted (spread of 0.1 of the radius: factor 1e2).
     torch.testing.assert_close(fit.gradient[known], GRADIENT.expand(int(known.sum()), 2, 2), atol=1e-12, rtol=0)
     torch.testing.assert_close(fit.value[known], values[known], atol=1e-12, rtol=0)
 
@@ -74,7 +74,9 @@ def test_the_same_as_least_squares_done_one_by_one() -> None:
 
 
 def test_a_permuted_list_of_points_gives_the_same_field() -> None:
-    """The lab's script differences along the list of points, which depends on their order."""
+    """The order of the points does not matter; the lab's script, which differentiates along the list of points, depends
+    on the order.
+    """
     points = cloud()
     values = torch.stack((points[..., 0].sin(), (points[..., 0] * points[..., 1]).cos()), dim=-1)
     order = torch.randperm(points.shape[1], generator=torch.Generator().manual_seed(8))
@@ -88,7 +90,10 @@ def test_a_permuted_list_of_points_gives_the_same_field() -> None:
 
 @pytest.mark.parametrize("waves_per_gauge", [0.125, 0.25, 0.5, 1.0])
 def test_a_sinusoid_is_attenuated_as_the_docstring_says(waves_per_gauge: float) -> None:
-    """Truth: the continuous fit, integrated in float64. Over y the weight integrates to (1 - x^2)^(5/2)."""
+    """The fit attenuates a sinusoid as the docstring states.
+
+    The reference is the continuous fit, integrated in float64; integrated over y its weight is (1 - x^2)^(5/2).
+    """
     radius, wave_number = GAUGE / 2, 2 * math.pi * waves_per_gauge / GAUGE
 
     def weight(x: float) -> float:
@@ -177,7 +182,9 @@ def test_supports_that_determine_no_plane_are_nan_at_any_scale(support: list[lis
 
 @pytest.mark.usefixtures("each_form")
 def test_points_on_the_rim_are_outside() -> None:
-    """Whole numbers have exact distances: the same points count, in any order of the sums."""
+    """Points on the rim of the support do not count; distances between whole numbers are exact, so the count does not
+    depend on the order of sums.
+    """
     axis = torch.arange(40.0)
     points = torch.cartesian_prod(axis, axis)[None]
     inside = torch.cdist(points[0], points[0]).square().round() < 25
@@ -200,7 +207,7 @@ def test_float32_far_from_the_origin() -> None:
     truth = local_gradients(points.double(), values.double(), gauge_length=GAUGE)
     assert torch.equal(fit.point_count, truth.point_count)
     assert fit.gradient.isfinite().float().mean() > 0.95
-    # eps x displacement of 0.5 over a spread of 0.1 at worst, some tens of roundings; raw moments would miss by 1e2.
+    # eps x displacement of 0.5 over a spread of at least 0.1, some tens of roundings; raw moments would err by 1e2.
     torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=2e-5, rtol=0, equal_nan=True)
     torch.testing.assert_close(fit.value.double(), truth.value, atol=2e-6, rtol=0, equal_nan=True)
 
@@ -286,7 +293,7 @@ def test_the_centroid_offset_tells_the_border() -> None:
 
 
 def test_autograd(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 2 * 12 * 2)  # two queries a piece
+    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 2 * 12 * 2)  # two queries in each chunk
     points = cloud(2, count=12, size=1.0).requires_grad_()
     values = noise_like(points).requires_grad_()
     variance = (0.1 + cloud(2, count=12, size=1.0, seed=9)[..., 0]).requires_grad_()
@@ -306,7 +313,7 @@ def test_autograd(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_autograd_stays_finite_beside_missing_points() -> None:
     points = cloud(1, count=40)
     points[0, 0] = torch.nan
-    points[0, 1] = 100.0  # alone
+    points[0, 1] = 100.0  # no other point in its support
     values = noise_like(points)
     values[0, 2] = torch.nan
     points.requires_grad_()

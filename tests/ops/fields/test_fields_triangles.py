@@ -1,4 +1,4 @@
-"""Gradients, areas and quality of triangles against linear fields that are known."""
+"""Tests of gradients, areas and quality of triangles against known linear fields."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ UNIT_TRIANGLE = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]], dtype=torch
 
 
 def lattice(side: int = 6) -> tuple[Tensor, Tensor]:
-    """A jittered lattice (1, side^2, 2) of unit spacing and its 2 (side - 1)^2 triangles, none of them flat."""
+    """Return a jittered lattice (1, side^2, 2) of unit spacing and its 2 (side - 1)^2 triangles, none of them flat."""
     generator = torch.Generator().manual_seed(1)
     rows, columns = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
     points = torch.stack((columns, rows), dim=-1).reshape(1, -1, 2).double()
@@ -181,7 +181,9 @@ def test_autograd_stays_finite_beside_missing_points() -> None:
 
 
 def test_a_known_finite_deformation_gives_its_green_lagrange_strain() -> None:
-    """On current positions, as in the lab's script, it comes out wrong: 0.095 for 0.105 even without the rotation."""
+    """Gradients on reference positions give the Green-Lagrange strain of a known deformation. Gradients on current
+    positions, as in the lab's script, give 0.095 instead of 0.105 even without the rotation.
+    """
     points, triangles = lattice()
     deformation = torch.tensor([[1.1, 0.0], [0.0, 1.0]], dtype=torch.float64)
     turn = torch.tensor([[0.8, -0.6], [0.6, 0.8]], dtype=torch.float64)

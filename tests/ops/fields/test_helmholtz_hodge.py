@@ -1,4 +1,4 @@
-"""The natural Helmholtz-Hodge decomposition: fields whose parts are known in closed form."""
+"""Tests of the natural Helmholtz-Hodge decomposition on fields whose parts are known in closed form."""
 
 import pytest
 import torch
@@ -10,7 +10,9 @@ RADIUS = 1.0  # of a disc of sources or vortices
 
 
 def grid(pixels: int, half: float = 2.0) -> tuple[Tensor, Tensor, float]:
-    """Pixel centres of a square from -half to half, float64."""
+    """Return x and y (pixels, pixels), float64, of the pixel centres of a square from -half to half, and the pixel
+    size.
+    """
     size = 2 * half / pixels
     axis = (torch.arange(pixels, dtype=torch.float64) + 0.5) * size - half
     y, x = torch.meshgrid(axis, axis, indexing="ij")
@@ -18,19 +20,21 @@ def grid(pixels: int, half: float = 2.0) -> tuple[Tensor, Tensor, float]:
 
 
 def blob(x: Tensor, y: Tensor, width: float = 0.35) -> Tensor:
-    """(1, 2, H, W) radial flow of a Gaussian source of this width: (1 - exp(-r^2 / 2 w^2)) x / r^2."""
+    """Return the radial flow (1, 2, H, W) of a Gaussian source of this width: (1 - exp(-r^2 / 2 w^2)) x / r^2."""
     squared = x.square() + y.square()
     share = -torch.expm1(-squared / (2 * width**2)) / squared
     return torch.stack((share * x, share * y))[None]
 
 
 def turned(field: Tensor) -> Tensor:
-    """By a right angle: a source becomes a vortex."""
+    """Return a field (1, 2, H, W) with its vectors rotated by a right angle, which turns a source into a vortex."""
     return torch.stack((-field[:, 1], field[:, 0]), 1)
 
 
 def test_a_source_is_irrotational_and_a_vortex_solenoidal() -> None:
-    """To 1 % of the largest speed with 64 pixels, 11 a width: an error of the second order, a quarter with 128."""
+    """A source is irrotational and a vortex solenoidal to 1 % of the largest speed with 64 pixels (11 per width); with
+    128 pixels the error falls to less than a third, as an error of second order does.
+    """
     errors = []
     for pixels in (64, 128):
         x, y, _ = grid(pixels)
@@ -38,7 +42,7 @@ def test_a_source_is_irrotational_and_a_vortex_solenoidal() -> None:
         largest = source.abs().max()
         parts = helmholtz_hodge(source)
         errors.append(float((parts.irrotational - source).abs().max() / largest))
-        # A central difference sees no curl in it but its own error.
+        # A source has no curl but the error of the central differences.
         assert parts.solenoidal.abs().max() < 0.01 * largest
         swirl = helmholtz_hodge(turned(source))
         torch.testing.assert_close(swirl.solenoidal, turned(parts.irrotational), rtol=0, atol=1e-12)
@@ -47,7 +51,9 @@ def test_a_source_is_irrotational_and_a_vortex_solenoidal() -> None:
 
 
 def test_parts_of_a_sum() -> None:
-    """A source and a vortex at different places with a translation: each part to 1 % of the largest speed."""
+    """The parts of a source, a vortex and a translation at different positions are found to 1 % of the
+    largest speed.
+    """
     x, y, _ = grid(96)
     source, vortex = blob(x - 0.3, y + 0.2), turned(blob(x + 0.4, y))
     shift = torch.tensor([0.7, -0.4], dtype=torch.float64)[:, None, None]
@@ -59,7 +65,9 @@ def test_parts_of_a_sum() -> None:
 
 @pytest.mark.parametrize("name", ["translation", "saddle", "higher"])
 def test_a_harmonic_field_is_harmonic(name: str) -> None:
-    """Central differences are exact for these polynomials inside; the cubic's are wrong by a constant in both sums."""
+    """Fields without divergence and curl are entirely harmonic. Central differences are exact inside for these
+    polynomials; one-sided differences at the border leave an error of first order for "higher".
+    """
     x, y, size = grid(48)
     fields = {
         "translation": (torch.ones_like(x), -2 * torch.ones_like(x)),
@@ -68,7 +76,7 @@ def test_a_harmonic_field_is_harmonic(name: str) -> None:
     }
     field = torch.stack(fields[name])[None]
     parts = helmholtz_hodge(field)
-    # First order at the border of the frame, where differences are one-sided.
+    # One-sided differences at the border of the frame have an error of first order.
     limit = 1e-12 if name != "higher" else 2 * size
     assert parts.irrotational.abs().max() <= limit
     assert parts.solenoidal.abs().max() <= limit
@@ -76,10 +84,10 @@ def test_a_harmonic_field_is_harmonic(name: str) -> None:
 
 
 def test_rotation_and_dilation_of_a_disc() -> None:
-    """A masked disc that turns, and one that grows: constant curl or divergence fills it, and its own field is all.
+    """A rotating disc is entirely solenoidal and a growing disc entirely irrotational, to 3 % of the speed at the rim.
 
-    int grad G div f over a disc of constant divergence 2 is x itself. The border of the disc is a staircase: 3 % of
-    the rim's speed with 64 pixels across.
+    The integral of grad G div f over a disc of constant divergence 2 is x itself. The border of the disc is a
+    staircase, an error of 3 % with 64 pixels across.
     """
     x, y, _ = grid(96, half=1.5)
     inside = (x.square() + y.square() < RADIUS**2)[None, None]

@@ -1,4 +1,4 @@
-"""Divergence, curl, shear, strain and energy against deformations that are known, and against the printed errors."""
+"""Tests of divergence, curl, shear, strain and energy against known deformations and against the printed formulas."""
 
 import math
 
@@ -79,7 +79,7 @@ def test_full_strain_is_half_of_f_transposed_f_minus_identity() -> None:
 
 
 def test_eyy_uses_dv_dy() -> None:
-    """The lab's script has dv/dx there: a stretch along y would vanish and a shear would stretch y."""
+    """eyy uses dv/dy. The lab's script uses dv/dx, with which a stretch along y vanishes and a shear stretches y."""
     along_y = torch.tensor([[0.0, 0.0], [0.0, 0.1]], dtype=torch.float64)
     sheared = torch.tensor([[0.0, 0.0], [0.1, 0.0]], dtype=torch.float64)
     for measure, stretched in (("green_lagrange", 0.105), ("as_printed", 0.105), ("infinitesimal", 0.1)):
@@ -105,7 +105,7 @@ def test_simple_shear_and_uniaxial_stretch() -> None:
 def test_lower_precision_agrees_to_its_own_rounding(dtype: torch.dtype) -> None:
     gradient = random_gradients(size=0.05).to(dtype)
     truth = gradient.double()
-    limit = 4 * torch.finfo(dtype).eps  # a handful of roundings of numbers under 0.5
+    limit = 4 * torch.finfo(dtype).eps  # a few roundings of numbers below 0.5
     for low, high in (
         (divergence(gradient), divergence(truth)),
         (curl(gradient), curl(truth)),
@@ -150,13 +150,13 @@ def test_equal_principal_strains_have_no_direction_and_a_finite_derivative() -> 
 
 
 def test_tiny_strains_keep_their_direction_in_half_precision() -> None:
-    """The squares of 1e-4 vanish in float16; the principal strains must not."""
+    """Principal strains of 1e-4 are found in float16 although the squares of these strains underflow."""
     principal = principal_strains(torch.tensor([1e-4, -1e-4, 0.0], dtype=torch.float16))
     torch.testing.assert_close(principal.strains, torch.tensor([1e-4, -1e-4], dtype=torch.float16), atol=0, rtol=2e-3)
 
 
 def hooke_plane_strain(strain: Tensor, young: float, poisson: float) -> Tensor:
-    """sxx, syy, sxy by Lame's constants, another route than the energy formula."""
+    """Return the stress (sxx, syy, sxy) of a plane strain by Lame's constants, independent of the energy formula."""
     first = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     second = young / (2 * (1 + poisson))
     exx, eyy, exy = strain.unbind(-1)

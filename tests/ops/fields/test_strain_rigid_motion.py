@@ -1,4 +1,4 @@
-"""What remains after the best rigid motion: nothing for a rigid one, and what was added otherwise."""
+"""Tests of the residual after the best rigid motion: zero for a rigid motion, else the deformation that was added."""
 
 import math
 
@@ -76,7 +76,9 @@ def test_missing_points_have_no_part(bad: float) -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("count", [0, 1, 50])
 def test_one_place_determines_no_rotation(count: int, dtype: torch.dtype, offset: float) -> None:
-    """Weights round the centroid off the place in about half of these 50 frames; that is no distance to turn about."""
+    """Points at one position determine no rotation, so the residual is NaN. Weighted sums round the centroid off that
+    position in about half of these 50 frames; this distance must not determine a rotation.
+    """
     generator = torch.Generator().manual_seed(19)
     places = torch.rand(50, 1, 2, generator=generator, dtype=torch.float64) + offset
     points = places.to(dtype).expand(-1, count, -1)
@@ -97,7 +99,7 @@ def test_float32_far_from_the_origin() -> None:
     exact = points.double() - 1e5
     displacement = rigid_displacement(exact, 1e-3, (0.0, 0.0)) + wobble(exact, 1e-3)
     truth = rigid_residual(exact, displacement)
-    # A few eps (6e-8) of the displacement of 0.01.
+    # A few eps (6e-8) times the displacement of 0.01.
     residual = rigid_residual(points, displacement.float()).double()
     torch.testing.assert_close(residual, truth, atol=3e-9, rtol=0)
 

@@ -1,4 +1,4 @@
-"""The covariance of the fitted gradient and what follows for divergence, curl and strain."""
+"""Tests of the covariance of the fitted gradient and of the standard deviations of divergence, curl and strain."""
 
 import math
 
@@ -15,7 +15,9 @@ MEASURES = ("green_lagrange", "as_printed", "infinitesimal")
 
 
 def scene() -> tuple[Tensor, Tensor, Tensor]:
-    """Points (1, 60, 2), three queries and a covariance (1, 60, 2, 2) that differs from point to point, correlated."""
+    """Return points (1, 60, 2), three queries (1, 3, 2) and a covariance (1, 60, 2, 2) that differs from point to
+    point.
+    """
     generator = torch.Generator().manual_seed(11)
     points = 3 * torch.rand(1, 60, 2, generator=generator, dtype=torch.float64)
     queries = torch.tensor([[[1.5, 1.5], [1.0, 2.0], [0.3, 0.3]]], dtype=torch.float64)
@@ -24,7 +26,7 @@ def scene() -> tuple[Tensor, Tensor, Tensor]:
 
 
 def test_the_covariance_is_that_of_the_linear_estimator() -> None:
-    """The gradient is J v with J by autograd, so its covariance is J S J' exactly."""
+    """The covariance is J S J', where J is the derivative of the gradient by the values, from autograd."""
     points, queries, covariance = scene()
 
     def gradient(values: Tensor) -> Tensor:
@@ -50,7 +52,9 @@ def test_an_isotropic_variance_is_a_diagonal_covariance() -> None:
 
 
 def test_the_spread_of_noisy_fits_is_the_predicted_one() -> None:
-    """4000 noisy copies of a deformed cloud. A standard deviation from 4000 is known to 1.1 %: five sigma are 6 %."""
+    """The scatter of 4000 noisy copies of a deformed cloud is the predicted one to 6 %: five times the 1.1 % to which
+    4000 copies know a standard deviation.
+    """
     points, queries, covariance = scene()
     deformation = torch.tensor([[0.05, -0.2], [0.25, -0.1]], dtype=torch.float64)
     factor = torch.linalg.cholesky(covariance)

@@ -1,4 +1,4 @@
-"""Sums over windows against convolution by the definition."""
+"""Tests of sums over windows against the sums of unfolded windows."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""The quotient by the empty glass against its definition, and the byte that carries the contact signal."""
+"""Tests of the quotient of a frame and the empty glass, and of the byte that encodes the contact signal."""
 
 from pathlib import Path
 
@@ -10,14 +10,14 @@ from fingerflow.ops.filters.illumination import contact_signal, dequantize, norm
 
 
 def lamp(height: int = 40, width: int = 50) -> torch.Tensor:
-    """An uneven light, 60 to 200 counts everywhere."""
+    """Return uneven light (1, 1, H, W), float64, from 60 to 200 counts."""
     y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
     return (200 - 70 * (x.square() + y.square()))[None, None].double()
 
 
 @pytest.mark.parametrize(
     ("dtype", "full", "tolerance"),
-    # Half a count of rounding in frame and reference, over the darkest 60 / 200 of full light.
+    # Half a count of rounding in frame and reference, relative to the darkest pixels, 60 / 200 of full light.
     [(torch.uint8, 200, 0.02), (torch.int16, 4000, 1e-3), (torch.uint16, 60000, 7e-5), (torch.float32, 1.0, 1e-6)],
 )
 def test_uneven_light_cancels(dtype: torch.dtype, full: float, tolerance: float) -> None:
@@ -94,7 +94,9 @@ def test_levels_round_trip_within_half_a_level() -> None:
 
 
 def test_rig_background_does_not_explode(shared_data: Path) -> None:
-    """Hundreds of pixels of the empty rig are 0 or nearly so: a plain division is infinite there."""
+    """Hundreds of pixels of the rig's empty image are 0 or nearly so, where a plain division is infinite: they are
+    masked.
+    """
     empty, target = (
         torch.from_numpy(cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE)[:, 640:].copy())[None, None]
         for name in ("empty.jpg", "piece.jpg")
@@ -106,7 +108,7 @@ def test_rig_background_does_not_explode(shared_data: Path) -> None:
     assert not normalized.valid[black].any()
     assert normalized.valid[..., 156:356, 220:420].all()  # the lit disc
     assert (normalized.frames[~normalized.valid] == 1).all()
-    # The brightest count, 101, over 5 % of full light, about 120.
+    # The brightest pixel has 101 counts; the darkest valid light is 5 % of about 120 counts.
     assert normalized.frames.max() < 101 / (0.05 * 115)
     assert torch.equal(normalize_illumination(empty, empty).frames, torch.ones(1, 1, 512, 640))
 
@@ -156,7 +158,7 @@ def test_saturated_frame_is_brighter_than_the_glass_never_contact() -> None:
     reference = torch.full((1, 1, 8, 8), 200, dtype=torch.uint8)
     signal = contact_signal(normalize_illumination(torch.full((1, 1, 8, 8), 255, dtype=torch.uint8), reference))
     assert torch.allclose(signal, torch.tensor(-55 / 200))
-    assert (quantize(signal) == 0).all()  # below the lowest level, which it takes
+    assert (quantize(signal) == 0).all()  # clamped to the lowest level
 
 
 def test_quotient_that_overflows_is_masked() -> None:

@@ -1,4 +1,4 @@
-"""The median against SciPy and OpenCV, bit for bit; the count against the median."""
+"""Tests of the median filter against SciPy and OpenCV, bit for bit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The program of minima and maxima by itself, read as its docstring says and without torch."""
+"""Tests of the program of minima and maxima alone, executed as its docstring defines it and without torch."""
 
 import itertools
 
@@ -7,12 +7,12 @@ import pytest
 
 from fingerflow.kernels.median_network import MedianProgram, median_program
 
-# Reached with tiles of 2x1, 2x1, 4x2, 2x2 and 4x2; a change that needs more operations should be noticed.
+# Achieved with tiles of 2x1, 2x1, 4x2, 2x2 and 4x2; a change that needs more operations fails the test.
 OPERATIONS_PER_PIXEL = {3: 17.0, 5: 57.0, 7: 115.75, 9: 183.0, 11: 264.25}
 
 
 def medians_of_tile(program: MedianProgram, block: np.ndarray) -> list[np.ndarray]:
-    """The tile's medians from a block (rows, columns, ...) that its windows cover, by recursion from the outputs."""
+    """Return the tile's medians from the block (rows, columns, ...) of its windows, by recursion from the outputs."""
     step_of = {step.result: step for step in program.steps}
     rows, columns = program.tile
     known: dict[tuple[int, int, int], np.ndarray] = {}
@@ -40,7 +40,7 @@ def test_operations_per_pixel(size: int) -> None:
 
 
 def test_all_zero_one_inputs_of_3x3() -> None:
-    """The zero-one principle: min-max programs that are right for all 0/1 inputs are right for all inputs."""
+    """The program is right for all 0/1 inputs and hence, by the zero-one principle, for all inputs."""
     program = median_program(3)
     shape = (program.tile[0] + 2, program.tile[1] + 2)
     bits = np.array(list(itertools.product((0, 1), repeat=shape[0] * shape[1])), dtype=np.uint8).T.reshape(*shape, -1)
@@ -51,7 +51,9 @@ def test_all_zero_one_inputs_of_3x3() -> None:
 
 @pytest.mark.parametrize("size", [5, 7, 9, 11, 13])
 def test_zero_one_inputs_at_the_edge_of_the_majority(size: int) -> None:
-    """Windows with one more and one fewer 1 than half, in random, sorted and nearly sorted places."""
+    """Windows with just more or just fewer ones than half have the right median, with ones in random, sorted and nearly
+    sorted order.
+    """
     program = median_program(size)
     rng = np.random.default_rng(size)
     rows, columns = program.tile

@@ -1,4 +1,4 @@
-"""Dilation and erosion against SciPy with the discs and diamonds of scikit-image; hard cases included."""
+"""Tests of dilation and erosion against SciPy with scikit-image's discs and diamonds, hard cases included."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Quantiles against the inverse of the empirical distribution, which NumPy takes from a sort."""
+"""Tests of quantiles against the inverse of the empirical distribution, which NumPy computes by sorting."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_integers_exactly(dtype: torch.dtype, fraction: float) -> None:
 def test_floats_within_a_part_of_their_range(dtype: torch.dtype, fraction: float) -> None:
     values = torch.randn(2, 1, 30, 31, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).to(dtype)
     expected = np.quantile(values.double().flatten(1).numpy(), fraction, axis=1, method="inverted_cdf")
-    # 2^-24 of a range of 8; float32 rounds the middles once more.
+    # 2^-24 of a range of 8; float32 rounds the centre of an interval once more.
     assert np.allclose(frame_quantile(values, fraction).numpy(), expected, rtol=0, atol=1e-6)
 
 

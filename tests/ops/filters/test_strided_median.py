@@ -1,4 +1,4 @@
-"""Medians at one pixel in many are those of all windows."""
+"""Tests that medians at every n-th pixel equal those of the full filter."""
 
 import pytest
 import torch

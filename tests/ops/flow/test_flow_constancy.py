@@ -1,4 +1,6 @@
-"""Dense flow by grey levels and their gradient: light that differs from place to place, and what noise leaves."""
+"""Tests of dense flow by grey levels and their gradient: light that varies over the image, and residuals
+due to noise.
+"""
 
 import pytest
 import torch
@@ -17,7 +19,9 @@ MODELS: tuple[FlowModel, ...] = ("quadratic", "edges", "auto")
 
 @CONSTANCIES
 def test_what_noise_leaves(constancy: Constancy) -> None:
-    """The constants, from white noise of deviation 1 itself: 360,000 px give its variance to 0.5 %."""
+    """The constants agree with the residual and the tensor of white noise of deviation 1, whose variance 360,000 px
+    give to 0.5 %.
+    """
     noise = torch.randn(1, 1, 600, 600, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     given = channels(spline_coefficients(noise), constancy)
     fields = _fields(given, torch.ones_like(given))
@@ -29,13 +33,15 @@ def test_what_noise_leaves(constancy: Constancy) -> None:
 
 
 def uneven(image: Tensor) -> Tensor:
-    """Light that rises and falls by a fifth over 100 px each way."""
+    """Return an image whose light rises and falls by a fifth over about 100 px in x and y."""
     x, y = grid((image.shape[-2], image.shape[-1]))
     return image * (1 + 0.2 * torch.sin(x / 17) * torch.cos(y / 16))
 
 
 def test_light_that_changes_from_place_to_place_is_no_motion_boundary() -> None:
-    """No model explains it: the residual is unlike noise for either, and the default keeps the quadratic form."""
+    """Light that varies over the image is not taken for a motion boundary: neither model explains the residual, and the
+    default keeps the quadratic form.
+    """
     first, current, truth = pair(wave, noise=2.0)
     images = photograph(first), photograph(uneven(current))
     quadratic, edges, default = (dense_flow(*images, model=model) for model in MODELS)

@@ -1,4 +1,4 @@
-"""The multigrid of dense flow beside a direct solver."""
+"""Tests of the multigrid solver of dense flow against a direct solver."""
 
 import pytest
 import torch
@@ -8,7 +8,9 @@ from fingerflow.ops.flow.flow_multigrid import applied, descended, edges, laplac
 
 
 def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, Tensor, Tensor]:
-    """Levels, a right side, and the mask, of texture with a blank part."""
+    """Return the levels, a right-hand side (1, 2, H, W) and the mask (1, 1, H, W) of an image with texture and a blank
+    part.
+    """
     generator = torch.Generator().manual_seed(seed)
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     mask = torch.ones(1, 1, height, width, dtype=torch.float64)
@@ -22,7 +24,7 @@ def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, 
 
 
 def solve(levels: list, right_side: Tensor, cycles: int) -> Tensor:
-    """From 0: where nothing is known there is no course, and every cycle goes on with what is left over."""
+    """Return the solution after some cycles from 0, where each cycle solves for the remaining residual."""
     return descended(levels, right_side, torch.zeros_like(right_side), torch.zeros_like(right_side[:, :1]), cycles)
 
 
@@ -42,7 +44,7 @@ def test_cycles_end_at_the_direct_solution(height: int, width: int, masked: bool
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_a_cycle_leaves_a_quarter_of_the_residual_at_any_size(masked: bool) -> None:
-    """Per cycle, over five: it does not grow with the number of pixels, which is what multigrid is for."""
+    """A cycle leaves at most a quarter of the residual (mean of five cycles), whatever the number of pixels."""
     rates = []
     for height, width in ((32, 40), (61, 83), (128, 160)):
         levels, right_side, _ = system(height, width, masked)

@@ -1,4 +1,4 @@
-"""Charbonnier's penalty of dense flow: what it is for, and the equation whose fixed point it is."""
+"""Tests of the Charbonnier penalty of dense flow: motion boundaries, and the equation that its fixed point solves."""
 
 import math
 
@@ -20,7 +20,7 @@ SHAPE = (192, 240)
 
 
 def errors_by_penalty(first: Tensor, current: Tensor, truth: Tensor, warps: int = 2) -> list[Tensor]:
-    """Errors (1, H, W) of the quadratic and of the robust penalty, px."""
+    """Return the errors (1, H, W) px of the quadratic and of the Charbonnier penalty."""
     return [
         errors(dense_flow(first, current, warps=warps, model=penalty).displacement, truth)
         for penalty in ("quadratic", "charbonnier")
@@ -29,7 +29,9 @@ def errors_by_penalty(first: Tensor, current: Tensor, truth: Tensor, warps: int 
 
 @pytest.mark.parametrize(("slip", "share"), [(0.5, 0.85), (1.5, 0.75)])
 def test_a_jump_of_motion_stays_one(slip: float, share: float) -> None:
-    """Within 5 px of the border and beyond, beside the quadratic form; windows of 17 px still lie across it."""
+    """A jump of the motion is found with a smaller error than by the quadratic form, both within 5 px of the jump and
+    beyond, where windows of 17 px still cross it.
+    """
     first, current, truth, edge = jump(SHAPE, slip)
     quadratic, robust = (one[0] for one in errors_by_penalty(first, current, truth, warps=5))
     for where in (edge, ~edge):
@@ -45,7 +47,9 @@ def test_dust_on_the_glass_counts_for_little() -> None:
 
 
 def test_a_jump_is_recognised_by_the_residual_it_leaves() -> None:
-    """At 1.5 px the default has half the error of the quadratic form; skin that moves as a whole keeps that form."""
+    """The default chooses the Charbonnier form at a jump of 1.5 px, with at most 0.6 of the error of the quadratic
+    form, and keeps the quadratic form for skin that moves as a whole.
+    """
     first, current, truth, _ = jump(SHAPE, 1.5)
     quadratic, edges, default = (dense_flow(first, current, model=model) for model in ("quadratic", "edges", "auto"))
     assert torch.equal(default.displacement.nan_to_num(), edges.displacement.nan_to_num())
@@ -56,8 +60,11 @@ def test_a_jump_is_recognised_by_the_residual_it_leaves() -> None:
 
 
 def test_skin_without_outliers_costs_little() -> None:
-    """Least squares is the best estimate under Gaussian noise; Charbonnier's at c = 2 deviations has 97 % of its
-    efficiency and lets the smoothing yield where the motion bends: 5 %."""
+    """Without outliers the Charbonnier form has at most 5 % more error than the quadratic form.
+
+    Least squares is optimal under Gaussian noise; Charbonnier's penalty at c = 2 deviations has 97 % of its efficiency
+    and smooths less where the motion bends.
+    """
     first, current, truth = pair(wave, noise=2.0)
     images = photograph(first), photograph(current)
     quadratic, robust = (one[..., 24:-24, 24:-24].nanmean() for one in errors_by_penalty(*images, truth))
@@ -65,8 +72,11 @@ def test_skin_without_outliers_costs_little() -> None:
 
 
 def test_warps_lead_to_the_fixed_point_of_the_weighted_equation() -> None:
-    """In float64: K * (W grad S_f r) = alpha L_W (w - M w) with both weights W of the flow itself. Evaluated
-    here cell by cell, what is out of balance falls from 2.3 of either side to 0.30, 0.10 and 0.026 after 5, 15 and 40.
+    """Warps converge to the flow that solves K * (W grad S_f r) = alpha L_W (w - M w), whose weights W follow from this
+    flow.
+
+    Evaluated here cell by cell in float64, the imbalance relative to either side falls from 2.3 to 0.30, 0.10 and 0.026
+    after 5, 15 and 40 warps.
     """
     first, current, *_ = jump((160, 200), 0.5)
     template = prepare_flow(first.double(), noise=torch.tensor([2.0], dtype=torch.float64))
@@ -90,7 +100,9 @@ def test_warps_lead_to_the_fixed_point_of_the_weighted_equation() -> None:
 
 
 def test_weights_of_the_smoothing() -> None:
-    """1 / sqrt(1 + (|grad d| / (0.1 roughness))^2), cells 2 px apart; both components together, one weight an edge."""
+    """Weights are 1 / sqrt(1 + (|grad d| / (0.1 roughness))^2) with cells 2 px apart; both components share one weight
+    per edge.
+    """
     departure = torch.zeros(1, 2, 3, 4, dtype=torch.float64)
     departure[:, 0, :, 2:] = 0.03
     departure[:, 1, :, 2:] = -0.04
@@ -101,7 +113,9 @@ def test_weights_of_the_smoothing() -> None:
 
 
 def test_weights_of_the_data() -> None:
-    """1 at what noise leaves, 0.42 of its deviation; at large residuals inverse to them; finite where nothing is."""
+    """Weights are 1 at the residual expected from noise (0.42 of its deviation), inverse to large residuals, and finite
+    where no pixel is seen.
+    """
     noise = 3.0
     expected = (0.42 * noise) ** 2
     squares = torch.tensor([1.0, 25.0, 1e8, 0.0], dtype=torch.float64).view(1, 1, 1, 4) * expected

@@ -1,4 +1,4 @@
-"""Markers are found at their own scale, to the part of a pixel that the noise allows, and told apart through jumps."""
+"""Tests of markers: detection at their own scale to the precision that noise allows, and matching across jumps."""
 
 import math
 
@@ -14,14 +14,16 @@ HEIGHT, WIDTH, RADIUS = 120, 160, 5.0
 
 
 def lattice(spacing: float = 28.0, seed: int = 0) -> Tensor:
-    """Places of markers inside the picture, off whole pixels."""
+    """Return positions (N, 2) px of markers inside the image, off whole pixels."""
     x, y = torch.meshgrid(torch.arange(20, WIDTH - 15, spacing), torch.arange(18, HEIGHT - 14, spacing), indexing="xy")
     places = torch.stack((x.flatten(), y.flatten()), dim=-1).double()
     return places + torch.rand(places.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 0.5
 
 
 def picture(places: Tensor, radius: float = RADIUS, noise: float = 1.0, contrast: float = -80.0) -> Tensor:
-    """Soft discs on uneven light, (1, 1, H, W) uint8; the mean over 4 x 4 points of each pixel of an exact function."""
+    """Return soft discs on uneven light, (1, 1, H, W) uint8: each pixel is the mean of an exact function at 4 x 4
+    points.
+    """
     fine = (torch.arange(4, dtype=torch.float64) + 0.5) / 4 - 0.5
     y, x = ((torch.arange(size, dtype=torch.float64)[:, None] + fine).flatten() for size in (HEIGHT, WIDTH))
     far = torch.full((len(y), len(x)), torch.inf, dtype=torch.float64)
@@ -40,13 +42,15 @@ def errors(found: Tensor, places: Tensor) -> Tensor:
 @pytest.mark.parametrize("contrast", [-80.0, 80.0])
 @pytest.mark.parametrize("radius", [3.0, 5.0, 7.0])
 def test_markers_are_found_as_exactly_as_they_say(radius: float, contrast: float) -> None:
-    """0.06 px RMS: noise moves them by 0.01 px, the lean of the light and the noise's own peaks by the rest."""
+    """Markers are found to 0.06 px RMS: noise contributes 0.01 px, the slope of the light and peaks of the noise the
+    rest.
+    """
     places = lattice()
     frame = picture(places, radius, contrast=contrast)
     look = measure_markers(frame)
     assert look is not None
     assert look.polarity == (1 if contrast < 0 else -1)
-    assert look.radius == pytest.approx(radius, rel=0.2)  # soft borders; bright ones lift what they are held against
+    assert look.radius == pytest.approx(radius, rel=0.2)  # soft borders; bright markers raise the background
     found = detect_markers(frame, look)
     assert len(found.points[0]) == len(places)
     assert float(errors(found.points[0], places).square().mean().sqrt()) < 0.06
@@ -54,7 +58,9 @@ def test_markers_are_found_as_exactly_as_they_say(radius: float, contrast: float
 
 
 def test_the_covariance_is_that_of_the_noise() -> None:
-    """Of 40 pictures with noise of 3: the scatter about each mean, within a fifth; 30 markers give it to 3 %."""
+    """The stated covariance agrees within a fifth with the scatter in 40 images with noise of 3 grey levels; 30 markers
+    give the scatter to 3 %.
+    """
     places = lattice()
     clean = picture(places, noise=0.0).double()
     look = measure_markers(clean)
@@ -69,7 +75,7 @@ def test_the_covariance_is_that_of_the_noise() -> None:
 
 
 def test_the_gain_of_the_light_changes_nothing() -> None:
-    """A camera at 0.6 of its exposure: the same markers, within a twentieth of a pixel."""
+    """At 0.6 of the exposure the same markers are found, within 0.05 px."""
     places = lattice()
     frame = picture(places, noise=0.0)
     look = measure_markers(frame)
@@ -93,7 +99,9 @@ def test_nothing_is_found_where_nothing_is_printed() -> None:
 
 
 def test_a_fold_beside_a_marker_shows_in_the_disagreement() -> None:
-    """A dark band 6 px from its middle draws the places of two scales apart, and those of other markers not."""
+    """A dark band 6 px from a marker's centre raises its disagreement between two scales above three
+    times the median.
+    """
     places = lattice()
     frame = picture(places, noise=0.0)
     look = measure_markers(frame)
@@ -107,8 +115,8 @@ def test_a_fold_beside_a_marker_shows_in_the_disagreement() -> None:
 
 
 def test_a_jump_of_nearly_a_spacing_is_read_right() -> None:
-    """Half of the gel rests; the displacement of the other half grows to 0.9 spacings, where the nearest marker is the
-    wrong one for three of them.
+    """Markers are matched although part of the gel moves by up to 0.9 spacings, where the nearest marker is the wrong
+    one for at least three markers.
     """
     reference = lattice()
     ties = tie_neighbours(reference)
@@ -139,7 +147,9 @@ def test_a_detection_half_way_between_two_markers_is_of_one(spacing: float) -> N
 
 
 def test_change_of_light_is_seen_beside_markers_that_move() -> None:
-    """A bump of 10 % under markers that have moved by 4 px, to 1 %; elsewhere under 1 %, whatever the exposure."""
+    """A bump of 10 % in the light is found to 1 % under markers that moved by 4 px; elsewhere the change is below 1 %,
+    whatever the exposure.
+    """
     places = lattice()
     rest = picture(places, noise=0.0).float()
     y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")

@@ -1,4 +1,4 @@
-"""Contrast ops against NumPy's quantiles and SciPy's Gaussian, hard cases included."""
+"""Tests of contrast ops against NumPy's quantiles and SciPy's Gaussian, hard cases included."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_stretch_maps_quantiles_to_zero_and_one(dtype: torch.dtype) -> None:
 
 def test_stretch_undoes_gain_and_offset() -> None:
     values = torch.rand(1, 1, 40, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    # The quantiles carry 2^-24 of the range each.
+    # Each quantile has an error of 2^-24 of the range.
     assert (stretch_contrast(3 * values + 7) - stretch_contrast(values)).abs().max() < 1e-6
 
 
@@ -49,7 +49,7 @@ def test_unsharp_mask_equals_scipy(sigma: float) -> None:
 def test_unsharp_mask_of_hard_frames() -> None:
     blank = torch.full((1, 1, 9, 9), 200, dtype=torch.uint8)
     assert (unsharp_mask(blank, 2.0) - 200).abs().max() < 1e-3
-    assert unsharp_mask(torch.ones(1, 1, 1, 1), 3.0).item() == pytest.approx(1)  # far smaller than the Gaussian
+    assert unsharp_mask(torch.ones(1, 1, 1, 1), 3.0).item() == pytest.approx(1)  # a frame far smaller than the Gaussian
     assert unsharp_mask(torch.zeros(0, 1, 9, 9), 2.0).shape == (0, 1, 9, 9)
     assert unsharp_mask(blank.half(), 1.0).dtype == torch.float32
 

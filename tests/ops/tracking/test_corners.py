@@ -1,4 +1,4 @@
-"""Corners against OpenCV's response, a plain greedy loop, and squares whose corners are known."""
+"""Tests of corners against OpenCV's response, a plain greedy loop, and squares whose corners are known."""
 
 import math
 
@@ -16,7 +16,7 @@ def texture(seed: int, shape: tuple[int, int] = (120, 150), width: float = 2.5) 
 
 
 def greedy(response: np.ndarray, least: float, count: int, distance: float) -> list[tuple[int, int]]:
-    """The rule as OpenCV states it, one candidate at a time."""
+    """Return corners (x, y) px chosen by OpenCV's rule, one candidate at a time."""
     peaks = response == cv2.dilate(response, np.ones((3, 3)))
     y, x = np.nonzero(peaks & (response > least))
     kept: list[tuple[int, int]] = []
@@ -38,7 +38,7 @@ def test_response_equals_opencv(window: int) -> None:
 
 
 def test_response_is_the_gradient_of_a_known_surface() -> None:
-    """f = a x + b y in quarters: the mean gradient tensor of a saddle is diagonal in closed form."""
+    """The response of the saddle 3 x y at its centre is 18: the mean gradient tensor is diagonal in closed form."""
     y, x = torch.meshgrid(torch.arange(41.0) - 20, torch.arange(41.0) - 20, indexing="ij")
     response = corner_response((3 * x * y)[None, None].double(), 5)
     # gradient (3 y, 3 x): over 5 x 5 about the centre the mean of 9 y^2 is 9 * 2.
@@ -60,7 +60,7 @@ def test_selection_equals_the_greedy_rule(distance: float) -> None:
 
 
 def test_greedy_rule_among_equals() -> None:
-    """A grid of identical dots: all responses of a kind are equal, so reading order decides."""
+    """Among dots with equal responses the reading order decides."""
     frame = np.zeros((60, 60), dtype=np.uint8)
     frame[5::6, 5::6] = 200
     tensor = torch.from_numpy(frame)[None, None].float()

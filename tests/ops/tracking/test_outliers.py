@@ -1,4 +1,4 @@
-"""Outliers planted into known fields, and fields that look as if they had some: slip fronts, borders, gradients."""
+"""Tests of outliers: planted outliers are found, and slip fronts, borders and gradients are not taken for outliers."""
 
 import math
 from collections.abc import Callable
@@ -10,14 +10,14 @@ from torch import Tensor
 from fingerflow.kernels.outlier_limits import LEAST_NEIGHBOURS
 from fingerflow.ops.tracking.outliers import Outliers, find_neighbours, find_outliers
 
-SIDE = (400.0, 320.0)  # px, of a contact
+SIDE = (400.0, 320.0)  # px, size of a contact
 GAUGE = 120.0
-NOISE = 0.015  # px, mean of points that differ by 40 %
+NOISE = 0.015  # px, median of the deviations of points, which differ by 40 %
 FRAMES = 16
 
 
 def scattered(count: int = 700, apart: float = 6.0, seed: int = 0) -> Tensor:
-    """(1, count, 2) px, as far apart as corners are chosen."""
+    """Return positions (1, count, 2) px, at least `apart` px from each other, as corners are."""
     generator = torch.Generator().manual_seed(seed)
     chosen = torch.empty(0, 2)
     for place in torch.rand(20 * count, 2, generator=generator) * torch.tensor(SIDE):
@@ -32,7 +32,7 @@ POINTS = scattered()
 
 
 def step(height: float, where: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
-    """A slip front: u is `height` px larger where `where` is positive."""
+    """Return a displacement field with a slip front: u is `height` px larger where `where` is positive."""
     return lambda points: torch.stack((height * (where(points) > 0), torch.zeros_like(points[..., 0])), dim=-1)
 
 
@@ -49,7 +49,7 @@ def uniform(points: Tensor) -> Tensor:
 
 
 def press(points: Tensor) -> Tensor:
-    """Four per cent in the middle and less towards the border, as of a fingertip that spreads."""
+    """Return displacements of a fingertip that spreads: a strain of 4 % in the middle, less towards the border."""
     from_middle = points - torch.tensor(SIDE) / 2
     return 0.04 * from_middle * (1 - (from_middle / 300).square().sum(-1, keepdim=True))
 
@@ -68,7 +68,7 @@ FIELDS: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def measured(field: Callable[[Tensor], Tensor], seed: int = 1) -> tuple[Tensor, Tensor]:
-    """Displacements (FRAMES, N, 2) with noise, and its standard deviation (FRAMES, N)."""
+    """Return displacements (FRAMES, N, 2) px with noise, and the standard deviation of the noise (FRAMES, N) px."""
     generator = torch.Generator().manual_seed(seed)
     position_std = NOISE * torch.exp(0.4 * torch.randn(1, POINTS.shape[1], generator=generator)).expand(FRAMES, -1)
     noise = torch.randn(FRAMES, POINTS.shape[1], 2, generator=generator)
@@ -76,7 +76,9 @@ def measured(field: Callable[[Tensor], Tensor], seed: int = 1) -> tuple[Tensor, 
 
 
 def planted(moved: Tensor, size: Tensor | float, share: float = 0.05) -> tuple[Tensor, Tensor]:
-    """Displacements of which a share is off by `size`, in any direction, and which those are."""
+    """Return displacements of which a share is off by `size` px in random directions, and a mask (FRAMES,
+    N) of these.
+    """
     generator = torch.Generator().manual_seed(2)
     wrong = torch.rand(moved.shape[:2], generator=generator) < share
     angle = 2 * math.pi * torch.rand(moved.shape[:2], generator=generator)
@@ -90,8 +92,9 @@ def find(moved: Tensor, position_std: Tensor, points: Tensor = POINTS, gauge: fl
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_true_motion_is_left_alone(name: str) -> None:
-    """Stated: 2 of 1000 points where a field bends, none of 10,000 where it does not. Measured: 18 of 10,000 in the
-    presses, at their border, where all neighbours lie on one side of a bend."""
+    """At most 2 of 1000 correct points are marked where a field bends and none of 10,000 where it does not. Measured:
+    18 of 10,000 in the presses, at their border, where all neighbours lie on one side of a bend.
+    """
     off, uncertain = find(*measured(FIELDS[name]))
     assert off.float().mean() <= (1e-4 if name in ("rest", "uniform") else 2e-3)
     assert uncertain.float().mean() <= 1e-3
@@ -100,14 +103,17 @@ def test_true_motion_is_left_alone(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in FIELDS if "waves" not in name])
 @pytest.mark.parametrize("size", [0.1, 0.3, 1.0, 5.0, 20.0])
 def test_what_is_off_is_found(name: str, size: float) -> None:
-    """5 % of points, in all fields. What is off by 12 standard deviations of itself and its neighbours is found for
-    certain where the field is a plane; what is off by 4 may be noise."""
+    """At least 98 % of the planted outliers beyond 12 standard deviations (of the point and its neighbours) are found
+    in all fields; a bend of the field hides up to 15 % of the outliers of 0.3 px.
+
+    A deviation of 4 standard deviations may be noise.
+    """
     moved, position_std = measured(FIELDS[name])
     given, wrong = planted(moved, size)
     off = find(given, position_std).off_neighbours
     large = size / (position_std.square() + NOISE**2).sqrt()
     certain = wrong & (large > 12)
-    hidden = size == 0.3 and "press" in name  # by the bend of the field, which leaves as much
+    hidden = size == 0.3 and "press" in name  # the bend of the field leaves residuals as large
     assert size == 0.1 or off[certain].float().mean() > (0.85 if hidden else 0.98)
     assert off[~wrong].float().mean() < 3e-3
 
@@ -122,7 +128,7 @@ def test_three_of_ten_may_be_off() -> None:
 
 def test_one_alone_is_found_and_a_patch_is_taken_for_a_front() -> None:
     moved, position_std = measured(press)
-    nearest = find_neighbours(POINTS, GAUGE).number[0, :, 300]  # of a point in the middle
+    nearest = find_neighbours(POINTS, GAUGE).number[0, :, 300]  # neighbours of a point in the middle
     for others, found in ((0, True), (8, False)):
         patch = torch.cat((torch.tensor([300]), nearest[:others]))
         given = moved.clone()
@@ -131,7 +137,9 @@ def test_one_alone_is_found_and_a_patch_is_taken_for_a_front() -> None:
 
 
 def test_the_border_is_not_off() -> None:
-    """All neighbours lie on one side, where the slope is steep: 20 % and no noise."""
+    """No point at the border is marked at a strain of 20 % without noise, although all its neighbours lie
+    on one side.
+    """
     moved = 0.2 * POINTS
     off, _ = find(moved, torch.full(moved.shape[:2], 0.01))
     assert not off.any()
@@ -141,13 +149,13 @@ def test_points_without_enough_neighbours_are_kept() -> None:
     moved, position_std = measured(press)
     moved[:, 7] += 20.0
     assert find(moved, position_std).off_neighbours[:, 7].all()
-    for gauge in (1.0, 12.0):  # nobody, and two or three
+    for gauge in (1.0, 12.0):  # no neighbours, and two or three
         assert not find(moved, position_std, gauge=gauge).off_neighbours.any()
     few = scattered(LEAST_NEIGHBOURS)
     far = torch.zeros(1, LEAST_NEIGHBOURS, 2)
     far[0, 0] = 20.0
     assert not torch.cat(find(far, torch.full((1, LEAST_NEIGHBOURS), 0.01), few, gauge=1e4)).any()
-    # One neighbour more, and it can be said.
+    # One neighbour more suffices.
     more, far = scattered(LEAST_NEIGHBOURS + 1), torch.cat((far, torch.zeros(1, 1, 2)), dim=1)
     off, _ = find(far, torch.full((1, LEAST_NEIGHBOURS + 1), 0.01), more, gauge=1e4)
     assert off[0].tolist() == [True] + [False] * LEAST_NEIGHBOURS
@@ -160,7 +168,7 @@ def test_unknown_points_are_neither_judged_nor_asked() -> None:
     given[gone] = torch.nan
     off, uncertain = find(given, position_std)
     assert not (off | uncertain)[gone].any()
-    hidden = torch.where(gone[..., None], 1e6, given)  # the same, by a deviation that is none
+    hidden = torch.where(gone[..., None], 1e6, given)  # the same points, marked as unknown by an infinite deviation
     again = find(hidden, torch.where(gone, torch.inf, position_std))
     assert torch.equal(again.off_neighbours, off)
     assert torch.equal(again.uncertain, uncertain)
@@ -205,7 +213,7 @@ def test_frames_order_unit_and_place_change_nothing() -> None:
     assert torch.equal(off, find_outliers(own, given, position_std).off_neighbours)
     order = torch.randperm(POINTS.shape[1], generator=torch.Generator().manual_seed(3))
     shuffled = find(given[:, order], position_std[:, order], POINTS[:, order]).off_neighbours
-    # To rounding, which may move one that stands on the limit.
+    # Rounding may move a point across the limit.
     assert (shuffled != off[:, order]).sum() <= 2
     in_mm = find(given * 0.0325, position_std * 0.0325, POINTS * 0.0325 + 5, GAUGE * 0.0325).off_neighbours
     assert (in_mm != off).sum() <= 2

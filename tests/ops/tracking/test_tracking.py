@@ -1,4 +1,4 @@
-"""Tracking against exact shifts of an analytic texture, and against the Cramer-Rao bound."""
+"""Tests of tracking against exact shifts of an analytic texture and against the Cramer-Rao bound."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ def grey(x: Tensor, y: Tensor) -> Tensor:
 
 
 def moved_by(shift: tuple[float, float]) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """Where in the skin a place (mm) lies that has moved by a shift (px)."""
+    """Return the mapping from a position (mm) to its position in the skin before a shift (px)."""
     return lambda x, y: (x - shift[0] * MM, y - shift[1] * MM)
 
 
@@ -42,7 +42,7 @@ def points() -> Tensor:
 
 
 def bound(points: Tensor, noise: float, window: int = 21) -> float:
-    """Root mean square of the distance that no unbiased estimate beats: sqrt of the mean trace of 2 sigma^2 G^-1."""
+    """Return the Cramer-Rao bound of the RMS distance, px: sqrt of the mean trace of 2 sigma^2 G^-1."""
     offset = torch.arange(-(window // 2), window // 2 + 1, dtype=torch.float64)
     x = (points[0, :, 0, None, None].double() + offset).expand(-1, window, -1).clone().requires_grad_()
     y = (points[0, :, 1, None, None].double() + offset[:, None]).expand(-1, -1, window).clone().requires_grad_()
@@ -55,12 +55,14 @@ def bound(points: Tensor, noise: float, window: int = 21) -> float:
 @pytest.mark.parametrize("noise", [0, 1, 2, 5])
 @pytest.mark.parametrize("fraction", [0.0, 0.37])
 def test_error_is_at_the_bound_and_without_bias(points: Tensor, noise: float, fraction: float) -> None:
-    """1.1 x the bound; bias 0.001 px beyond three standard errors of the mean, all that so many points can show."""
+    """The error is below 1.1 of the Cramer-Rao bound and the bias below 0.001 px plus three standard errors of the
+    mean, the least that this number of points can resolve.
+    """
     start = points + fraction
     errors = []
     for seed, shift in enumerate((0.0, 0.25, 0.5, 0.9)):
         if noise == 0 and shift == 0:
-            continue  # nothing moved and nothing differs: exact
+            continue  # equal images without motion: the result is exact
         motion = (shift, 0.6 * shift)
         tracks = track_points(picture((0, 0), noise, 2 * seed), picture(motion, noise, 2 * seed + 1), start)
         assert (tracks.status == TrackStatus.TRACKED).all()
@@ -77,7 +79,7 @@ def test_equal_images_do_not_move(points: Tensor) -> None:
 
 
 def test_covariance_is_that_of_the_errors(points: Tensor) -> None:
-    """e' C^-1 e has mean 2 in theory; smoothing makes the stated covariance a little large, hence a mean below."""
+    """The mean of e' C^-1 e is near 2, its expected value; smoothing makes the stated covariance slightly too large."""
     tracks = track_points(picture((0, 0), 2, 1), picture((0.4, 0.2), 2, 2), points)
     error = (tracks.points - points - torch.tensor((0.4, 0.2)))[0]
     squares = (error[:, None] @ torch.linalg.inv(tracks.covariance[0]) @ error[..., None]).mean()
@@ -92,7 +94,7 @@ def test_large_motion_is_found_or_flagged(points: Tensor, motion: tuple[float, f
     distance = (tracks.points - points - torch.tensor(motion)).norm(dim=-1)
     assert (tracked & (distance > 0.5)).float().mean() <= 0.005
     if search:
-        assert tracked.float().mean() > 0.75  # the others are mostly those that leave the frame
+        assert tracked.float().mean() > 0.75  # most of the others leave the frame
         assert distance[tracked].square().mean().sqrt() < 0.05
 
 
@@ -118,14 +120,14 @@ def test_warp_is_needed_and_serves(points: Tensor) -> None:
     inside = with_warp.status == TrackStatus.TRACKED
     assert inside.float().mean() > 0.9
     assert (with_warp.points - truth)[inside].norm(dim=-1).max() < 0.02
-    assert with_warp.error[inside].max() < 0.02  # without noise the backward check ends where it began
+    assert with_warp.error[inside].max() < 0.02  # without noise the backward check returns to its start
     plain = without.status == TrackStatus.TRACKED
     assert (without.points - truth)[plain].norm(dim=-1).median() > 0.05
     known = learned.status == TrackStatus.TRACKED
     assert known.float().mean() > 0.9
     assert (learned.points - truth)[known].norm(
         dim=-1
-    ).median() < 0.012  # the second pass deforms by what the first found
+    ).median() < 0.012  # the second pass uses the warp found by the first
 
 
 def test_gain_and_offset(points: Tensor) -> None:
@@ -163,7 +165,7 @@ def status(tracks: Tracks) -> list[int]:
 
 @pytest.mark.parametrize("contrast", [0.3, 0.1, 0.05])
 def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
-    """To 0.01 px without noise, the starts being 0.8 px away, and by what is stated."""
+    """Points are tracked to 0.01 px without noise when the contrast fades, from initial positions 0.8 px away."""
     first, second = (texture_image(grey, SHAPE, MM, moved_by(shift)).float() for shift in ((0.0, 0.0), (0.7, -0.4)))
     tracks = track_points(first, 128 + contrast * (second - 128), points, search=0)
     tracked = tracks.status == TrackStatus.TRACKED
@@ -173,7 +175,7 @@ def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
 
 @pytest.mark.parametrize("beside", [-0.3, -0.8, -1.5])
 def test_predictions_beyond_the_border(beside: float) -> None:
-    """Points that lie inside both pictures are found although their predictions lie outside."""
+    """Points inside both images are found although their predictions lie outside."""
     down = torch.linspace(40, 360, 60)
     start = torch.stack((torch.linspace(10.6, 11.1, 60), down), dim=-1)[None]
     truth = start + torch.tensor((-0.4, 0.0))
@@ -231,7 +233,9 @@ def test_deep_images(points: Tensor, bits: int) -> None:
 
 
 def test_noise_that_is_known(points: Tensor) -> None:
-    """Given as the default takes it tracks are the same; what noise explains is no texture."""
+    """The noise estimate passed as an argument gives the same tracks as the default; at a noise of 500 grey levels the
+    points have no texture.
+    """
     images = picture((0, 0), 2, 0), picture((0.3, 0.2), 2, 1)
     estimated = torch.maximum(*(estimate_noise(image) for image in images))
     for given, by_default in zip(

@@ -1,4 +1,4 @@
-"""A press in a small frame, and scenes made of it by changing one thing."""
+"""Fixtures: a press in small frames, and scenes that differ from the press in one thing."""
 
 from collections.abc import Callable
 from functools import partial
@@ -26,5 +26,7 @@ def frames(press: Path) -> np.ndarray[Any, Any]:
 
 @pytest.fixture
 def changed(press: Path, tmp_path: Path) -> Change:
-    """The scene with other texts and other arrays: ``changed({"points = 700": "points = 20"}, frames=array)``."""
+    """Return a function that writes the scene with other texts and arrays: ``changed({"points = 700": "points = 20"},
+    frames=array)``.
+    """
     return partial(scene_beside, press, tmp_path)

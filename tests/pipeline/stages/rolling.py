@@ -1,4 +1,4 @@
-"""A contact through which skin passes, as under a finger that rolls: skin enters on one side all the time."""
+"""Synthetic contact that skin passes through, as under a rolling finger: skin enters on one side in every frame."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,10 +12,11 @@ from fingerflow.synthetic.motion import Ellipse, SlideMotion
 
 @dataclass(frozen=True)
 class RollingMotion(SlideMotion):
-    """Skin is stretched along the way by `stretch` a mm of it in the contact's frame, and passes a contact at rest.
+    """Motion of skin that passes a contact at rest, stretched by `stretch` per mm along its path.
 
-    material = position - direction (s + stretch s a), s = travel x progress and a the place along the direction from
-    the middle of the contact: linear in position, so every gradient is exact, F = 1 / (1 - stretch s) along.
+    material = position - direction (s + stretch s a), with s = travel x progress and a the distance along the direction
+    from the centre of the contact. The map is linear in position, so every gradient is exact: F = 1 / (1 - stretch s)
+    along the direction.
     """
 
     stretch: float = 0.03
@@ -35,7 +36,7 @@ class RollingMotion(SlideMotion):
 
 @dataclass(frozen=True, kw_only=True)
 class Rolling(Slide):
-    """`RollingMotion` from the trigger on."""
+    """Recording of `RollingMotion` from the trigger on."""
 
     @cached_property
     def motion(self) -> RollingMotion:
@@ -43,9 +44,8 @@ class Rolling(Slide):
 
 
 def write_rolling(folder: Path, trial: Rolling) -> Path:
-    """Writes a recording without the region of a stream, which holds all skin that will touch: `process` looks itself.
-
-    Returns its folder.
+    """Write a recording without the region of a stream, so that `process` itself finds the skin that will touch; return
+    its folder.
     """
     write_recording(folder, trial)
     lines = (folder / "scene.toml").read_text(encoding="utf-8").splitlines()

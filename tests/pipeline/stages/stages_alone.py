@@ -1,4 +1,4 @@
-"""Stages without a recording: results of earlier ones are given, as arrays."""
+"""Helpers that run stages without a recording, on results of earlier stages passed as arrays."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,7 +23,7 @@ from fingerflow.results.store import MemoryStore
 
 
 def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyframe") -> Inputs:
-    """Settings alone: views with one scale, without a recording."""
+    """Return inputs that have settings and an image scale, but no recording."""
     scene = SimpleNamespace(
         kind="press",
         fields=SimpleNamespace(
@@ -46,7 +46,7 @@ def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyfr
 
 
 def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> RunContext:
-    """A trial whose contact has these results a frame, and whose variables are given."""
+    """Return a run context whose contact stage has the series `contact` and whose variables have the values `given`."""
     inputs.times = inputs.times[:frames]
     trial = RunContext(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
@@ -62,7 +62,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
         TrackingStage: tracking,
     }
     trial.results.put("frame_status", np.zeros(frames))
-    if "position" in given and "status" not in given:  # what is known is tracked, and was chosen in the first frame
+    if "position" in given and "status" not in given:  # known points are tracked and were seeded in the first frame
         lost = np.isnan(given["position"]).any(-1)
         given["status"] = np.where(lost, int(TrackStatus.NOT_CONVERGED), int(TrackStatus.TRACKED)).astype(np.uint8)
     for name, values in given.items():
@@ -72,11 +72,11 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
 
 
 def run(trial: RunContext, *stages: Stage) -> None:
-    """All parts of these stages, which share a pass."""
+    """Run all parts of these stages in one pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
     run_alone(_pass(stages, trial, {}, _RunOptions(progress=False)))
 
 
 def values_of(trial: RunContext, name: str) -> NDArray[Any]:
-    """A variable as a whole."""
+    """Return all values of a variable."""
     return np.asarray(trial.results[name][:])

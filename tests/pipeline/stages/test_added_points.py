@@ -1,4 +1,4 @@
-"""Points that are added where skin enters fast, a sixth of a window a frame, in all that a result is used for."""
+"""Tests of points seeded where skin enters at a sixth of a window per frame, in all results that use them."""
 
 from pathlib import Path
 
@@ -40,18 +40,20 @@ def result(folder: Path) -> xr.Dataset:
 
 
 def added_that_touch(result: xr.Dataset, first: int) -> np.ndarray:
-    """Numbers of points that were not chosen in the frame of the first choice and have an onset."""
+    """Return the indices of points that were seeded after frame `first` and have an onset."""
     return np.flatnonzero((result["status"].values[first] == NOT_YET) & (result["onset_frame"].values >= 0))
 
 
 def assert_displacement_since_onset(result: xr.Dataset, points: np.ndarray) -> None:
-    """Of the skin that was at each place then, by formulas: 5 um, a fifth of a pixel, of 2 mm."""
+    """Check displacements since the onset of the skin at each point against formulas: to 5 um (a fifth of a pixel) of 2
+    mm.
+    """
     truth, position = ROLLING.truth, result["position"].values
     for point in points:
         onset = int(result["onset_frame"].values[point])
         known = np.flatnonzero(np.isfinite(result["displacement"].values[:, point, 0]))
         assert known[0] == onset
-        # Where the border passed it on the way from the frame before, if it was known there.
+        # Displacement starts where the border passed the point since the previous frame, if the point was known there.
         start, first = result["reference_position"].values[point], position[onset, point]
         step = first - position[onset - 1, point]
         share = (first - start) @ step / (step @ step) if np.isfinite(step).all() else 0.0
@@ -61,9 +63,11 @@ def assert_displacement_since_onset(result: xr.Dataset, points: np.ndarray) -> N
 
 
 def test_fast_skin_is_known(result: xr.Dataset) -> None:
-    """Coverage 0.88 or more and a median in every frame; 0.55 and none from frame 8 on where points are chosen within a
-    window upstream of the contact alone, which the skin passes before the next look. Skin that is in contact by the
-    first look has no onset.
+    """Coverage exceeds 0.85 and the median is known in every frame.
+
+    If points were seeded only within a window upstream of the contact, which the skin passes before the next seeding,
+    coverage would be 0.55 and the median NaN from frame 8 on. Skin that is in contact at the first seeding has no
+    onset.
     """
     assert result["field_coverage"].values.min() > 0.85
     assert np.isfinite(result["median_divergence"].values[:LAST]).all()
@@ -72,8 +76,11 @@ def test_fast_skin_is_known(result: xr.Dataset) -> None:
 
 
 def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
-    """A tenth of the contact has no fields; in the last frames, where half of the skin is new, the median lies where
-    fields are few and is 7 um/mm off or more, 0.9 without that tenth."""
+    """The median divergence is within two stated deviations in 85 % of the frames, and within four in all.
+
+    A tenth of the contact has no fields. In the last frames half of the skin is new, and the median lies where fields
+    are few: the error is 7 um/mm or more, and 0.9 um/mm if the truth leaves out that tenth.
+    """
     frames = range(3, LAST + 1)
     true = [
         np.nanmedian(ROLLING.truth.entry_gradient(skin_in_contact(ROLLING, k, 0.15), k).trace(axis1=1, axis2=2))
@@ -91,7 +98,9 @@ def test_displacement_counts_from_their_own_onset(result: xr.Dataset) -> None:
 
 
 def test_backward(folder: Path) -> None:
-    """Points of the last frame, followed back; added is what has left the contact since, which touched at the start."""
+    """Points seeded in the last frame are tracked backward; added points lie on skin that was in contact at the start
+    and has left since.
+    """
     result = process(edit_scene(folder, {'direction = "forward"': 'direction = "backward"'}, "backward.toml"))
     status = result["status"].values
     assert (status[LAST] == NOT_YET).sum() > 20
@@ -102,7 +111,7 @@ def test_backward(folder: Path) -> None:
 
 
 def test_again_from_a_result(folder: Path, result: xr.Dataset) -> None:
-    """Bit for bit what a fresh run gives, and not what the earlier one gave."""
+    """A run that reuses an earlier result with another gauge length equals a fresh run bit for bit."""
     scene = load_scene(edit_scene(folder, {"gauge_length_mm = 1.6": "gauge_length_mm = 1.2"}, "gauge.toml"))
     fresh, again = process(scene), process(scene, earlier=folder / "result.h5")
     for name in fresh.data_vars:
@@ -113,8 +122,10 @@ def test_again_from_a_result(folder: Path, result: xr.Dataset) -> None:
 
 
 def test_points_are_wanted_as_far_upstream_as_skin_comes_from() -> None:
-    """Skin that goes 40 px from look to look past a disc at rest, points all over it: by the next look but one 80 px of
-    skin enter, to a cell of 16 px. Without the frame of the choice there is no way yet at the first look.
+    """Points are seeded as far upstream as skin comes from until the next seeding but one.
+
+    Skin moves 40 px between seedings past a disc at rest that is full of points: 80 px of skin enter, found to a cell
+    of 16 px. Without the positions of the first seeding the motion is not known at the first check.
     """
     rows, columns = np.indices((40, 80))
     disc = np.where(np.hypot(rows - 20, columns - 50) < 12, 1.0, -1.0)

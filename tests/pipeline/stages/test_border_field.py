@@ -1,4 +1,4 @@
-"""Fields that vanish at the border: normal equations by moments, and the scale of the prior by search."""
+"""Tests of displacement fields that vanish at the border: normal equations by moments, prior scale by search."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ FUNCTIONS = BorderFunctions()
 
 
 def functions_at(places: Array) -> Array:
-    """The K functions (N, K) at places (2, N)."""
+    """Return the K functions (N, K) at positions (2, N)."""
     i, j = FUNCTIONS._powers
     x, y = places[:, :, None]
     result: Array = (1 - x**2 - y**2) * ((x**i * y**j) @ FUNCTIONS._mixed)
@@ -20,7 +20,9 @@ def functions_at(places: Array) -> Array:
 
 
 def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, Array, Array]:
-    """Places (2, N) in the disc, displacements (2, N) of a smooth field with noise, and weights (N,); some are 0."""
+    """Return positions (2, N) in the disc, displacements (2, N) of a smooth field with noise, and weights (N,), some of
+    them 0.
+    """
     random = np.random.default_rng(seed)
     radius, turn = np.sqrt(random.uniform(0, 0.95, numbers)), random.uniform(0, 2 * np.pi, numbers)
     places = radius * np.stack((np.cos(turn), np.sin(turn)))
@@ -34,8 +36,11 @@ def one_fit(numbers: int, noise: float, size: float, seed: int) -> tuple[Array, 
     ("numbers", "noise", "size"), [(500, 1e-3, 1.0), (60, 1e-3, 3.0), (30, 1e-2, 0.3), (500, 0.1, 0.1)]
 )
 def test_fit_is_that_of_the_most_likely_scale(numbers: int, noise: float, size: float) -> None:
-    """The truth solves the normal equations of functions at the points, for each scale, by eigenvalues. 1e-8: sums of
-    monomials of degree 16, squares of the inverse of their Gram matrix."""
+    """Coefficients and covariance agree to 1e-8 with a solution by eigenvalues at each scale, with the functions
+    evaluated at the points.
+
+    Sums of monomials of degree 16 are multiplied by the square of the inverse Gram matrix, which limits the agreement.
+    """
     each = [one_fit(numbers, noise, size, seed) for seed in range(10)]
     found = FUNCTIONS.fit(*(np.stack(one) for one in zip(*each, strict=True)))
     for k, (places, moved, weight) in enumerate(each):
@@ -62,7 +67,7 @@ def test_functions_vanish_at_the_border() -> None:
 
 
 def test_derivatives_of_functions() -> None:
-    """Mean products of derivatives, by differences of the functions in another quadrature."""
+    """Mean products of derivatives equal finite differences of the functions, integrated by another quadrature."""
     nodes, shares = np.polynomial.legendre.leggauss(16)
     turns = 2 * np.pi * np.arange(40) / 40
     places = (np.sqrt((nodes[:, None] + 1) / 2) * np.stack((np.cos(turns), np.sin(turns)))[:, None]).reshape(2, -1)

@@ -1,4 +1,6 @@
-"""Strain energy of the whole contact: the simulated press's formulas, exact and with the errors that are stated."""
+"""Tests of the strain energy of the whole contact against the simulated press: exact displacements, and
+stated errors.
+"""
 
 from typing import NamedTuple
 
@@ -22,7 +24,9 @@ Array = NDArray[np.float64]
 
 
 class Contact(NamedTuple):
-    """A frame of a press: its border, N points with their displacement, and the energy per mm of depth."""
+    """A frame of a press: its border, N points (N, 2) mm with displacements (N, 2) mm, and the energy per
+    mm of depth.
+    """
 
     border: Border
     position: Array
@@ -31,7 +35,9 @@ class Contact(NamedTuple):
 
 
 def contact_of(press: Press, frame: int, measure: str = "green_lagrange") -> Contact:
-    """Gauss's quadrature of the density by formulas, in rings: 1e-4 of it with half as many."""
+    """Return a frame of a press, its energy integrated by Gauss quadrature in rings, which with half as many nodes
+    changes by 1e-4.
+    """
     ellipse = press.truth.ellipse(frame)
     assert ellipse is not None
     nodes, shares = np.polynomial.legendre.leggauss(24)
@@ -54,7 +60,9 @@ def contact_of(press: Press, frame: int, measure: str = "green_lagrange") -> Con
 def measured(
     contact: Contact, displacement: Array, std_mm: float, shared: Array | None = None, measure: str = "green_lagrange"
 ) -> FrameEnergies:
-    """The energy by displacements with this deviation, which correlate as in `shared` (N, N)."""
+    """Return the energy estimated from displacements with this standard deviation and the correlations
+    `shared` (N, N).
+    """
     points = len(contact.position)
     pairs = np.argwhere(np.triu(np.zeros((points, points)) if shared is None else shared, 1) > 0)
     correlation = np.zeros(0) if shared is None else shared[tuple(pairs.T)]
@@ -67,9 +75,11 @@ def measured(
 @pytest.mark.parametrize("measure", ["green_lagrange", "infinitesimal"])
 @pytest.mark.parametrize(("press", "frame"), [(PRESS, 18), (PRESS, 40), (TWICE, 40), (TWICE, 58)])
 def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -> None:
-    """Half a percent: polynomials of degree 10 for a field with Gaussian bumps, and strains of 12 and 24 %.
+    """The energy of exact displacements is found to 0.5 %: polynomials of degree 10 represent a field with Gaussian
+    bumps and strains of 12 and 24 %.
 
-    No point lies within 0.1 mm of the border; the skin there has 25 to 50 % of the energy."""
+    No point lies within 0.1 mm of the border, where the skin has 25 to 50 % of the energy.
+    """
     contact = contact_of(press, frame, measure)
     assert measured(contact, contact.displacement, 1e-5, measure=measure).energy[0] == pytest.approx(
         contact.energy, rel=5e-3
@@ -78,9 +88,12 @@ def test_energy_of_exact_displacements(press: Press, frame: int, measure: str) -
 
 @pytest.mark.parametrize("frame", [20, 30, 50])
 def test_deviation_is_true_by_coverage(frame: int) -> None:
-    """Errors of points that correlate as windows overlap, of the border's place, and common to all points. 68 and 95 %
-    of the draws are within one and two deviations, give or take three standard deviations of such a share; the border
-    is varied by both of its axes alike."""
+    """The stated deviation is right: 68 and 95 % of the draws lie within one and two deviations, to three standard
+    deviations of these shares.
+
+    Errors are those of points, correlated by the overlap of windows, of the border, and common to all points. The
+    border is varied by scaling both axes.
+    """
     contact, random = contact_of(PRESS, frame), np.random.default_rng(frame)
     apart = [cdist(one, one) / WINDOW_MM for one in np.split(contact.position, 2, axis=1)]
     shared = np.clip(1 - apart[0], 0, 1) * np.clip(1 - apart[1], 0, 1)
@@ -101,7 +114,9 @@ def test_deviation_is_true_by_coverage(frame: int) -> None:
 
 
 def test_a_contact_that_slips_has_no_field_that_vanishes_at_its_border() -> None:
-    """By 0.1 mm as a whole: such a field would have seven times the energy."""
+    """A contact that slipped by 0.1 mm as a whole has no energy (NaN); a field that vanishes at the border would have
+    seven times the true energy.
+    """
     contact = contact_of(PRESS, 40)
     assert np.isfinite(measured(contact, contact.displacement, 1e-3)).all()
     assert np.isnan(measured(contact, contact.displacement + np.array([0.1, 0.0]), 1e-3)).all()

@@ -1,4 +1,6 @@
-"""A uniform field in its parts: divergence, curl and shears, principal strains, and what no rigid motion explains."""
+"""Tests of the parts of a uniform field: divergence, curl, shears, principal strains, and the residual of the best
+rigid motion.
+"""
 
 import numpy as np
 from stages_alone import inputs_of, run, trial_of, values_of
@@ -12,7 +14,7 @@ FRAMES, SCALE = 4, 0.03
 
 
 def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:
-    """In the last frame."""
+    """Return the fields of the last frame for a displacement gradient per frame."""
     axis = np.arange(0.0, 4.0, 0.4)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     position = points + np.arange(FRAMES)[:, None, None] * (points @ gradient.T + [0.1, -0.2])
@@ -40,7 +42,7 @@ def test_parts_add_up_to_the_gradient() -> None:
     found, (ux, uy, vx, vy) = measured(GRADIENT), 3 * GRADIENT.ravel()
     for name, expected in (("divergence", ux + vy), ("curl", vx - uy), ("shear", [ux - vy, uy + vx])):
         known = np.isfinite(found[name]).reshape(100, -1).all(1)
-        assert known.mean() > 0.9  # at the corners too few points lie within the gauge
+        assert known.mean() > 0.9  # too few points lie within the gauge length at corners
         values = found[name][known]
         np.testing.assert_allclose(values, np.broadcast_to(expected, values.shape), atol=1e-5)
 
@@ -56,10 +58,10 @@ def test_principal_strains_are_eigenvalues() -> None:
 
 def test_a_rigid_motion_leaves_nothing_and_a_stretch_does() -> None:
     turn = 0.01 * np.array([[0.0, -1.0], [1.0, 0.0]])
-    assert np.abs(measured(turn)["rigid_residual"]).max() < 2e-3  # 0.03 rad: the square of the angle
+    assert np.abs(measured(turn)["rigid_residual"]).max() < 2e-3  # 0.03 rad: second order in the angle
     found = measured(GRADIENT)
     symmetric = 1.5 * (GRADIENT + GRADIENT.T)
-    # What is symmetric in the gradient stays, to the square of the rotation.
+    # The symmetric part of the gradient remains, to second order in the rotation.
     axis = np.arange(0.0, 4.0, 0.4) - 1.8
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     np.testing.assert_allclose(found["rigid_residual"], points @ symmetric.T, atol=3e-3)

@@ -1,4 +1,4 @@
-"""Skin that moves into a contact whose border rests: a synthetic slide, whose rear rim draws skin in."""
+"""Tests of skin that enters a contact whose border rests: a synthetic slide, whose rear rim draws skin in."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -33,7 +33,9 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
 
 
 class Streamed(NamedTuple):
-    """What a stream says of points in a frame: which have moved in, their divergence, and its median."""
+    """Results of a stream for points in one frame: a mask of entered points, their divergence, and the median
+    divergence.
+    """
 
     entered: np.ndarray
     divergence: np.ndarray
@@ -42,7 +44,7 @@ class Streamed(NamedTuple):
 
 @pytest.fixture(scope="module")
 def streamed(result: xr.Dataset) -> list[Streamed]:
-    """What a stream says of the same positions and onsets, frame by frame; of points that were chosen at first."""
+    """Return the results of a stream, frame by frame, for the same positions and onsets of the points seeded first."""
     position, onset = result["position"].values, result["onset_frame"].values
     names = ("ellipse_center", "ellipse_semi_axes", "ellipse_angle")
     border = Border(*(result[name].values.astype(np.float64) for name in names))
@@ -74,9 +76,11 @@ def material(result: xr.Dataset) -> np.ndarray:
 
 
 def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
-    """All points of which truth says so, but those within a step of the border at rest, which is known to 0.06 mm, so
-    that they touch in the first frame. By how far neighbours had moved, and by areas of places of onset, one was not
-    found, and on slides of other skin two to four, each of which puts the median up by 1 to 2 um/mm.
+    """Entered points are those of the truth, except points within a step of the resting border: the border is known to
+    0.06 mm, so these touch in the first frame.
+
+    A criterion by the motion of neighbours and by areas between onset positions misses one point, and two to four on
+    slides of other skin; each raises the median by 1 to 2 um/mm.
     """
     after_start = SLIDE.truth.onset_frame(material) > SLIDE.frames_before_trigger
     found, later = result["entry"].values == MOVED_IN, result["onset_frame"].values > 0
@@ -87,9 +91,11 @@ def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
 
 
 def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
-    """Truth counts each skin from its own entry; without what moved in it is another, 17.0 for 24.7 um/mm. Divergence
-    is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm, within two
-    stated deviations in six of seven frames, and 2.5 in each.
+    """The median divergence of skin counted since its own entry agrees with the truth to 4 um/mm, within two stated
+    deviations in all but one frame and 2.5 in each.
+
+    Without entered skin it is 17.0 instead of 24.7 um/mm. Divergence ranges from -160 to 240 um/mm there, so 1 % of the
+    area changes the median by 2.7 um/mm.
     """
     frames, measured = range(50, LAST + 1, 6), result["median_divergence"].values
     true = [
@@ -105,10 +111,12 @@ def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
 
 
 def test_a_stream_has_the_median_of_a_recording(result: xr.Dataset, streamed: list[Streamed]) -> None:
-    """The divergence since entry of the points that both say have moved in is the same, to rounding. They are nearly
-    the same points, but a stream tells some of them later, when their neighbours have moved: the median is up to 1.9
-    um/mm off while skin is drawn in and a little after, 0.3 when that is over. And it is as far from truth as a
-    recording's; without these points it is 10 below.
+    """A stream and a recording give the same divergence since entry, to rounding, for the points that both mark as
+    entered.
+
+    The sets of points are nearly equal. A stream marks some points later, when their neighbours have moved: its median
+    is up to 1.9 um/mm off while skin is drawn in, 0.3 afterwards. Both are equally far from the truth; without entered
+    points the median is 10 um/mm too low.
     """
     points, expected = streamed[LAST].divergence, result["divergence"].values[LAST]
     told, recorded = streamed[LAST].entered, result["entry"].values == MOVED_IN
@@ -125,9 +133,11 @@ def test_a_stream_has_the_median_of_a_recording(result: xr.Dataset, streamed: li
 
 
 def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material: np.ndarray) -> None:
-    """Against the same estimator on true positions: 3 um/mm in the median, of errors of the time of entry, and none of
-    smoothing; against truth itself 17 um/mm RMS. 3 are of smoothing, where divergence changes by 100 um/mm a mm; the
-    rest is mostly one point, which the border seems to reach 15 frames early, as 0.06 mm are there: it misses by 88.
+    """The divergence of entered skin has a median error below 3 um/mm against the same estimator on true positions, due
+    to errors of the entry time, and an RMS error below 20 um/mm against the truth.
+
+    Smoothing contributes 3 um/mm, where divergence changes by 100 um/mm per mm. Most of the rest is one point that the
+    border seems to reach 15 frames early, as the border is known to 0.06 mm: its error is 88 um/mm.
     """
     truth = SLIDE.truth
     entered = np.flatnonzero((result["entry"].values == MOVED_IN) & (truth.onset_frame(material) >= 0))
@@ -153,7 +163,9 @@ def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material
 
 
 def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset) -> None:
-    """Truth: the energy of F(t) F(entry)^-1 over the skin in contact. By places of onset it came to 1000 times that."""
+    """The strain energy is within a factor of two of the energy of F(t) F(entry)^-1 over the skin in contact. Strain
+    from onset positions alone would give 1000 times that energy.
+    """
     truth = SLIDE.truth
     gradient = truth.entry_gradient(skin_in_contact(SLIDE, LAST, STEP_MM), LAST)
     true = np.nansum(energies(gradient, STEP_MM))
@@ -163,7 +175,9 @@ def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset
 
 @pytest.mark.usefixtures("each_form")
 def test_medians_are_of_old_and_new_skin_together() -> None:
-    """Half of a disc counts from elsewhere, its own fields given: the median lies between, its errors add up."""
+    """If half of a disc has given fields (entered skin), the median lies between both halves; where these fields are
+    unknown, so is the median.
+    """
     points = torch.rand(1, 900, 2, generator=torch.Generator().manual_seed(1)) * 12 - 6
     new = points[..., 0] > 0
     displacement = 0.05 * points
@@ -180,10 +194,10 @@ def test_medians_are_of_old_and_new_skin_together() -> None:
     )
     assert found.known.item() > 0.93
     divergence = found.median[0, 0].item()
-    assert min(abs(divergence - one) for one in (0.1, 0.2, 0.3)) < 1e-4  # either half, or the middle of both
-    unknown = Apart(new, torch.full_like(fields, torch.nan), None)  # no part of the others' fits all the same
+    assert min(abs(divergence - one) for one in (0.1, 0.2, 0.3)) < 1e-4  # the value of either half, or the mean of both
+    unknown = Apart(new, torch.full_like(fields, torch.nan), None)  # left out of the fits to the other points, too
     without = area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=unknown)
     assert without.known.item() < 0.6
     assert without.median.isnan().all()
-    moved = displacement + 6.0 * new[..., None]  # nobody is near: nothing is known there
+    moved = displacement + 6.0 * new[..., None]  # no point is near, so nothing is known there
     assert area_medians(points, moved, *ellipse, gauge_length=1.6, apart=apart).known.item() < 0.6

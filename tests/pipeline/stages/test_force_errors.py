@@ -1,4 +1,4 @@
-"""Forces that contradict themselves or the recording: refused or said, with the way out."""
+"""Tests of forces that contradict themselves or the recording: an error or a warning that states a remedy."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ FORCES = ["normal_force", "load_ratio"]
 
 
 def processed(changed: Change, press: Path, folder: Path, edit: str = "", replaced: str = "") -> tuple[Any, str]:
-    """The press with forces in another file, after an edit of it and without a text of the scene; its warnings."""
+    """Return the result and the warnings of the press with a modified force file and without a text of the scene."""
     lines = (press / "forces.csv").read_text().splitlines()
     heading, values = lines[0], np.array([line.split(",") for line in lines[1:]], dtype=float)
     normal = [cell.partition(" ")[0] for cell in heading.split(",")].index("normal_force")

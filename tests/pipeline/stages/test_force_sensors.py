@@ -1,4 +1,6 @@
-"""[forces] units, sign, gain, offset, tare, two components: against the forces that a synthetic press exerts."""
+"""Tests of the keys of [forces] (units, sign, gain, offset, tare, two components) against the forces of a synthetic
+press.
+"""
 
 import json
 import tomllib
@@ -20,13 +22,13 @@ OUTPUTS = ["normal_force", "tangential_force", "load_ratio", "force_angle", "tan
 
 
 def channels_in(scene: Path) -> str:
-    """The lines that name both forces, with the comments between."""
+    """Return the lines of a scene that name both forces, with the comments between."""
     text, last = scene.read_text(encoding="utf-8"), 'tangential = "tangential_force"'
     return text[text.index("normal = ") : text.index(last)] + last
 
 
 def sampled(press: Path) -> np.ndarray[Any, Any]:
-    """(n, 4): s, N, N, V."""
+    """Return the samples (n, 4) of the force file: s, N, N, V."""
     return np.loadtxt(press / "forces.csv", delimiter=",", skiprows=1)
 
 
@@ -67,7 +69,7 @@ READINGS: dict[str, tuple[float, float, str, str]] = {
 
 @pytest.mark.parametrize("kind", READINGS)
 def test_readings_become_newtons(changed: Change, press: Path, tmp_path: Path, expected: xr.Dataset, kind: str) -> None:
-    """Exact to the digits that are written: 1e-5 N."""
+    """Readings in any unit give the forces in N, to the digits written in the file (1e-5 N)."""
     scale, zero, heading, settings = READINGS[kind]
     columns = sampled(press)
     columns[:, 1:3] = columns[:, 1:3] / scale + zero
@@ -79,7 +81,9 @@ def test_readings_become_newtons(changed: Change, press: Path, tmp_path: Path, e
 def test_tare_is_the_mean_while_nothing_touches(
     changed: Change, press: Path, tmp_path: Path, expected: xr.Dataset
 ) -> None:
-    """The press touches 0.02 s after the trigger. Noise of 5 mN over 1200 samples: 0.15 mN."""
+    """The tare is the mean over an interval without contact; the press touches 0.02 s after the trigger. Noise of 5 mN
+    over 1200 samples leaves 0.15 mN.
+    """
     columns = sampled(press)
     columns[:, 1:3] += (3.0, -0.7)
     file = written(tmp_path, columns, "time (s),fz (N),fx (N),trigger (V)")
@@ -97,7 +101,9 @@ def test_tare_is_the_mean_while_nothing_touches(
 
 
 def test_two_components(changed: Change, press: Path, tmp_path: Path, expected: xr.Dataset) -> None:
-    """A sensor that is turned by 0.7 rad: the same force, in a direction that is known to its noise over its size."""
+    """A sensor turned by 0.7 rad gives the same tangential force, and its direction where the force
+    exceeds its noise.
+    """
     columns, turned = sampled(press), 0.7
     along = 20 * columns[:, 2]
     five = np.column_stack(

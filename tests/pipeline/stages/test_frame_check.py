@@ -1,4 +1,6 @@
-"""Frames that cannot be change no number of the others: a press and a slide, each kind of bad frame at ten places."""
+"""Tests of unusable frames, which change no result of other frames: on a press and a slide, each kind of bad frame at
+ten positions.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,7 +33,7 @@ def _of_itself(spoil: Callable[[Frame], Frame], frames: Frame, k: int) -> Frame:
 
 
 FAR = "jumps_and_returns"
-#: What becomes of frame k of all (F, H, W), and the status that says so.
+#: (function that returns the spoiled frame k of all frames (F, H, W), status of that frame).
 KINDS: dict[str, tuple[Callable[[Frame, int], Frame], str]] = {
     **{name: (partial(_of_itself, spoil), status) for name, (spoil, status) in SPOILED.items()},
     "dim topography view": (lambda frames, k: np.roll(dim_contact(np.roll(frames[k], WIDTH, 1)), WIDTH, 1), FAR),
@@ -79,9 +81,11 @@ def test_a_clean_recording_has_no_bad_frame(clean: Clean) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, kind: str, tmp_path: Path) -> None:
-    """Areas of other frames to the last digit, but for the threshold, which another frame has if the one of the largest
-    force is bad: 0.5 %. Positions and medians are within their stated deviations, most of them far within: they are of
-    the same pictures. The first frame is good here, as other points are chosen in another one.
+    """Results of bad frames are NaN, and results of the other frames stay as they are.
+
+    Areas agree to 0.5 %: the threshold changes if the bad frame is the one with the largest force. Positions and
+    medians agree within their stated deviations. The first frame is good here, since in another frame other points
+    would be seeded.
     """
     spoil, status = KINDS[kind]
     places = PLACES[1:]
@@ -94,12 +98,12 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, kind: st
     assert f": {', '.join(map(str, places))}. No result counts them" in said
     good = np.setdiff1d(np.arange(FRAMES), places)
     for name, variable in result.data_vars.items():
-        # Forces are known there too, and what is made of them alone.
+        # Forces are known in bad frames too, and so are results of forces alone.
         if variable.dims[:1] == ("frame",) and variable.dtype.kind == "f" and name not in OF_FORCES:
             assert np.isnan(variable.values[places]).all(), name
     assert (result["status"].values[places] == TrackStatus.FRAME_NOT_USABLE).all()
-    # A point that leaves its neighbours behind may be looked for elsewhere after a gap: on the slide, which loses a
-    # quarter of its points by itself, a tenth fail another test, or none.
+    # After a gap, a point that has moved unlike its neighbours may be searched for elsewhere. On the slide, which
+    # loses a quarter of its points anyway, a tenth of the points have another status.
     entering = isinstance(rebuild_scene(clean.scene.path.parent), Slide)
     equal = (result["status"].values[good] == clean.result["status"].values[good]).mean()
     assert equal > (0.85 if entering else 0.97)
@@ -110,21 +114,21 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, kind: st
     far = np.abs(
         moved[np.isfinite(moved).all(-1)] / np.broadcast_to(deviation, moved.shape)[np.isfinite(moved).all(-1)]
     )
-    # On a slide of some px a frame, points at the edge of the view are found again elsewhere, or later.
+    # On a slide of several px per frame, points at the edge of the view are found again elsewhere, or later.
     assert np.quantile(far, 0.99) < 1.5
-    # In a slide skin that enters is strained against skin that touched before: that energy follows any single point.
+    # In a slide, entering skin is strained relative to skin that touched before, so single points change the energy.
     for name in ("median_divergence", "median_curl", *(() if entering else ("strain_energy",))):
         value, deviation = (clean.result[one].values[good] for one in (name, f"{name}_std"))
         off = np.abs(result[name].values[good] - value)
         known = np.isfinite(off)
         assert known.sum() > 0.9 * np.isfinite(value).sum(), name
-        # The time at which a point is first covered may be a frame later, which deviations count.
+        # A point may be covered for the first time one frame later; the deviations include that.
         assert (off[known] <= 3 * deviation[known] + 1e-12).all(), name
 
 
 @pytest.mark.parametrize("kind", ["black", "rolled", "dim contact view"])
 def test_a_bad_first_and_last_frame(clean: Clean, kind: str, tmp_path: Path) -> None:
-    """Points are chosen in the first frame that is a picture; areas do not change."""
+    """Points are seeded in the first usable frame, and areas do not change."""
     spoil, status = SPOILED[kind]
     frames = clean.frames.copy()
     ends = [0, FRAMES - 1]
@@ -158,7 +162,7 @@ def test_whatever_the_way_of_tracking(clean: Clean, direction: str, template: st
     tracking = replace(scene.tracking, direction=direction, template=template)
     result, expected = (process(replace(one, tracking=tracking), ["position_px"]) for one in (scene, clean.scene))
     good = np.setdiff1d(np.arange(FRAMES), PLACES[1:])
-    # From frame to frame, skin that slides is looked for further away after a gap.
+    # With tracking from frame to frame, sliding skin is further away after a gap.
     lost = expected["tracked_share"].values[good] - result["tracked_share"].values[good]
     assert lost.max() < 0.3
     assert np.isnan(result["position_px"].values[PLACES[1:]]).all()

@@ -1,4 +1,4 @@
-"""Memory stays bounded whatever the length: only numbers grow with the frames, never pixels."""
+"""Tests that memory is bounded whatever the length of a recording: only numbers grow with the frames, not pixels."""
 
 import gc
 import tracemalloc
@@ -23,8 +23,8 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(autouse=True)
 def _cycles_are_let_go() -> Iterator[None]:
-    """Cycles are collected once there are a quarter as many objects as the process has of all tests before: what is
-    there already does not count.
+    """Exclude existing objects from garbage collection, so that cycles of earlier tests do not delay the collection of
+    new ones.
     """
     gc.collect()
     gc.freeze()
@@ -33,7 +33,7 @@ def _cycles_are_let_go() -> Iterator[None]:
 
 
 class Watch:
-    """How much is alive at once: frames read, image-sized tensors, bytes of NumPy arrays."""
+    """Counter of the frames read, image-sized tensors and bytes of NumPy arrays that are alive at once."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, pixels: int) -> None:
         self.frames = self.most_frames = self.most_tensors = 0
@@ -42,7 +42,7 @@ class Watch:
         run = ContactStage.step
 
         def counted_read(recording: Recording) -> np.ndarray[Any, Any]:
-            frames = recording.read()  # as from a file that has to be decoded
+            frames = recording.read()  # as from a file that must be decoded
             self.frames += len(frames)
             self.most_frames = max(self.most_frames, self.frames)
             weakref.finalize(frames, self._let_go, len(frames))
@@ -50,7 +50,7 @@ class Watch:
 
         def counted_run(stage: ContactStage, *arguments: Any) -> Any:
             self._batches += 1
-            if self._batches % 4 == 2:  # looking at every object takes its time
+            if self._batches % 4 == 2:  # a search of all objects takes time
                 self.most_tensors = max(self.most_tensors, self._tensors())
             return run(stage, *arguments)
 
@@ -96,7 +96,7 @@ def test_what_is_alive_does_not_grow_with_the_frames(
     torch_threads: Callable[[int], None],
 ) -> None:
     torch_threads(threads)
-    process(long(9), outputs)  # what is loaded and cached once
+    process(long(9), outputs)  # fills caches
     found = {}
     for count in (few, many):
         scene = long(count)
@@ -112,19 +112,21 @@ def test_what_is_alive_does_not_grow_with_the_frames(
         assert (result["gross_contact_area"].values > 0).all()
     (few_frames, few_tensors, few_bytes), (many_frames, many_tensors, many_bytes) = found[few], found[many]
     assert many_frames == few_frames <= 16
-    if threads == 1:  # with two, the other one is looked at wherever it is just then
+    if threads == 1:  # with two threads the state of the other one is random
         assert many_tensors == few_tensors
-    # A frame has 23,040 bytes. What stays of it are numbers: areas, and some 100 bytes a point and a triangle.
+    # A frame has 23,040 bytes. Only numbers remain: areas, and some 100 bytes per point and triangle.
     assert (many_bytes - few_bytes) / (many - few) < 23_040 / 4
 
 
 def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[..., Scene], tmp_path: Path) -> None:
-    """The same data set, of which a few numbers a frame are held until the end: of points and triangles none."""
+    """Results written to a file are the same data set, but only a few numbers per frame, and none per point or
+    triangle, stay in memory.
+    """
     file = tmp_path / "result.h5"
     process(long(9), to=file).close()
     bytes_of: dict[Path | None, list[int]] = {file: [], None: []}
-    # More than the 64 that are computed at a time, and so many that one piece of 64 more or less in a peak, which is
-    # up to the moment at which it is written, counts little.
+    # More than the 64 frames that are computed at a time, and so many that one chunk of 64 frames more or less at
+    # the peak, which depends on the time of writing, has little effect.
     few, many = 80, 720
     for count in (few, many):
         scene = long(count, points=60)
@@ -136,7 +138,7 @@ def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[..., Sce
             found.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     a_frame = {to: (last - first) / (many - few) for to, (first, last) in bytes_of.items()}
-    assert a_frame[file] < 1000  # some forty numbers, and places of chunks in the file
+    assert a_frame[file] < 1000  # some forty numbers, and offsets of chunks in the file
     assert a_frame[file] < a_frame[None] / 5
     xr.testing.assert_identical(load_result(file).drop_attrs(deep=False), made.drop_attrs(deep=False).drop_encoding())
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".h5"] == ["result.h5"]

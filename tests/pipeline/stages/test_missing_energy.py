@@ -1,4 +1,4 @@
-"""Triangles in contact that are not known for a frame."""
+"""Tests of the error of the strain energy due to triangles in contact whose strain is unknown."""
 
 import numpy as np
 
@@ -8,11 +8,13 @@ AREAS = np.ones(3)  # mm^2
 
 
 def test_lost_triangles_are_missed_by_what_they_had_over_the_mean_and_by_the_spread_of_the_others() -> None:
-    """Known are 1.0 and 1.5: a mean of 1.25, a variance of 1/16, and one point may have lost six such triangles."""
+    """The error of a lost triangle is its last density minus the mean of the others, plus their spread. The known
+    densities 1.0 and 1.5 have a mean of 1.25 and a variance of 1/16, and one point may have lost six such triangles.
+    """
     missing = MissingEnergy(AREAS)
     density = np.array([[1.0, 1.0, 7.0], [1.0, 1.5, np.nan], [1.0, 2.0, np.nan], [1.0, 1.0, 1.0]])
     contact = np.ones((4, 3), dtype=bool)
-    contact[2, 2] = False  # no part of the energy
+    contact[2, 2] = False  # not in contact
     np.testing.assert_allclose(missing.add_frames(density, contact), [0, np.hypot(7 - 1.25, np.sqrt(6 / 16)), 0, 0])
 
 

@@ -1,4 +1,4 @@
-"""Points for skin that comes into contact and had none: a contact through which 3 mm of skin pass."""
+"""Tests of points seeded on skin that comes into contact without points: 3 mm of skin pass through the contact."""
 
 from pathlib import Path
 
@@ -30,8 +30,10 @@ def result(folder: Path) -> xr.Dataset:
 
 
 def test_fields_are_known_all_along(result: xr.Dataset) -> None:
-    """With the points of the first choice alone, coverage falls to 0.64 and medians are NaN from frame 29 on. Truth is
-    uniform, so smoothing adds nothing: 1 um/mm is what errors of the frame of entry leave of 99.
+    """Coverage exceeds 0.9 and the median divergence errs by less than 1 um/mm of 99, due to errors of the entry frame;
+    the true field is uniform, so smoothing adds no error.
+
+    With the points of the first seeding alone, coverage falls to 0.64 and medians are NaN from frame 29 on.
     """
     assert result["field_coverage"].values.min() > 0.9
     frames = range(8, ROLLING.n_frames, 3)
@@ -41,22 +43,26 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
     ]
     error = [result["median_divergence"].values[k] - np.nanmedian(one) for k, one in zip(frames, true, strict=True)]
     assert np.abs(error).max() < 1e-3
-    # The median lies in the flank of skin of the first frame, a third of the contact has come in since: noise of single
-    # fits moves it. 0.1 was stated by the errors of the points alone, and 3 of 18 frames lay within two of it.
+    # A third of the contact has entered since, so the median lies in the tail of the skin of the first frame, where
+    # noise of single fits changes it. Errors of points alone give 0.1 um/mm; 3 of 18 frames are within two of these.
     stated = result["median_divergence_std"].values[list(frames)]
     assert np.mean(np.abs(error) < 2 * stated) > 0.8
     assert stated.max() < 1e-3
 
 
 def test_energy_is_of_the_skin_in_contact(result: xr.Dataset) -> None:
-    """A tenth: triangles of the border count whole. With skin that has left on the other side it was 1.6 times that."""
+    """The energy agrees to 10 % with the energy of the skin in contact; triangles at the border count as a whole. With
+    skin that has left on the other side the energy would be 1.6 times as large.
+    """
     gradient = ROLLING.truth.entry_gradient(skin_in_contact(ROLLING, ROLLING.n_frames - 1, 0.1), ROLLING.n_frames - 1)
     true = energies(gradient, 0.1).sum()
     assert result["strain_energy"].values[-1] == pytest.approx(true, rel=0.1)
 
 
 def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
-    """0.1 px, as a press's points: against truth, from the frame in which each was chosen."""
+    """Points seeded later err by less than 0.1 px (median) from the frame of their seeding on, as points
+    of a press do.
+    """
     status, pixels = result["status"].values, result["position_px"].values
     later = np.flatnonzero(status[0] == NOT_YET)
     assert len(later) > 200
@@ -75,7 +81,9 @@ def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
 
 
 def test_entry_is_their_own(result: xr.Dataset) -> None:
-    """To 0.15 mm of way, 3 frames: the border is known to 0.06 mm, and a touch counts from the frame after it."""
+    """The onset of points seeded later is found to 3 frames (0.15 mm of motion): the border is known to 0.06 mm, and a
+    touch counts from the next frame on.
+    """
     status, entry = result["status"].values, result["entry"].values
     came = np.flatnonzero((status[0] == NOT_YET) & (entry == ENTRY.index("entered")))
     assert len(came) > 50
@@ -92,7 +100,7 @@ def test_entry_is_their_own(result: xr.Dataset) -> None:
 
 @pytest.mark.parametrize(("fastest", "far"), [(0.0, 12.5), (5.0, 12.5), (40.0, 3.0), (500.0, 60.0)])
 def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
-    """Cells are searched for the nearest point only where that may tell: against the search for all of them."""
+    """The preselection of cells without points contains all empty cells that a search of all cells finds."""
     rng = np.random.default_rng(int(fastest))
     cell, shape = 8, (32, 40)
     skin = NewSkin(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), cell, 25)
@@ -111,7 +119,7 @@ def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
 
 @pytest.mark.parametrize("backward", [False, True])
 def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
-    """Skin that moves as a whole has lain, at the first choice, where its place then less the motion is: exactly."""
+    """After a rigid motion the position of a point at the first seeding is exactly its position minus the motion."""
     places = np.random.default_rng(3).uniform(0, 10, (60, 2))
     moved = places + np.arange(9)[:, None, None] * np.array([0.3, -0.1])
     status = np.zeros((9, 60), np.uint8)

@@ -1,4 +1,4 @@
-"""Settings against the data: each sentence from its numbers, and in a scene that asks for it."""
+"""Tests of the checks of settings against data: each warning from its numbers, and in a scene that causes it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -38,7 +38,7 @@ def test_what_is_plausible_says_nothing(changed: Change) -> None:
         assert plausibility.of_growth(normal, gross) == []
         assert plausibility.of_missing_frames(gross, normal, 0) == []
     assert plausibility.of_onset(force, nothing.repeat(8), 0) == []
-    assert plausibility.of_growth(force, force**0.1) == []  # as little as skin grows
+    assert plausibility.of_growth(force, force**0.1) == []  # the slowest growth of a real contact
     assert plausibility.of_beginning(gross, 0) == []
     assert plausibility.of_beginning(np.full(40, 66.0), 0) == []  # a slide
     assert plausibility.of_beginning(nothing, 0) == []
@@ -55,7 +55,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     (more,) = plausibility.of_areas(real, gross, 100.0, 1, 10)
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more
-    # A frame that is not usable between the two does not hide a jump.
+    # An unusable frame between two frames does not hide a jump.
     (jump,) = plausibility.of_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
     (lost,) = plausibility.of_tracking(np.array([1, 0.4, 0.1]), 5)
@@ -63,7 +63,7 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
 
 
 def test_a_contradiction_between_force_and_contact_is_said() -> None:
-    """Forces of other units and of other moments than the pictures, and frames that are not there."""
+    """Warnings name forces in wrong units, forces out of step with the frames, and missing frames."""
     force, gross = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40)
     for normal, value in ((1000 * force, "6.25e+04 kPa"), (102 * force, "6.38e+03 kPa"), (force / 1000, "0.0625 kPa")):
         (said,) = plausibility.of_pressure(normal, gross)
@@ -79,7 +79,7 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
     (said,) = plausibility.of_missing_frames(cut, None, 5)
     assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
-    # The same step of the force is a real one.
+    # If the force has the same step, the step is real.
     assert plausibility.of_missing_frames(cut, cut / 16, 5) == []
     (said,) = plausibility.of_beginning(gross[10:], 10)
     assert "20.5 of 80 mm² touch in frame 10" in said
@@ -113,7 +113,9 @@ def test_background_that_shows_a_finger_is_said(changed: Change, frames: Array) 
 
 
 def test_lamp_that_falls_to_stay(changed: Change, frames: Array) -> None:
-    """To 60 % from one frame to the next, for good: areas cannot be told from contact, and the result says where."""
+    """A permanent drop of the light to 60 % between two frames cannot be told from contact; a warning
+    names the frames.
+    """
     dim = frames.copy()
     dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
     scene = changed({'threshold = "reference_frame"': "threshold = 0.27"}, frames=dim)
@@ -122,7 +124,7 @@ def test_lamp_that_falls_to_stay(changed: Change, frames: Array) -> None:
 
 
 def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array) -> None:
-    """NaN, not 0 mJ: nobody knows it; and 0 where nothing touches."""
+    """The energy is NaN, not 0 mJ, if all points are lost, and 0 if nothing touches."""
     blank = frames.copy()
     blank[5:, :, :120] = 90
     result = process(changed(frames=blank))
@@ -138,7 +140,7 @@ def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array)
 
 
 def test_a_report_of_another_recording_is_refused(tmp_path: Path) -> None:
-    """Two presses of the same size and length; the noise of the camera tells them apart."""
+    """A result of another press of equal size and length is refused; the camera noise distinguishes them."""
     for name in ("one", "other"):
         write_recording(tmp_path / name, TINY_PRESS)
     frames = np.load(tmp_path / "other" / "frames.npy")

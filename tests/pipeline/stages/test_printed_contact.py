@@ -1,4 +1,4 @@
-"""The printed steps beside OpenCV's, and beside the area that counts."""
+"""Tests of the segmentation steps as printed in the paper, against OpenCV and against the default area."""
 
 from pathlib import Path
 
@@ -22,7 +22,9 @@ def test_it_runs_only_where_it_is_asked_for(scene: Scene) -> None:
 
 
 def test_areas_are_those_of_opencv(scene: Scene) -> None:
-    """Median, Otsu and erosion by OpenCV, on the signal in one byte; the frame of first contact is all glass."""
+    """Areas equal those of median, Otsu's threshold and erosion by OpenCV on the contact signal in one byte; the frame
+    of first contact shows only glass.
+    """
     names = ["printed_real_contact_area", "printed_eroded_contact_area", "real_contact_area"]
     found = process(scene, names)
     area = found["real_contact_area"].values
@@ -42,7 +44,7 @@ def test_areas_are_those_of_opencv(scene: Scene) -> None:
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         size = scene.calibration.mm_per_px**2
         expected = mask.sum() * size, cv2.erode(mask, cross).sum() * size
-        # A level of the rounding of the quotient moves single pixels.
+        # Rounding of the quotient by one level changes single pixels.
         np.testing.assert_allclose(
             [float(found[name][frame]) for name in names[:2]], expected, rtol=2e-3, atol=8 * size
         )

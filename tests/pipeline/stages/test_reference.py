@@ -1,4 +1,4 @@
-"""[fields] reference: a press that slides while it grows, counted from onset, the first frame, a frame and a time."""
+"""Tests of [fields] reference on a press that slides while it grows: onset, first frame, a frame and a time."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ PRESS = Press(
     finger=(5.0, 4.0),
     shift=(0.5, -0.25),  # mm: 17 px of sliding
 )
-LOOKED = (16, 24, 32, 39)  # from 10 mm2 on
+LOOKED = (16, 24, 32, 39)  # frames with a contact of 10 mm2 or more
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,11 @@ def counted_from(scene: Scene, reference: str | int) -> xr.Dataset:
 
 @pytest.mark.parametrize(("reference", "frame"), [("first_frame", 0), (20, 20), ("0.7 s", 30)])
 def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | int, frame: int) -> None:
-    """Limits: twice what errors of the border make of the medians of this small contact (0.4 um/mm); the displacement
-    is the median over points, which are not spread as evenly as the truth's grid (7 um of 510)."""
+    """Strain and displacement counted from a frame agree with the truth of that reference.
+
+    The limit of the medians is twice the effect of border errors on this small contact (0.4 um/mm). The displacement is
+    a median over points, which are not spread as evenly as the grid of the truth (7 um of 510).
+    """
     result, truth = counted_from(scene, reference), PRESS.truth
     assert result["divergence"].attrs["reference_frame"] == frame
     assert f"frame {frame}, {PRESS.times[frame]:.4g} s" in result["median_strain"].attrs["reference"]
@@ -54,7 +57,7 @@ def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | in
     exact = truth.displacement(material, 36, reference=frame)
     error = result["displacement"].values[36] - exact
     known = np.isfinite(error).all(-1)
-    assert known.mean() > 0.5  # of points in a rectangle around the contact
+    assert known.mean() > 0.5  # points lie in a rectangle around the contact
     assert np.sqrt((error[known] ** 2).mean()) < 0.001  # mm: 0.03 px
     stated = result["displacement_std"].values[36][known]
     assert 0.7 < np.sqrt((error[known] ** 2).mean() / (stated**2).mean()) < 1.4
@@ -62,12 +65,14 @@ def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | in
 
 
 def test_by_onset_sliding_counts_as_another_strain(scene: Scene) -> None:
-    """Neighbours count from other moments: by the skin it is 100 um/mm here, by onsets 115 (truth)."""
+    """Counted from their onsets, neighbours have different reference times: the true divergence is 115 um/mm, against
+    100 um/mm of the skin itself.
+    """
     truth = PRESS.truth
     by_onset, by_skin = truth.medians(39).divergence, truth.medians(39, reference=0).divergence
     assert by_onset - by_skin > 0.01
     result = counted_from(scene, "onset")
-    # 40 frames a second: the contact grows by up to 0.2 mm in a frame while the skin slides, which onset is late by.
+    # At 40 frames/s the contact grows by up to 0.2 mm per frame while the skin slides, and the onset is late by this.
     assert abs(result["median_divergence"].values[39] - by_onset) < 0.006
     assert "reference_frame" not in result["divergence"].attrs
     assert "own onset" in result["displacement"].attrs["reference"]
@@ -85,7 +90,7 @@ def test_truth_by_a_frame_is_the_difference_of_two_positions() -> None:
         beside = begun.copy()
         beside[:, axis] += step
         other = truth.displacement(truth.material(beside, 12), 39, reference=12)
-        np.testing.assert_allclose(gradient[..., axis], (other - moved) / step, atol=1e-4)  # of second order in step
+        np.testing.assert_allclose(gradient[..., axis], (other - moved) / step, atol=1e-4)  # second order in step
 
 
 @pytest.mark.parametrize(
@@ -103,7 +108,9 @@ def test_what_is_not_in_the_recording_is_refused(scene: Scene, reference: str | 
 
 
 def test_points_that_are_lost_then_are_unknown_and_counted(scene: Scene, tmp_path: Path) -> None:
-    """A patch of the topography view is without skin from the reference frame on."""
+    """Points lost in the reference frame, behind a patch of the topography view, have no displacement, and a warning
+    counts them.
+    """
     frames = np.load(scene.recording.frames)
     frames[20:, 100:220, 120:200] = 40
     np.save(tmp_path / "patched.npy", frames)

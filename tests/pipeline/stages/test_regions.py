@@ -1,4 +1,4 @@
-"""Regions drawn in the views: their pixels, what counts as contact, where points are chosen, and what is refused."""
+"""Tests of regions drawn in the views: their pixels, the contact and the points inside them, and refused regions."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +34,9 @@ def mask_of(runs: Any, shape: tuple[int, int]) -> np.ndarray:
 
 @pytest.fixture
 def drawn(changed: Callable[..., Scene]) -> Callable[..., Scene]:
-    """The press with a region: ``drawn("[views.contact]", "polygon = [...]")``; the stream's rectangle is left out."""
+    """Return a function that draws a region in a view of the press, without the stream's rectangle:
+    ``drawn("[views.contact]", "polygon = [...]")``.
+    """
 
     def draw(table: str, region: str, replaced: dict[str, str] | None = None) -> Scene:
         return changed({table: f"{table}\nregion = {{{region}}}", **(replaced or {})}, stream=False)
@@ -44,7 +46,9 @@ def drawn(changed: Callable[..., Scene]) -> Callable[..., Scene]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_polygon_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
-    """As matplotlib says of simple polygons; corners are no whole numbers, so that no centre lies on a side."""
+    """A polygon contains the same pixel centres as by matplotlib; its corners are not integers, so no centre lies on a
+    side.
+    """
     random = np.random.default_rng(seed)
     turn = np.sort(random.uniform(0, 2 * np.pi, 9))
     corners = np.stack([np.cos(turn), np.sin(turn)], 1) * random.uniform(5, 40, (9, 1)) + [37.3, 24.6]
@@ -73,7 +77,9 @@ def test_an_ellipse_holds_the_pixels_whose_centres_it_holds(angle: float) -> Non
 
 
 def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], drawn: Callable[..., Scene]) -> None:
-    """Two halves add up to the whole: to 2 %, what the median of 3 x 3 px makes of ridges that the border cuts."""
+    """The contact areas of two half views add up to the whole to 2 %; the median filter of 3 x 3 px differs where the
+    border cuts ridges.
+    """
     fixed = {'threshold = "reference_frame"': "threshold = 0.25"}
     scene = changed(fixed)
     height, width = scene.views.contact.shape
@@ -98,14 +104,16 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
     np.testing.assert_array_equal(stream_settings(load_stream(scene.path), cast(Any, bundle)).region, mask)
     result = process(scene, ["position_px"])
     first = result["position_px"].values[0]
-    x, y = first[np.isfinite(first).all(1)].round().astype(int).T  # others are seeded later, as the contact grows
+    x, y = first[np.isfinite(first).all(1)].round().astype(int).T  # more points are seeded later, as the contact grows
     assert len(x) > 20
     assert mask[y, x].all()
 
 
 def test_points_lie_evenly_over_the_region(drawn: Callable[..., Scene]) -> None:
-    """Mean distance to the nearest point over that of as many points by chance (Clark & Evans 1954): 1 for chance, 2.15
-    for a lattice of triangles, below 1 for clusters. The strongest corners of ridges alone: about 1.
+    """The mean distance to the nearest point is 1.3 times that of random points or more (Clark & Evans 1954).
+
+    The ratio is 1 for random points, 2.15 for a triangular lattice, below 1 for clusters, and about 1 for the strongest
+    corners of ridges.
     """
     region = "polygon = [[22, 20], [98, 20], [98, 76], [22, 76]]"
     result = process(drawn(TOPOGRAPHY, region, {POINTS: "points = 40"}), ["position_px"])

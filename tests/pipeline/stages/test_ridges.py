@@ -1,4 +1,4 @@
-"""Ridges of the skin in contact: period, and offset between the views."""
+"""Tests of the ridges of the skin in contact: their period, and the offset between the views."""
 
 from dataclasses import replace
 
@@ -32,7 +32,9 @@ def _patch(press: Press) -> tuple[ridges.SkinPatch, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("texture", SKINS)
 def test_period_and_offset(texture: Skin) -> None:
-    """Periods of the skins are 0.43 to 0.53 mm; a transform that is left out or inverted is off by some pixels."""
+    """The period of the skins, 0.43 to 0.53 mm, is found, and a transform that is missing or inverted shows as an
+    offset of several pixels.
+    """
     press = replace(PRESS, texture=texture)
     skin, topography, matrix = _patch(press)
     assert 0.4 < ridges.period_px(skin) * press.mm_per_px < 0.56
@@ -42,7 +44,7 @@ def test_period_and_offset(texture: Skin) -> None:
         middle = np.array([240, 192, 1.0])
         off = np.linalg.norm((matrix - wrong) @ middle)
         assert ridges.offset_px(skin, topography, wrong) == pytest.approx(off, rel=0.5)
-    # Views of other skin, or without any, are not judged.
+    # Views of different skin, or without skin, give no offset.
     noise = np.random.default_rng(0).normal(size=topography.shape)
     assert ridges.offset_px(skin, noise, matrix) == 0
     assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0

@@ -1,4 +1,4 @@
-"""Medians and rates of series."""
+"""Tests of medians and time derivatives of series."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ STEP = 1 / 300
 
 
 def test_rates_are_those_of_savitzky_and_golay() -> None:
-    """By the field's own code: what is left is the rounding of sums of numbers near 1,000."""
+    """Rates equal SciPy's Savitzky-Golay filter, to the rounding of sums of numbers near 1,000."""
     values = 1e3 + np.random.default_rng(4).normal(size=(60, 2)).cumsum(0)
     values[:5, 0], values[30, 0], values[35, 0] = np.nan, np.nan, np.nan  # a run of 25, one of 4 and one of 24
     found = rate(values, STEP * np.arange(60), 10 * STEP)

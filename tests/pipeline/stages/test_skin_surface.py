@@ -1,4 +1,6 @@
-"""Displacement between points: exact where a plane is, SciPy's thin plate else, lost points without a say."""
+"""Tests of the interpolation of displacements: exact for a plane, else SciPy's thin plate; lost points have no
+influence.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ def test_a_linear_field_is_exact_whoever_is_lost() -> None:
     slope = np.array([[0.1, -0.2], [0.05, 0.3]])
     moved = POINTS @ slope + 0.5
     moved[7, 0], moved[9] = np.nan, np.nan
-    # float32 of values up to 6.
+    # Rounding of values up to 6 in float32.
     np.testing.assert_allclose(SkinSurface(POINTS, PLACES)(moved), PLACES @ slope + 0.5, atol=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""The stuck part against truth, the verdict of known trials, and trials that cannot be judged."""
+"""Tests of the stick region against truth, of the verdict on known trials, and of trials that cannot be judged."""
 
 import functools
 import json
@@ -43,7 +43,9 @@ def by(scene: Scene, criterion: str) -> Scene:
 
 @functools.cache
 def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
-    """(F,) exact d^2: of what has not slipped, or has moved by less than a limit."""
+    """Return the true stuck ratio d² (F,): the share of the contact that has not slipped or, with a limit, has moved by
+    less than the limit.
+    """
     trial = rebuild_scene(folder)
     assert isinstance(trial, PartialSlip)
     frames = range(trial.n_frames)
@@ -51,13 +53,13 @@ def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
 
 
 def known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """No frame is left out."""
+    """Return the values, after checking that all are finite."""
     assert np.isfinite(values).all()
     return values
 
 
 def warnings_of(result: xr.Dataset) -> list[str]:
-    """But the one that a small contact has fewer corners than the 700 that a scene asks for."""
+    """Return the warnings of a result, except that a small contact has fewer corners than the 700 points requested."""
     return [one for one in json.loads(result.attrs["warnings"]) if " of 700 points were found" not in one]
 
 
@@ -69,11 +71,12 @@ def verdict_of(result: xr.Dataset) -> dict[str, Any]:
 def test_stuck_ratio_of_a_small_contact(
     name: str, most: float, usual: float, results: dict[str, xr.Dataset], slip_trials: Path
 ) -> None:
-    """Within two stated deviations, of 0.05 at most, in every frame; the error is nearly one shift of the border.
+    """The stuck ratio is within two stated deviations (0.05 at most) in every frame; most of the error is a common
+    shift of the border.
 
     A window of 15 px is a fifth of this contact's semi-axis and hides the length over which slip turns from a square
-    into a line. The fading contact has the shift in more frames, as it sticks for longer. The printed d² is within
-    0.03, as by the criterion of a length.
+    into a line. The fading contact shows the shift in more frames, as this contact sticks for longer. The printed d²
+    errs by less than 0.03, as with the criterion of a length.
     """
     found = results[name]
     error = known(np.abs(found["stuck_ratio"].values - shares(slip_trials / name)))
@@ -88,11 +91,13 @@ def test_stuck_ratio_of_a_small_contact(
 @pytest.mark.parametrize("criterion", ["displacement", "relative"])
 @pytest.mark.parametrize("name", NAMES)
 def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Path) -> None:
-    """The paper's 40 um within 0.03 in every frame, 0.02 in nine of ten, on glass at rest against either."""
+    """With the paper's criterion of 40 um d² errs by less than 0.03 in every frame and 0.02 in nine of ten, for
+    displacement relative to the glass and to the stick region.
+    """
     scene = by(load_scene(slip_trials / name / "scene.toml"), criterion)
     result = process(scene, ["stuck_ratio"])
     found, truth = result["stuck_ratio"].values, shares(slip_trials / name, 0.04)
-    told = truth > (0.15 if criterion == "relative" else -1)  # what comes loose as one is stuck against itself
+    told = truth > (0.15 if criterion == "relative" else -1)  # skin that is loose as a whole sticks relative to itself
     assert told.sum() > 60
     error = known(np.abs(found - truth)[told])
     assert error.max() < 0.03
@@ -103,7 +108,9 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
 
 @pytest.mark.long
 def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
-    """With the default settings; the paper's limit of 40 um takes skin that slips for stuck."""
+    """In views as large as the rig's, d² errs by less than 0.03 with the default settings; the paper's limit of 40 um
+    takes slipping skin for sticking skin.
+    """
     write_recording(tmp_path / "trial", PartialSlip(n_frames=100, frame_rate=20.0, frames_before_trigger=4))
     scene = load_scene(tmp_path / "trial" / "scene.toml")
     model, slow = shares(tmp_path / "trial"), shares(tmp_path / "trial", 0.04)
@@ -122,7 +129,7 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     assert isinstance(trial, PartialSlip)
     found = verdict_of(results[name])
     assert found["outcome"] == outcome
-    assert found["printed_outcome"] == "vanishes abruptly"  # by the rule as printed both do
+    assert found["printed_outcome"] == "vanishes abruptly"  # by the printed rule both trials do
     truth = shares(slip_trials / name)
     assert abs(found["loss_frame"] - np.flatnonzero(truth > 0.05)[-1] - 1) <= 2
     before = trial.times[found["loss_frame"] - 2 : found["loss_frame"] + 1]
@@ -140,7 +147,7 @@ def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Data
     np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
     region = result["stuck_region"]
     counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
-    # Cells at the border of the contact count as a whole.
+    # Cells at the border of the contact are counted whole.
     np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
     expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
     np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
@@ -150,7 +157,7 @@ def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Data
 
 
 def test_only_what_is_needed_runs(slip_trials: Path) -> None:
-    """A trial of slip that is called a press gives it where it is asked for."""
+    """Only the stages that an output needs are run; a press gives slip outputs if they are requested."""
     slip = load_scene(slip_trials / "abrupt" / "scene.toml")
     press = replace(slip, kind="press")
     areas = replace(slip, views=Views({"contact": slip.views.contact}))
@@ -172,7 +179,7 @@ def test_a_scene_that_is_about_slip_gives_it_unasked(slip_trials: Path) -> None:
 
 
 def with_forces(folder: Path, new: Path, forces: NDArray[Any]) -> Scene:
-    """The scene with other forces."""
+    """Return the scene with other forces."""
     header = (folder / "forces.csv").read_text(encoding="utf-8").splitlines()[0]
     np.savetxt(new / "forces.csv", forces, fmt="%.6f", delimiter=",", header=header, comments="")
     return scene_beside(folder, new, {(folder / "forces.csv").as_posix(): "forces.csv"})
@@ -243,7 +250,7 @@ def test_contact_that_comes_later_is_no_reference(slip_trials: Path, tmp_path: P
 
 
 def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
-    """Twelve points leave most of the contact unknown: NaN, and neither stuck nor slipping."""
+    """Twelve points leave most of the contact unknown: the stuck area is NaN, and a warning says so."""
     scene = load_scene(slip_trials / "abrupt" / "scene.toml")
     scene = replace(scene, tracking=replace(scene.tracking, points=12))
     result = process(scene, ["stuck_ratio"])
@@ -255,9 +262,9 @@ def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
 
 @pytest.mark.long
 def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
-    """Of skin that rests in two places, the larger one counts, as far as it touches."""
+    """If skin rests in two regions, the part of the larger region in contact is the stick region."""
     inputs = open_inputs(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None), "cpu")
-    x, y = np.meshgrid(np.arange(8.0, 236, 4), np.arange(8.0, 168, 4))  # to a cell beyond what touches
+    x, y = np.meshgrid(np.arange(8.0, 236, 4), np.arange(8.0, 168, 4))  # one cell beyond the contact
     rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
     position = np.repeat(np.stack((x, y), -1).reshape(1, -1, 2), 2, axis=0)
     position[1, ~rests.ravel(), 0] += 2  # px, 0.065 mm
@@ -266,7 +273,7 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
     calibration = replace(scene.calibration, topography_to_contact=identity)
     inputs.scene = replace(scene, calibration=calibration)
     regions = np.zeros((2, 48, 60), bool)
-    regions[:, 3:40, 3:57] = True  # rows to 160 px, and further from the edge than half the distance of ridges
+    regions[:, 3:40, 3:57] = True  # rows to 160 px, further from the edge than half a ridge period
     given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
     trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
     run(trial, SlipStage(trial))
@@ -280,12 +287,12 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
 
 
 def small(folder: Path, **settings: Any) -> Path:
-    """A trial as `slip_trials` has them, 60 frames, with other settings."""
+    """Write a trial like those of `slip_trials`, with 60 frames and other settings, and return its folder."""
     return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
 
 
 def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
-    """Every position that is given is within 2 px of the skin: another ridge is 14 px away."""
+    """Through a jump of 5 px every known position is within 2 px of the skin, whose ridges are 14 px apart."""
     folder = small(tmp_path / "trial", jumps=(1.6, 1.75))
     trial = rebuild_scene(folder)
     result = process(load_scene(folder / "scene.toml"), ["position_px", "stuck_ratio"])
@@ -304,10 +311,12 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
 @pytest.mark.long
 @pytest.mark.parametrize(("rate", "displacement"), [(60.0, "points"), (300.0, "points"), (60.0, "dense_flow")])
 def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path: Path) -> None:
-    """In one frame, at the rim while a quarter to a half of the contact sticks, later of all; forces with noise and
-    drift. No point is accepted that is on another ridge, 14 px away: at most 2.5 px off, where skin was stretched by a
-    third. d² is right to 0.08, at 300 frames/s to 0.1 (0.088 was measured): by points it is NaN in many frames, and the
-    border is fitted to fewer. By dense flow it is there in all but a few.
+    """Jumps of 5 px in one frame, at the rim while a quarter to a half of the contact sticks and later of all skin,
+    leave no point on another ridge, with noise and drift in the forces.
+
+    Ridges are 14 px apart. Points err by 2.5 px at most, where skin was stretched by a third. d² errs by less than
+    0.08, and 0.1 at 300 frames/s (measured: 0.088). By points d² is NaN in many frames, so the border is fitted to
+    fewer frames; by dense flow d² is known in nearly all frames.
     """
     frames, jumps = round(0.8 * rate), ({60.0: 0.495, 300.0: 0.52}[rate], 0.7)
     folder = small(
@@ -330,7 +339,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     tracked = []
     for frame in (first - 1, first, first + 1, first + 2, last - 1, last, last + 1, frames - 1):
         true = trial.truth.follow(position[0], 0, frame)
-        seen = np.isfinite(position[[0, frame]]).all((0, -1))  # not of points that are chosen later
+        seen = np.isfinite(position[[0, frame]]).all((0, -1))  # without points that are seeded later
         tracked.append(seen.mean())
         assert np.linalg.norm(position[frame] - true, axis=-1)[seen].max() < 2.5, frame
     assert min(tracked) > 0.5
@@ -353,7 +362,7 @@ def by_dense_flow(slip_trials: Path) -> xr.Dataset:
 
 @pytest.mark.long
 def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """As close as by points: within 0.05 in every frame."""
+    """By dense flow d² errs by less than 0.05 in every frame, as by points."""
     error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))
     assert error.max() < 0.05
     assert verdict_of(by_dense_flow)["outcome"] == "vanishes abruptly"
@@ -366,7 +375,9 @@ def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path)
 def test_skin_that_rests_all_sticks(
     way: str, results: dict[str, xr.Dataset], by_dense_flow: xr.Dataset, slip_trials: Path
 ) -> None:
-    """Noise within the contact is no slip. At its rim it cannot be told from slip: up to 2 % by points."""
+    """Resting skin sticks: noise within the contact is not taken for slip. At the rim noise cannot be told from slip,
+    which costs up to 2.5 % of d² by points.
+    """
     found = by_dense_flow if way == "dense flow" else results[way]
     rests = slice(0, 6)
     assert (shares(slip_trials / ("abrupt" if way == "dense flow" else way))[rests] == 1).all()
@@ -374,7 +385,9 @@ def test_skin_that_rests_all_sticks(
 
 
 def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """To 3 um RMS in every eighth frame, in all cells of the contact; the difference from points is what it says."""
+    """Dense flow errs by less than 4 um RMS in every eighth frame, in all cells of the contact, and states its
+    difference from the points.
+    """
     trial, field = rebuild_scene(slip_trials / "abrupt"), by_dense_flow["skin_displacement"]
     row, column = np.indices(field.shape[1:3])
     places = np.stack((column, row), -1) * field.attrs["cell_mm"] + field.attrs["first_cell_mm"]
@@ -393,7 +406,7 @@ def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trial
 
 
 def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> None:
-    """All points 5 um off, twice their deviation and that of the flow: in every frame, and a warning."""
+    """Points shifted by 10 um in x and y show as a difference from the flow in every frame, and in a warning."""
     inputs = open_inputs(by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)), "cpu")
     given = process(inputs.scene, ["position", "position_std_px", "gross_contact_region", "gross_contact_area"])
     frames = 12
@@ -423,7 +436,7 @@ def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:
 
 
 def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
-    """Its area is not known: no d^2 in any frame, no verdict, and it says why."""
+    """A contact larger than the view has no d² and no verdict, as its area is unknown, and the reason is given."""
     folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
     result = process(load_scene(folder / "scene.toml"), ["stuck_ratio", "gross_contact_region"])
     region = result["gross_contact_region"].values
@@ -435,10 +448,10 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
 
 
 def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
-    """It slides out on the right of a view that is cut there; from then on d^2 is NaN.
+    """A contact that slides out of the view has no d² from the frame on in which the contact reaches the edge.
 
-    While it is in view d^2 is within two stated deviations, and 0.09: the shift of a small contact's border, which slip
-    by a rounded line leaves open, as above.
+    Before, d² is within two stated deviations and within 0.09: the shift of a small contact's border, which slip with a
+    rounded onset leaves undetermined.
     """
     folder = small(
         tmp_path / "trial",
@@ -468,7 +481,7 @@ def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -
 
 @pytest.mark.long
 def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
-    """By a fifth over the trial: d^2 to 0.03."""
+    """Light that fades by a fifth over the trial changes d² by less than 0.03."""
     frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
     frames *= np.linspace(1, 0.8, len(frames), dtype=np.float32)[:, None, None]
     faded = process(
@@ -479,7 +492,9 @@ def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, res
 
 
 def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
-    """Direction to 0.05 rad once a fifth slips, speed in full slip to 2 %, annulus and stuck area are the contact."""
+    """The slip direction is found to 0.05 rad once a fifth of the contact slips and the speed in full slip to 2 %; slip
+    annulus and stuck area add up to the contact area.
+    """
     result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
     assert isinstance(trial, PartialSlip)
     slipping = result["stuck_ratio"].values < 0.8
@@ -495,7 +510,7 @@ def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.D
 
 
 def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
-    """Against the exact displacement of the skin over the contact, to 5 % of its value or 2 um."""
+    """Incipient slip is the residual of the best rigid motion of the exact displacement, to 5 % or 2 um."""
     result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
     for frame in (20, 50, 80):
         ellipse = trial.truth.ellipse(frame)
@@ -515,24 +530,23 @@ def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[st
 
 
 def swirl(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An eddy (..., 2) mm: curl alone, and none of it rigid to more than its mean turn."""
+    """Return an eddy (..., 2) mm: a displacement with curl but no divergence."""
     height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
     return np.stack((-height * y, height * x), -1)
 
 
 def source(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same turned by a right angle: divergence alone."""
+    """Return a source (..., 2) mm, the eddy rotated by a right angle: divergence but no curl."""
     height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
     return np.stack((height * x, height * y), -1)
 
 
 @pytest.mark.parametrize(("flow", "other"), [(swirl, "irrotational"), (source, "solenoidal")])
 def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
-    """An eddy is solenoidal, a source irrotational: the other part is below 5 % of the whole, which is the residual.
+    """An eddy is solenoidal and a source irrotational: the other part is below 5 % of the whole residual.
 
-    Both die away within the contact, so that no harmonic field is left over; on a grid of 0.13 mm a part leaks by the
-    error of its differences, and the best rigid motion takes the mean turn of the eddy off as a rotation, whose curl
-    is even.
+    Both vanish towards the rim of the contact, so no harmonic field remains. On a grid of 0.13 mm a part leaks by the
+    error of the differences. The best rigid motion removes the mean rotation of the eddy, whose curl is uniform.
     """
     y, x = np.meshgrid(*2 * (np.arange(-2.6, 2.6, 0.13),), indexing="ij")
     places, region = np.stack((x, y), -1), np.hypot(x, y) < 2.4
@@ -548,7 +562,7 @@ def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
 
 
 def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
-    """Points of 15 px have a noise of some 2 um here: 1 um is no limit, 40 um is one."""
+    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning, a limit of 40 um does not."""
     said = {}
     for limit in (0.001, 0.04):
         scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
@@ -562,7 +576,9 @@ def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
 
 
 def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path: Path) -> None:
-    """With 6 grey levels more of noise where skin is followed."""
+    """Noise of 6 more grey levels in the topography view gives a warning that the border of the stick region is
+    unknown.
+    """
     frames = np.load(slip_trials / "abrupt" / "frames.npy")
     noisy = frames.astype(np.float64)
     noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))

@@ -1,4 +1,4 @@
-"""A soft sensor, from a compressed colour video to identities, displacement, slip: all against the exact truth."""
+"""Tests of a soft sensor against exact truth: identities, displacement and slip from a compressed colour video."""
 
 import json
 import re
@@ -32,7 +32,7 @@ def result(gel_recording: Path) -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def truth(result: xr.Dataset) -> NDArray[np.float64]:
-    """(frames, N, 2) px, of the marker that each point is in the frame at rest."""
+    """Return the true positions (frames, N, 2) px of the marker that each point is in the frame at rest."""
     rest = result["position_px"].values[0]
     known = np.isfinite(rest).all(-1)
     apart = np.linalg.norm(rest[:, None] - GEL.markers[None], axis=-1)
@@ -46,9 +46,10 @@ def truth(result: xr.Dataset) -> NDArray[np.float64]:
 
 @pytest.mark.long
 def test_no_marker_is_accepted_while_wrong(result: xr.Dataset, truth: NDArray[np.float64]) -> None:
-    """Sheared by 40 px, where neighbours differ by 14 px: within 0.1 px RMS, and 1.5 px anywhere, a third of a radius.
+    """Markers sheared by 40 px, where neighbours differ by 14 px, err by less than 0.1 px RMS and 1.5 px at most, a
+    third of a radius.
 
-    A disc that is squeezed to two thirds on one side is no ellipse: its summit lies up to 1 px beside its middle.
+    A disc compressed to two thirds on one side is no ellipse: its peak lies up to 1 px beside its centre.
     """
     error = np.linalg.norm(result["position_px"].values - truth, axis=-1)
     assert np.linalg.norm(truth - truth[:1], axis=-1)[np.isfinite(error)].max() > 25
@@ -57,13 +58,13 @@ def test_no_marker_is_accepted_while_wrong(result: xr.Dataset, truth: NDArray[np
 
 
 def test_every_marker_in_view_is_followed(result: xr.Dataset) -> None:
-    """99 of 100 that are wholly in view, in every frame; the others say why."""
+    """In every frame 99 % of the markers that are entirely in view are tracked; lost markers have another status."""
     found, height, width = result["position_px"].values, *GEL.frame_shape
     for frame in range(GEL.n_frames):
         places = GEL.positions(frame)
         whole = np.minimum(places, np.array([width - 1, height - 1]) - places).min(1) > 1.5 * GEL.radius
         rest = GEL.markers
-        known = np.minimum(rest, np.array([width - 1, height - 1]) - rest).min(1) > 0  # seen in the frame at rest
+        known = np.minimum(rest, np.array([width - 1, height - 1]) - rest).min(1) > 0  # visible in the frame at rest
         nearest = np.linalg.norm(places[whole & known][:, None] - found[frame][None], axis=-1)
         assert (np.nanmin(nearest, axis=1) < 1.5).mean() >= 0.99, frame
     status = result["status"].values
@@ -77,7 +78,9 @@ def test_displacement_counts_from_rest(result: xr.Dataset, truth: NDArray[np.flo
 
 
 def test_gross_slip_is_flagged_in_its_frame(result: xr.Dataset) -> None:
-    """And never while the object drags the gel; when it is lifted off, the gel may let go as a whole."""
+    """Gross slip is flagged first in its own frame, not while the object drags the gel; when the object is lifted, the
+    gel may release as a whole.
+    """
     flagged = np.flatnonzero(result["gross_slip"].values)
     assert flagged[0] == GEL.slip_frame
 
@@ -139,11 +142,13 @@ def test_the_report_shows_markers_and_slip(result: xr.Dataset, gel_recording: Pa
     assert "fingertip" not in told
     assert "markers tracked" in told
     capture = cv2.VideoCapture(str(tmp_path / "overlay.mp4"))
-    assert int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)) == GEL.frame_shape[1]  # the one view once
+    assert int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)) == GEL.frame_shape[1]  # a single view is shown once
 
 
 def test_rest_is_the_state_that_returns_and_is_even() -> None:
-    """A held object bends the lattice and is there for longer than the rest."""
+    """The frames at rest are those that recur with an even lattice, although an object is held for longer than the rest
+    lasts.
+    """
     x, y = np.meshgrid(np.arange(6.0), np.arange(5.0))
     flat = 30 * np.stack((x, y), axis=-1).reshape(-1, 2)
     bent = flat + 8 * np.exp(-((flat - 70) ** 2).sum(-1, keepdims=True) / 30**2)
@@ -156,8 +161,8 @@ def test_rest_is_the_state_that_returns_and_is_even() -> None:
 @pytest.mark.skipif(not TACTILE.exists(), reason=f"{TACTILE}: real recordings lie beside the checkout where they are")
 @pytest.mark.parametrize("name", ["grasp_bag_of_peanuts", "grasp_marker_pen"])
 def test_markers_of_a_real_sensor(name: str, tmp_path: Path) -> None:
-    """Against blobs that OpenCV finds in each frame by itself: 99 of 100 of those wholly in view have a point within
-    1.5 px, and the slip of the object is flagged.
+    """99 % of the blobs that OpenCV finds entirely in view of a real sensor have a tracked point within 1.5 px, and the
+    slip of the object is flagged.
     """
     video = TACTILE / f"{name}.avi"
     (tmp_path / "scene.toml").write_text(gel_scene_text(video.as_posix(), (240, 320), GEL_MM_PER_PX), encoding="utf-8")

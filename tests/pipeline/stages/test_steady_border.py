@@ -1,4 +1,4 @@
-"""Borders smoothed over time: exact where the contact grows evenly, and several times better than single frames."""
+"""Tests of contact borders smoothed over time: exact for even growth, more precise than single frames otherwise."""
 
 import numpy as np
 import pytest
@@ -11,14 +11,16 @@ TIMES = FRAMES / 60
 
 
 def growing(frames: int = 60) -> Border:
-    """An ellipse whose squared axes and centre are quadratic in time until it stops growing, at frame 40."""
+    """Return an ellipse whose squared axes and centre are quadratic in time until growth stops at frame 40."""
     time = np.minimum(np.arange(frames) / 40, 1)
     squares = (2 * time - time**2)[:, None] * np.array([36.0, 20.0]) + np.array([0.3, 0.2])
     return Border(np.outer(time - time**2 / 2, [0.3, -0.2]), np.sqrt(squares), np.full(frames, 0.4))
 
 
 def test_an_evenly_growing_contact_is_kept() -> None:
-    """Exactly up to 0.1 s before growth ends. There 13 frames have half the curvature of those before: 3 um."""
+    """Even growth is reproduced exactly up to 0.1 s before growth ends; there the fit over 13 frames sees half of the
+    curvature, an error of 3 um.
+    """
     given = growing()
     found = steady_border(given, TIMES)
     for one, other in zip(found, given, strict=True):
@@ -27,7 +29,9 @@ def test_an_evenly_growing_contact_is_kept() -> None:
 
 
 def test_errors_of_single_frames_average_out() -> None:
-    """20 um of independent errors at 60 Hz: parabolas of 13 frames leave 0.41 of it, and more where fewer count."""
+    """Of 20 um of independent errors at 60 Hz half remain: parabolas over 13 frames leave 0.41, and more where fewer
+    frames count.
+    """
     given, random = growing(), np.random.default_rng(1)
     errors = []
     for _ in range(20):
@@ -37,7 +41,9 @@ def test_errors_of_single_frames_average_out() -> None:
 
 
 def test_frames_of_other_contacts_do_not_count() -> None:
-    """A finger that is lifted and put down a centimetre away, or that is far larger in the next frame."""
+    """Frames of another contact do not count: a finger put down 1 cm away, or a far larger contact in the
+    next frame.
+    """
     given = growing()
     moved = given._replace(center=given.center + np.where(FRAMES >= 50, 10.0, 0.0)[:, None])
     larger = given._replace(semi_axes=given.semi_axes + np.where(FRAMES >= 50, 3.0, 0.0)[:, None])

@@ -1,4 +1,4 @@
-"""Touches of points, taken up run after run of frames."""
+"""Tests of the touches of points, added in batches of frames."""
 
 import numpy as np
 
@@ -9,7 +9,9 @@ FRAMES, POINTS = 40, 200
 
 
 def test_runs_of_frames_are_counted_as_frame_after_frame() -> None:
-    """Of a border that is known nowhere: touches begin half way from the frame before, those of the first in it."""
+    """Batches of frames give the same touches as single frames. With an unknown border a touch begins half way from the
+    previous frame, and in the first frame at its position there.
+    """
     random = np.random.default_rng(1)
     covered = (random.random((FRAMES, POINTS)) < 0.4).astype(np.uint8)
     position, variance = random.normal(size=(FRAMES, POINTS, 2)), random.random((FRAMES, POINTS)).astype(np.float32)
@@ -41,8 +43,12 @@ def test_runs_of_frames_are_counted_as_frame_after_frame() -> None:
 
 
 def test_a_touch_begins_where_the_border_passes() -> None:
-    """A circle of 1, 2, 3 mm, over points that move by 0.1 mm a frame; of one that is lost before, when it is seen, and
-    where the ellipse is passed before or after the frames that say so, at the end that is nearer."""
+    """A touch begins where the border passes the point: here a circle of 1, 2 and 3 mm over points that move by 0.1 mm
+    per frame.
+
+    The touch of a point that was lost before begins where the point is found again. If the ellipse passes before or
+    after the frames that show the contact, the touch begins at the nearer of both positions.
+    """
     radius = np.arange(1.0, 4)
     border = Border(np.zeros((3, 2)), np.stack((radius, radius), 1), np.zeros(3))
     start = np.array([1.2, 1.5, 2.6, 2.6, 0.7, 2.9])
@@ -51,7 +57,7 @@ def test_a_touch_begins_where_the_border_passes() -> None:
     position[1, 3] = np.nan
     covered = position[..., 0] < radius[:, None]
     covered[:, 4], covered[:, 5] = [False, True, True], [False, True, True]
-    # The border passes x = start + 0.1 t where 1 + t is as much.
+    # The border reaches x = start + 0.1 t at the time t with 1 + t = x.
     passed = start + 0.1 * (start - 1) / 0.9
     passed[3], passed[4], passed[5] = position[2, 3, 0], position[0, 4, 0], position[1, 5, 0]
     touch = Touches(len(start))

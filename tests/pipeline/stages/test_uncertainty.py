@@ -1,9 +1,9 @@
-"""Stated standard deviations beside the errors of simulated tracks: z, RMS of the error over that of the statement.
+"""Tests of stated standard deviations against errors of simulated tracks: z is the RMS of the error over that of the
+stated deviation.
 
-Points move with a uniform deformation while the contact grows over them; each is followed with noise, which it shares
-with others as their windows overlap, and comes into contact where the border is, to a frame and to what the border is
-uncertain by. What the same estimators say of the
-exact positions and times is the truth, so that smoothing is no part of the error.
+Points move with a uniform deformation while the contact grows over them. Each is tracked with noise that correlates as
+windows overlap, and comes into contact at the border, to a frame and to the uncertainty of the border. The truth is the
+result of the same estimators for exact positions and times, so that smoothing is no part of the error.
 """
 
 from typing import Any, NamedTuple
@@ -27,12 +27,12 @@ from fingerflow.pipeline.stages.strain.contact_energy import perimeter
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 
-FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # of the border, mm a frame
+FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # SPEED is that of the border, mm per frame
 WINDOW_PX, COPIES = 25, 40
 
 
 class Motion(NamedTuple):
-    """Per frame: shift in mm and gradient; noise of a position, px."""
+    """Motion per frame: shift in mm, gradient, and noise of a position in px."""
 
     shift: tuple[float, float]
     gradient: tuple[tuple[float, float], tuple[float, float]]
@@ -66,23 +66,25 @@ def material() -> NDArray[np.float64]:
 
 
 def positions(motion: Motion, points: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(T, N, 2) mm at times (T, N) or (T, 1)."""
+    """Return positions (T, N, 2) mm at times (T, N) or (T, 1)."""
     velocity = np.array(motion.shift) + points @ np.array(motion.gradient).T
     result: NDArray[np.float64] = points + times[..., None] * velocity
     return result
 
 
 def _shared(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, N), makes of independent numbers such as correlate by the overlap of tracking windows, as on a press."""
+    """Return the factor (N, N) that gives independent numbers the correlation of overlapping windows, as on a press."""
     apart = np.abs(points[:, None] - points) / MM_PER_PX / WINDOW_PX
     root: NDArray[np.float64] = np.linalg.cholesky(np.clip(1 - apart, 0, None).prod(-1))
     return root
 
 
 def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int = FRAMES, kept: int = 0) -> RunContext:
-    """Key frame 0: its template's noise is in every later position; a position's covariance is that of both images.
+    """Return the run context of simulated tracks with key frame 0: the noise of its template is part of every later
+    position, and the covariance of a position is that of both images.
 
-    From the frame `known` on every point but the first `kept` is lost."""
+    From frame `known` on every point but the first `kept` is lost.
+    """
     draw = np.random.default_rng(seed)
     noise = motion.noise / np.sqrt(2) * (_shared(points) @ draw.standard_normal((FRAMES, *points.shape)))
     exact = positions(motion, points, np.arange(FRAMES, dtype=float)[:, None])
@@ -104,13 +106,14 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
 
 
 def exact(motion: Motion, points: NDArray[np.float64], found: RunContext, places: bool) -> RunContext:
-    """The same points, from where they were when the border reached them, without errors; measured at the places of
-    onset that were found, or at the true ones."""
+    """Return the results for the same points without errors, counted from their positions when the border reached them;
+    with `places` from the onset positions that were found.
+    """
     trial = tracked(motion, points, 0)
     moved = DisplacementStage(trial)
     begin = moved.begin
     reference = points
-    for _ in range(20):  # the border is ten times as fast as the skin: each round is nearer by as much
+    for _ in range(20):  # the border is ten times as fast as the skin: each round is ten times closer
         times = np.maximum((np.linalg.norm(reference, axis=1) - 0.5) / SPEED, 0)
         reference = positions(motion, points, times[None])[0]
     known = np.isfinite(values_of(found, "displacement"))
@@ -133,7 +136,7 @@ def exact(motion: Motion, points: NDArray[np.float64], found: RunContext, places
 
 
 def measured(trial: RunContext, moved: DisplacementStage | None = None) -> RunContext:
-    """With displacement, fields and strain."""
+    """Return the run context after the stages of displacement, fields and strain."""
     run(trial, moved or DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
     return trial
 
@@ -150,21 +153,22 @@ NAMES = {
 }
 
 
-# Medians sum over many points, whose errors their deviation takes as independent: noise that overlapping windows share
-# makes them half as large again. So are medians with large errors of onset, which are larger at some points than at
-# others. Where the ellipse of the border is exact, as here, errors of onset are half of what is stated, and what they
-# are expected to add to the energy is taken off it twice too often.
+# The deviation of a median assumes independent errors of the points: noise shared by overlapping windows makes its
+# error half as large again, and so do large errors of onset, which differ between points. Here the ellipse of the
+# border is exact, so errors of onset are half of the stated ones, and the energy subtracted for them is too large.
 MOST = {"noise": {"median": 1.5}, "onset": {"median": 1.5, "energy": 3.0}}
 LEAST = {"noise": 0.8, "onset": 0.55}
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within a quarter; 40 copies know the deviation of one number to 11 %, of hundreds far better.
+    """Errors agree with the stated deviations within a quarter; 40 copies know the deviation of one number to 11 %, of
+    hundreds far better.
 
-    Of medians the scatter counts: what all copies have in common comes from the frames in which the border is seen. So
-    their deviation, and that of energy, is by the errors of the points; what else is in it has tests with presses and
-    slides."""
+    For medians only the scatter counts: an error common to all copies comes from the frames in which the border is
+    seen. Their deviation and that of the energy are restricted here to errors of the points; the other parts are tested
+    with presses and slides.
+    """
     monkeypatch.setattr(MedianBias, "variance", lambda bias: np.zeros((FRAMES, 5)))
     monkeypatch.setattr(strain, "border_density", lambda density, *_, reach_mm: np.zeros(len(density)))
     motion, points = MOTIONS[kind], material()
@@ -192,11 +196,13 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("template", ["keyframe", "previous"])
 def test_noise_of_the_template_falls_out(template: str) -> None:
-    """Key frame 0: a position's variance is 2, half of it the template's; a difference of two positions has 1 + 1.
+    """Noise of the template cancels in differences of positions with key frame 0: a position has the variance 2, half
+    from the template, and a difference of two positions 1 + 1.
 
-    The other point touches half way between the key frame and the next one: its reference has half of that noise."""
+    The other point touches half way between the key frame and the next frame, so its reference has half of that noise.
+    """
     deviation = np.sqrt(np.array([[0, 0], [2, 2], [2, 2], [2, 2]], np.float32))
-    if template == "previous":  # they add up
+    if template == "previous":  # variances add up
         deviation = np.sqrt(np.array([[0, 0], [2, 2], [4, 4], [6, 6]], np.float32))
     position = np.zeros((4, 2, 2))
     covered = np.array([[1, 0], [1, 1], [1, 1], [1, 1]], bool)
@@ -214,7 +220,7 @@ def test_noise_of_the_template_falls_out(template: str) -> None:
 
 
 def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
-    """A later frame would be taken for the onset, and the displacement since then for the whole."""
+    """A point lost at its onset has no onset; otherwise a later frame would be taken for the onset."""
     position = np.zeros((4, 3, 2)) + np.arange(4)[:, None, None]
     position[1, 1] = np.nan
     covered = np.array([[0, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 0]], dtype=bool)
@@ -229,8 +235,9 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
 
 
 def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
-    """A touch of two frames is no onset. Displacement during it counts from the middle of the step to its first frame,
-    and its noise is that of the positions at both ends of the step."""
+    """A touch of two frames is no onset. Displacement during this touch counts from the middle of the step to its first
+    frame, with the noise of the positions at both ends of the step.
+    """
     position = np.zeros((7, 1, 2)) + np.arange(7)[:, None, None] ** 2
     deviation = np.sqrt(np.array([[1.0], [2], [3], [4], [5], [6], [7]], np.float32))
     covered = np.array([[0], [1], [1], [0], [1], [1], [1]], dtype=bool)
@@ -244,8 +251,9 @@ def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
 
 
 def test_there_is_no_energy_only_where_nothing_touches() -> None:
-    """Where all points of a contact are lost, or seven in ten, nobody knows its energy; at rest there is none beyond
-    its deviation."""
+    """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest the
+    energy is below its deviation.
+    """
     motion, points = Motion((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), 0.05), material()
     energies = []
     for seed in range(20):
@@ -263,9 +271,11 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
 
 
 def test_medians_state_what_is_not_known_of_the_contact() -> None:
-    """Evenly spread fields, 0 to 100: of a fifth nobody knows, so that the median is 1/8 of the rest off at most, 12.5;
-    anywhere within has a deviation of 12.5 / sqrt(3). About the median of the area, which is not that of the points.
-    And of points that moved in.
+    """The deviation of a median includes the unknown share of the contact.
+
+    Fields are evenly spread from 0 to 100. If a fifth is unknown, the median is off by up to 1/8 of the rest, 12.5: a
+    deviation of 12.5 / sqrt(3). The median is that of the area, not of the points. Advected points increase the
+    deviation.
     """
     values = torch.arange(101.0)[None]
     every = values[..., None].expand(-1, -1, 3)
@@ -278,7 +288,7 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
     assert (rank_variance(found(1.0, 50.0)) == 0).all()
     near_the_end = np.sqrt(rank_variance(found(0.8, 98.0))) * np.sqrt(3)
     np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
-    # Of ranks that are 4 points apart, as 16 points moved in, fields of points evenly spread differ by 4.
+    # With 16 advected points the rank varies by 4 points, and evenly spread fields by 4.
     np.testing.assert_allclose(np.sqrt(rank_variance(found(1.0, 50.0), np.array([16]))), 4.0)
     both = np.sqrt(rank_variance(found(0.8, 50.0), np.array([16])))
     np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
@@ -287,8 +297,9 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
 
 
 def test_energy_in_a_strip_along_the_border() -> None:
-    """Uniform in an ellipse, 1 mJ/mm^3: its perimeter, 2 pi at the circle, times the width of the strip; 9.6884 mm for
-    semi-axes of 2 and 1 (complete elliptic integral). Triangles that do not count, and frames without one, have none.
+    """The energy in a strip along the border is perimeter times width at a uniform 1 mJ/mm^3; the perimeter is 9.6884
+    mm for semi-axes of 2 and 1 mm (complete elliptic integral). Excluded triangles, and frames without any, add
+    nothing.
     """
     places = np.random.default_rng(2).uniform(-2, 2, (1, 400, 2))
     inside = np.hypot(*np.moveaxis(places, -1, 0) / np.array([2.0, 1.0])[:, None, None]) < 1
@@ -301,13 +312,13 @@ def test_energy_in_a_strip_along_the_border() -> None:
     border = Border(center, semi_axes, angle)
     found = BORDER_MM * perimeter(semi_axes) * strain.border_density(density, np.ones(400), at, border, reach_mm=0.4)
     assert found[0] == pytest.approx(9.6884 * BORDER_MM, rel=1e-4)
-    assert 2 < found[1] / found[0] < 5  # half of the border has 7, the other half 0
+    assert 2 < found[1] / found[0] < 5  # half of the border has a density of 7, the other half 0
     assert found[2] == 0
 
 
 def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() -> None:
-    """Since the first frame, an even stretch: its density times the area of the contact, as all skin has it; the rest
-    of the contact has the density of the triangles beside it. 3 %: the strip of triangles that lie across the border.
+    """Counted from the first frame, the energy of an even stretch is its density times the area of the contact: skin
+    without triangles has the density of the triangles beside it. The strip of triangles across the border costs 3 %.
     """
     motion, points = Motion((0.002, 0.001), ((0.001, 0.0002), (0.0, 0.0008)), 0.0), material()
     trial = tracked(motion, points, 0)
@@ -324,8 +335,9 @@ def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() ->
 
 
 def test_medians_miss_nothing_before_the_onset() -> None:
-    """The median divergence has no bias from the onset. With the first frame with contact as the reference, half a
-    frame late on average, the bias would be 0.8 um/mm here."""
+    """The median divergence has no bias from the onset. If displacement counted from the first frame with contact, half
+    a frame late on average, the bias would be 0.8 um/mm.
+    """
     motion, points = Motion((0.0, 0.0), ((0.001, 0.0), (0.0, 0.001)), 0.005), material()
     found = measured(tracked(motion, points, 0))
     true = exact(motion, points, found, False)

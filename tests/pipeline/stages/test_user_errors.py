@@ -1,4 +1,4 @@
-"""What a user can get wrong is said with the value and the way out; what a recording lacks is said in the result."""
+"""Tests of user errors, which are reported with value and remedy, and of missing data, which the result states."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +26,7 @@ PER_FRAME = {'threshold = "reference_frame"': 'threshold = "per_frame"'}
 
 @pytest.fixture(scope="module")
 def glass(press: Path) -> Array:
-    """Eight frames of the empty glass, each with its own noise."""
+    """Return eight frames (8, H, W) of the empty glass, each with its own noise."""
     scene = rebuild_scene(press)
     return np.stack([scene.empty(number) for number in range(8)])
 
@@ -77,7 +77,7 @@ def test_a_last_frame_beyond_the_end_is_said(changed: Change) -> None:
 def test_no_frame_is_no_recording(changed: Change, frames: Array, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FingerflowError, match=r"frames\.npy: its array is \(0, 96, 240\)"):
         process(changed(frames=frames[:0]), AREAS)
-    monkeypatch.setattr(FileRecording, "__len__", lambda _: 0)  # of another format: a video may hold no frame
+    monkeypatch.setattr(FileRecording, "__len__", lambda _: 0)  # like a video without frames
     with pytest.raises(FingerflowError, match=r"frames\.npy has no frame"):
         process(changed(), AREAS)
 
@@ -120,7 +120,7 @@ def test_an_empty_glass_without_a_threshold_is_named(changed: Change, glass: Arr
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_frame_that_is_no_picture_has_no_contact(changed: Change, frames: Array, value: float) -> None:
-    """Not even the right one in its neighbours' place: NaN, and the other frames as they were."""
+    """A frame of NaN or infinity has NaN results and leaves the results of all other frames unchanged."""
     damaged = frames.astype(np.float32)
     expected = process(changed(frames=damaged))
     damaged[4] = value
@@ -137,7 +137,7 @@ def test_a_frame_that_is_no_picture_has_no_contact(changed: Change, frames: Arra
 
 
 def test_a_hole_in_a_frame_takes_the_frame(changed: Change, frames: Array) -> None:
-    """A patch of NaN would cost some area and some points, and nobody would see it."""
+    """A patch of NaN makes the whole frame unusable, as the patch would distort areas and points unnoticed."""
     damaged = frames.astype(np.float32)
     damaged[5, 40:50, 175:185] = np.nan  # contact view
     damaged[6, 40:50, 40:50] = np.nan  # topography view
@@ -158,7 +158,7 @@ def test_a_recording_of_other_depth_than_its_background(changed: Change, frames:
 def test_any_depth_gives_the_same_contact(
     changed: Change, frames: Array, press: Path, dtype: type[Any], factor: int
 ) -> None:
-    """In 10 and 16 bit and as floating-point numbers the quotient is the same, so the contact is, pixel for pixel."""
+    """Frames of 10 and 16 bit and floating-point frames give the same quotient and hence the same contact."""
     scaled = {name: np.load(press / f"{name}.npy") * np.float32(factor) for name in ("empty", "dark")}
     deep = process(changed(frames=frames.astype(dtype) * factor, **scaled), [*AREAS, "position_px"])
     plain = process(changed(), [*AREAS, "position_px"])
@@ -169,7 +169,7 @@ def test_any_depth_gives_the_same_contact(
 
 @pytest.mark.parametrize("replaced", [{}, FIXED, PER_FRAME])
 def test_contact_everywhere(changed: Change, frames: Array, replaced: dict[str, str]) -> None:
-    """All of the lit glass is dark: the gross area is that of the view, less the corners that have no light."""
+    """If all lit glass is dark, the gross area is that of the view without its unlit corners."""
     covered = frames.copy()
     covered[:, :, 120:] = (0.3 * frames[:1, :, 120:]).astype(frames.dtype)
     result = process(changed(replaced, frames=covered), AREAS)
@@ -193,15 +193,16 @@ def test_forces_of_nan_are_said(changed: Change, press: Path, tmp_path: Path) ->
 
 
 def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:
-    """Time 0 is the trigger in both: the force of a frame is the true one there, to its noise and the low-pass filter.
+    """Time 0 is the trigger for forces and frames: the force of a frame is the true one, to its noise and the low-pass
+    filter.
 
-    A frame more or less, an eighth of a second here, would be wrong by up to 0.9 N.
+    An offset of one frame, an eighth of a second here, would give an error of up to 0.9 N.
     """
     truth = rebuild_scene(press)
     names = ["normal_force", "tangential_force"]
     result = process(changed(), names)
     np.testing.assert_allclose(result["time"], truth.times, atol=1e-12)
-    # The filter ends at half the frame rate, which rounds the start and the end of a rise this fast.
+    # The filter's cutoff at half the frame rate rounds the start and the end of a rise this fast.
     inner = slice(2, 6)
     np.testing.assert_allclose(result["normal_force"][inner], truth.normal_force(truth.times)[inner], atol=0.1)
     part = process(changed({"# first_frame = 0": "first_frame = 3"}), names)
@@ -230,7 +231,7 @@ def test_a_device_that_is_not_there_is_named(changed: Change, device: str) -> No
 
 
 def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Thousands of recordings in one process: each is closed after its trial, its background too."""
+    """Each recording and its background are closed after processing, so that one process can handle thousands."""
     opened: list[Path] = []
     closed: list[Path] = []
 

@@ -1,4 +1,4 @@
-"""Checks of what lies in a contact view beside the finger, each with its fault and without."""
+"""Tests of the checks for faults in a contact view beside the finger, each with and without its fault."""
 
 from typing import Any
 
