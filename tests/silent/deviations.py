@@ -37,7 +37,8 @@ Errors = dict[str, tuple[Array, Array]]
 
 GOAL_Z, GOAL_WITHIN = (0.8, 1.25), ((0.60, 0.76), (0.92, 0.98))
 _FRAMES = 7  # of a scene, that are compared
-_STEPS_MM = 0.07, 0.15  # of the grids of true medians and energies on presses, whose strain rises to the border, and slides
+# Steps of the grids of true medians and energies: on presses, whose strain rises to the border, and on slides.
+_STEPS_MM = 0.07, 0.15
 _LEAST_MM2 = 10.0  # contact from which medians and energies are compared
 _STRAINS = ("exx", "eyy", "exy")
 _ENTERED = ENTRY.index("entered")
@@ -80,8 +81,9 @@ def case_of(name: str, error: Array, stated: Array) -> Case:
     holds = GOAL_Z[0] <= spread <= GOAL_Z[1]
     holds &= all(low <= share <= high for share, (low, high) in zip(within, GOAL_WITHIN, strict=True))
     number = f"z {spread:.2f}, {within[0]:.0%}, {within[1]:.0%}"
-    stated_text = f"{len(z)} values, median {np.median(stated[known]):.2g}, error {np.sqrt(np.mean(error[known] ** 2)):.2g}"
-    return Case(name, number, "z 1, 68%, 95%", stated_text, "holds" if holds else "too small" if spread > 1 else "too large")
+    size = float(np.sqrt(np.mean(error[known] ** 2)))
+    sizes = f"{len(z)} values, median {np.median(stated[known]):.2g}, error {size:.2g}"
+    return Case(name, number, "z 1, 68%, 95%", sizes, "holds" if holds else "too small" if spread > 1 else "too large")
 
 
 def of_process(recording: Path, scene: SyntheticScene) -> Errors:

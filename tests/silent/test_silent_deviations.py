@@ -9,7 +9,7 @@ from tests.silent.deviation_scenes import scenes
 from tests.silent.deviations import judged
 
 SAMPLE = ("press 3", "press 7", "slide 4")
-#: Most RMS of error over deviation, and least share of the errors within two deviations; half as much room as was found.
+#: Most RMS of error over deviation, and least share of the errors within two deviations, with room for other machines.
 LIMITS = {
     "presses: displacement": (1.6, 0.85),
     "presses: divergence": (1.6, 0.85),

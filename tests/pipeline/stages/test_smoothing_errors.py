@@ -13,7 +13,8 @@ GAUGE = 1.6
 def _stated_over_true(length: float, inside: bool) -> float:
     """Return the RMS of stated over that of true errors of divergence for a wave of displacement without noise."""
     axis = np.arange(-4, 4.01, 0.2)
-    places = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) + np.random.default_rng(1).uniform(-0.05, 0.05, (1681, 2))
+    places = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    places += np.random.default_rng(1).uniform(-0.05, 0.05, places.shape)
     number = 2 * np.pi / length
     moved = 0.1 * np.stack((np.sin(number * places[:, 0]), np.cos(number * places[:, 1])), -1)[None]
     true = 0.1 * number * (np.cos(number * places[:, 0]) - np.sin(number * places[:, 1]))

@@ -335,7 +335,7 @@ class DisplacementStage(Stage):
 
     def _depths(self, frames: NDArray[np.integer], places: Points) -> Points:
         """Return the distances (k, N), mm, of positions (k, N, 2) in frames (k, N) from the ellipse of the contact."""
-        border = self._border.at(frames.flatten() % len(self.trial))
+        border = self._border.at(frames.flatten().astype(np.intp) % len(self.trial))
         return border.inside(places.reshape(-1, 1, 2)).reshape(frames.shape)
 
     def _positions_in(self, frames: NDArray[np.integer]) -> Points:

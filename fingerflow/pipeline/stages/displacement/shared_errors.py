@@ -46,7 +46,8 @@ class OverlapErrors:
         """Return the pairs (K, 2) of points whose windows overlap."""
         known = np.flatnonzero(np.isfinite(self.places_px).all(-1))
         near = cKDTree(self.places_px[known]).query_pairs(self.window_px, p=np.inf, output_type="ndarray")
-        return known[near].astype(np.int64)
+        result: Indices = known[near].astype(np.int64)
+        return result
 
     def between(self, one: Indices, other: Indices) -> NDArray[np.float32]:
         """Return the correlations (K,) of the displacement errors of points with those of other points."""
@@ -73,8 +74,9 @@ class OverlapErrors:
         apart = places[second] - places[first]
         weight = np.square(1 - np.square(apart).sum(1) / (gauge_px / 2) ** 2)
 
-        def sums(values: Array) -> Array:
-            return np.bincount(first, values, size)
+        def sums(values: Array) -> NDArray[np.float64]:
+            result: NDArray[np.float64] = np.bincount(first, values, size).astype(np.float64)
+            return result
 
         mass = sums(weight)
         between = np.full(len(self.places_px), -1)

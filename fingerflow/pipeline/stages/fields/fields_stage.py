@@ -34,7 +34,13 @@ class FieldsStage(Stage):
     needs = ("views.topography",)
     beside = (DisplacementStage,)
     after = (ContactStage,)
-    settings = ("fields.gauge_length_mm", "fields.strain", "fields.rate_window_s", "tracking.window_px", "recording.times")
+    settings = (
+        "fields.gauge_length_mm",
+        "fields.strain",
+        "fields.rate_window_s",
+        "tracking.window_px",
+        "recording.times",
+    )
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -62,10 +68,10 @@ class FieldsStage(Stage):
         plain = moved.reference.copy()
         plain[moved.entered] = np.nan
         self._smoothing = SmoothingErrors(plain, places, self.inputs.gauge_length_mm)
-        errors = OverlapErrors(
-            *(moved.begins, self.inputs.on_topography(places), moved.noise, moved.of_onset, moved.by_onsets), self.inputs.scene.tracking.window_px
-        )
-        self._gain = errors.variance_gain(self.inputs.gauge_length_mm / self.inputs.topography_mm_per_px)
+        window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
+        places_px = self.inputs.on_topography(places)
+        errors = OverlapErrors(moved.begins, places_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
+        self._gain = errors.variance_gain(self.inputs.gauge_length_mm / scale)
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(
