@@ -37,7 +37,7 @@ _STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from
 _FIELD_STD_EQUATION = (
     "σ² = g Σ gᵀ + ⟨k² Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
     "by twice the gauge length, less its noise, k from 1/2 inside to 1 at the border of the points, ⟨⟩ the mean over "
-    "half a gauge length, late the change of the field of a point that moved in, over the deviation of its time of entry"
+    "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
 )
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
@@ -275,8 +275,8 @@ DISPLACEMENT = (
     ),
     Variable(
         "displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4",
-        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of points "
-        "at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
+        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of "
+        "points at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
         shown_in=MICROMETRE,
     ),
     Variable(

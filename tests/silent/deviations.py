@@ -5,6 +5,8 @@ where errors are normal. A row is a quantity, recorded (`process` with default s
 the native engine), on all scenes of a kind. Truth follows from the formulas of the scene.
 """
 
+import contextlib
+import io
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
@@ -236,7 +238,8 @@ def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
     text = text.replace("[stream]", f'[stream]\noutput = "{live.as_posix()}"')
     (recording / "live.toml").write_text(text, encoding="utf-8")
     options = ["--scene", str(recording / "live.toml"), "--page", "off", "--threads", "1"]
-    assert player.main([str(bundle), *options]) == 0
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert player.main([str(bundle), *options]) == 0
     return compared_live(np.array(player.read_results(live).records), scene)
 
 
