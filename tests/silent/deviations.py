@@ -170,7 +170,7 @@ class _Skin:
         """Return the true strains (M, 3) of triangles; NaN for triangles that have another reference.
 
         On a press they count from the true onsets of their corners; on a slide from the first frame, of triangles that
-        touch then.
+        touch then. Triangles with skin that moved in count from the last of three entries, and are left out.
         """
         now = self.truth.positions(self.material, frame)
         if not isinstance(self.scene, Press):
@@ -186,6 +186,7 @@ class _Skin:
         ratio = np.linalg.solve(np.where(np.isfinite(of_skin), of_skin, np.eye(2)), np.nan_to_num(by_onset))
         stretch = np.linalg.svd(ratio, compute_uv=False)
         usual = (stretch[:, 1] > _UNDISTORTED) & (stretch[:, 0] < 1 / _UNDISTORTED)
+        usual &= ~self.entered[self.triangles].any(1)
         return np.where(usual[:, None], strain, np.nan)
 
 
