@@ -23,7 +23,12 @@ class Timing(NamedTuple):
         return {"ms": self.median_ms, "ms_p10": self.low_ms, "ms_p90": self.high_ms, "time_to_peer": self.to_peer}
 
 
-def time_in_turns(candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, Timing]:
+def time_in_turns(
+    candidates: Mapping[str, Callable[[], object]],
+    peer: str,
+    rounds: int,
+    clock: Callable[[], float] | None = None,
+) -> dict[str, Timing]:
     """Time candidates in turns: ``rounds`` rounds of all of them, after two rounds of warm-up.
 
     Other work on the machine slows a whole round rather than one candidate, so the ratio is taken within each round.
@@ -32,14 +37,16 @@ def time_in_turns(candidates: Mapping[str, Callable[[], object]], peer: str, rou
         candidates: calls by name.
         peer: the candidate that the ratios refer to.
         rounds: at least 2.
+        clock: in s, default `time.perf_counter`; `time.process_time` for one thread on a processor that others use too.
     """
+    clock = clock or time.perf_counter
     seconds: dict[str, list[float]] = {name: [] for name in candidates}
     for number in range(-2, rounds):
         for name, call in candidates.items():
-            start = time.perf_counter()
+            start = clock()
             call()
             if number >= 0:
-                seconds[name].append(time.perf_counter() - start)
+                seconds[name].append(clock() - start)
     return {name: _timing(runs, seconds[peer]) for name, runs in seconds.items()}
 
 

@@ -6,12 +6,14 @@ this project: 101_1.tif of FVC2002 DB2 in `../shared/data/fingers`. Without it t
 """
 
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import matplotlib
 
@@ -25,11 +27,14 @@ from playwright.sync_api import sync_playwright
 import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
+from fingerflow.export.recipe import Recipe, TrackingRecipe, ViewRecipe
+from fingerflow.player import live_frames, page_token
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
 from tests.own_press import press_of, write_raw_press
+from tests.small_trials import write_library_bundle
 from tests.view.walk import walk
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
@@ -68,6 +73,7 @@ def draw_press(result: xr.Dataset, folder: Path) -> None:
 def screenshot(page: Any, height: int) -> bytes:
     """Return a PNG of a page in a window of this height."""
     page.set_viewport_size({"width": 1280, "height": height})
+    page.evaluate("window.scrollTo(0, 0)")
     page.wait_for_timeout(1500)  # until moving elements have come to rest
     return bytes(page.screenshot())
 
@@ -92,6 +98,24 @@ def draw_result(browser: Any, path: Path) -> None:
         )
         page.wait_for_selector(f"#picture[data-frame='{SHOWN}']")
         save(screenshot(page, 900), "view_result.png")
+
+
+def draw_live(browser: Any, folder: Path) -> None:
+    """Draw the live page of the synthetic source, after two seconds."""
+    recipe = Recipe(views=ViewRecipe(height=192, width=240), tracking=TrackingRecipe(points=150, window_px=15))
+    bundle = write_library_bundle(folder / "bundle", recipe)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    with mock.patch.object(page_token.secrets, "token_urlsafe", return_value="token"):
+        for stamp, _ in live_frames(bundle, "synthetic", rate=60, page=port, output=folder / "live"):
+            if page.url == "about:blank":
+                page.goto(f"http://127.0.0.1:{port}/?token=token")
+            if stamp.number > 130:
+                save(screenshot(page, 1130), "live.png")
+                break
+    page.context.close()
 
 
 def draw_walk(browser: Any, folder: Path) -> None:
@@ -125,6 +149,7 @@ def main() -> None:
             page = browser.new_page(viewport={"width": 1280, "height": 900})
             page.goto(write_report(result, fingerflow.load_scene(folder / "scene.toml"), folder).as_uri())
             save(screenshot(page, 1150), "report.png")
+            draw_live(browser, folder)
             shutil.rmtree(folder)
             draw_walk(browser, folder)
             browser.close()

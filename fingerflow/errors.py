@@ -1,5 +1,8 @@
 """Exceptions for errors that the user can correct in a file, a setting or a name."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class FingerflowError(Exception):
     """Error that the user can correct; its message names the file or setting, the value found, and the remedy.
@@ -21,6 +24,12 @@ def is_out_of_memory(error: BaseException) -> bool:
     """Return True if an error says that memory is too small, also that of a GPU (torch.OutOfMemoryError)."""
     said = isinstance(error, RuntimeError) and "allocate memory" in str(error)
     return said or isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a hint, for a message, at the known word that is most like a misspelt one; "" if none is like it."""
+    close = get_close_matches(word, list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""
 
 
 def first_line(error: BaseException) -> str:

@@ -69,7 +69,6 @@ def run(quick: bool) -> list[Row]:
 
 def measure(folder: Path, bundle: Path, frames: int) -> list[Row]:
     """Return the rows of a stream of so many frames, with the recording and the results in a folder."""
-    """Return the rows of a stream of so many frames."""
     trial = folder / "press"
     write_recording(trial, Press(n_frames=FRAMES, frame_rate=RATE, rise_time=0.3), progress=False)
     (bundle / "recorded_camera.py").write_text(_CAMERA.format(rate=RATE, frames=trial / "frames.npy"))

@@ -16,17 +16,19 @@ refinement of DIS, with its gradient term and without, DeepFlow, which matches d
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
+from matplotlib.lines import Line2D
 from skimage.registration import optical_flow_ilk
 from torch import Tensor
 
-from bench.rows import Row
+from bench.drawing import BLUE, RED, VIOLET, Mark, saved_axes, scale_by_powers
+from bench.rows import Row, number
 from bench.skin import deformed_picture, grey, photograph
 from bench.timing import time_in_turns
 from fingerflow.ops.flow.dense_flow import Flow, dense_flow, find_flow, prepare_flow
@@ -208,3 +210,32 @@ def divergence(flow: Tensor) -> Tensor:
 def _z(flow: Flow, truth: Tensor) -> float:
     variance = torch.stack((flow.covariance[:, 0, 0], flow.covariance[:, 1, 1]), dim=1)
     return float(inner((flow.displacement - truth).square() / variance).nanmean().sqrt())
+
+
+_MARKS = {
+    "fingerflow": Mark(RED),
+    "opencv": Mark(BLUE, "s"),
+    "scikit-image": Mark(VIOLET, "^"),
+}
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the error against the time over Farneback's, a panel per scene."""
+    scenes = list(dict.fromkeys(str(row["scene"]) for row in rows))
+    with saved_axes(path, 3.4, len(scenes), width=10) as panels:
+        for axes, scene in zip(panels, scenes, strict=True):
+            for row in (row for row in rows if row["scene"] == scene):
+                program, _, way = str(row["way"]).partition(" ")
+                place = number(row, "time_to_peer"), number(row, "epe_px")
+                axes.plot(*place, linestyle="", **_MARKS[program.rstrip(",")].style)
+                label = way.replace("refined by ", "").replace(" too", "")
+                above = 6 if program == "opencv" else -11
+                axes.annotate(label, place, (0, above), textcoords="offset points", ha="center", fontsize=7)
+            axes.margins(0.2)
+            scale_by_powers(axes.xaxis)
+            scale_by_powers(axes.yaxis)
+            axes.tick_params(labelsize=8)
+            axes.set_title(scene, fontsize=10)
+            axes.set_xlabel("time over Farneback's")
+        panels[0].set_ylabel("mean length of the error (px)")
+        panels[0].legend(handles=[Line2D([], [], ls="", label=name, **mark.style) for name, mark in _MARKS.items()])

@@ -11,7 +11,8 @@ moved by up to 4 px in x and y of its own, stretched and turned by up to 2 %.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, get_args
 
 import cv2
@@ -20,6 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from bench.drawing import BLUE, RED, Mark, cells, draw_dots, saved_axes, scale_by_powers
 from bench.rows import Row
 from bench.skin import grey, photograph
 from bench.suites.flow import NOISE, divergence, inner, opencv, pair, ridges
@@ -135,3 +137,25 @@ def dust(shape: tuple[int, int], texture: Callable[[Tensor, Tensor], Tensor], co
     near = functional.max_pool2d((light < 0.9).double()[None, None], 11, 1, 5)[0, 0] > 0
     first, current = ((one * light).round().clamp(0, 255).to(torch.uint8) for one in (first, current))
     return first, current, truth, near
+
+
+_MARKS = {
+    "fingerflow, auto": Mark(RED),
+    "fingerflow, charbonnier": Mark(RED, filled=False),
+    "opencv DIS, medium": Mark(BLUE, "s"),
+    "opencv Farneback": Mark(BLUE, "s", filled=False),
+}
+_PANELS = {"near_px": "within 5 px of an edge or speck", "far_px": "beyond"}
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the error near edges or specks, and away from them, a row per scene."""
+    scenes = list(dict.fromkeys(str(row["scene"]) for row in rows))
+    with saved_axes(path, 2.8, 2, sharey=True) as panels:
+        for axes, (column, where) in zip(panels, _PANELS.items(), strict=True):
+            values = {way: cells(rows, column, "scene", scenes, way=way) for way in _MARKS}
+            draw_dots(axes, scenes, values, _MARKS)
+            scale_by_powers(axes.xaxis)
+            axes.set_title(where, fontsize=10)
+            axes.set_xlabel("mean length of the error (px)")
+        panels[1].legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))

@@ -11,14 +11,15 @@ divergence to the truth, in the same unit; that of `process` stands in the first
 """
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.drawing import RED, Mark, cells, draw_dots, saved_axes
 from bench.recordings import write_quietly
-from bench.rows import Row
+from bench.rows import Row, number
 from bench.streams import exported_recipes, play
 from fingerflow import load_scene, process
 from fingerflow.player import read_results
@@ -87,3 +88,22 @@ def _rms(differences: Any, counted: np.ndarray) -> float | None:
 
 def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+_MARKS = {"native": Mark(RED), "onnx": Mark(RED, "s", filled=False)}
+_DRAWN = {"real_area": 100, "gross_area": 100, "divergence": 1}  # columns, and factors to % and µm/mm
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the largest differences between stream and `process`, a row per recording and recipe."""
+    first = list({(row["recording"], row["by"], row.get("engine")): row for row in reversed(rows)}.values())[::-1]
+    names = list(dict.fromkeys(f"{row['recording']}, {row['by']}" for row in first if "engine" in row))
+    named = [{**row, "name": f"{row['recording']}, {row['by']}"} for row in first]
+    titles = "real area (%)", "gross area (%)", "median divergence (µm/mm)"
+    with saved_axes(path, 2.2, 3, width=9.5, sharey=True) as panels:
+        for axes, (column, factor), title in zip(panels, _DRAWN.items(), titles, strict=True):
+            scaled = [{**row, column: factor * number(row, column)} for row in named if column in row]
+            values = {engine: cells(scaled, column, "name", names, engine=engine) for engine in _MARKS}
+            draw_dots(axes, names, values, _MARKS)
+            axes.set(xlabel=title, xlim=(0, None))
+        panels[-1].legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))

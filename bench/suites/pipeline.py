@@ -18,7 +18,7 @@ last frame (what a gauge length flattens is in it); medians over the contact, RM
 
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import opencv_pipeline
+from bench.drawing import BLUE, RED, saved_axes
 from bench.opencv_pipeline import Measured, Rig
 from bench.recordings import QUICK_PRESS, write_quietly
-from bench.rows import Row
+from bench.rows import Row, number
 from bench.timing import time_in_turns
 from fingerflow import load_scene, process
 from fingerflow.synthetic import Press
@@ -117,3 +118,32 @@ def _errors(measured: Measured, press: Press) -> dict[str, float]:
 
 def _rms(errors: NDArray[np.float64]) -> float:
     return float(np.sqrt((errors**2).mean()))
+
+
+#: Columns of the figure: quantity, unit and digits.
+_DRAWN = {
+    "ms": ("time of a frame", "ms", 1),
+    "position_px": ("position of a point", "px", 3),
+    "real_area_pct": ("real contact area", "%", 2),
+    "gross_area_pct": ("gross contact area", "%", 2),
+    "axes_pct": ("axes of its ellipse", "%", 2),
+    "divergence_um_mm": ("divergence at a point", "µm/mm", 1),
+    "median_divergence_um_mm": ("median divergence", "µm/mm", 2),
+    "median_strain_um_mm": ("median strain", "µm/mm", 2),
+}
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw time and errors as ratios to those of OpenCV's pipeline."""
+    ours, peer = (next(row for row in rows if row["pipeline"] == name) for name in ("fingerflow", "opencv"))
+    names, ratios = [], []
+    for column, (quantity, unit, digits) in _DRAWN.items():
+        pair = number(ours, column), number(peer, column)
+        names.append(f"{quantity}: {pair[0]:.{digits}f} for {pair[1]:.{digits}f} {unit}")
+        ratios.append(pair[0] / pair[1])
+    with saved_axes(path, 3, width=7) as (axes,):
+        axes.barh(range(len(names)), ratios, color=RED, height=0.55)
+        axes.axvline(1, color=BLUE)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.set(xlim=(0, 1.05), xlabel="time or error over that of OpenCV's pipeline (blue)")

@@ -47,6 +47,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.drawing import GREY, RED, Mark, saved_axes
 from bench.environment import one_thread
 from bench.friction_bound import friction_bound
 from bench.recordings import write_quietly
@@ -240,3 +241,27 @@ def summed(rows: Sequence[Mapping[str, Cell]], name: str) -> Row:
         **middles,
         "cpu_s": sum(number(row, "cpu_s") for row in rows),
     }
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the measured critical area of each trial against the true one, and the error of d² by law."""
+    trials = [row for row in rows if "critical_found" in row]
+    colours = {"right": RED, "wrong": "black", "none": GREY}
+    with saved_axes(path, 3.6, 2) as (left, right):
+        for verdict, colour in colours.items():
+            mine = [row for row in trials if row["verdict"] == verdict and row["critical_found"] is not None]
+            if mine:
+                found = [[number(row, column) for row in mine] for column in ("critical", "critical_found")]
+                left.plot(*found, linestyle="", label=f"verdict {verdict}: {len(mine)}", **Mark(colour).style)
+        left.axline((0, 0), slope=1, color="0.65", linewidth=0.8, zorder=0)
+        for line in (left.axhline, left.axvline):
+            line(SMALLEST_AREA, color="0.65", linewidth=0.8, linestyle=":", zorder=0)
+        left.set(xlabel="true critical area (share of the contact)", ylabel="measured critical area")
+        left.legend(frameon=False)
+        laws = list(dict.fromkeys(str(row["law"]) for row in trials))
+        errors = [[number(row, "rms") for row in trials if row["law"] == law] for law in laws]
+        for row, values in enumerate(errors):
+            right.plot(values, [row] * len(values), linestyle="", alpha=0.5, **Mark(RED).style)
+        right.set_yticks(range(len(laws)), laws)
+        right.invert_yaxis()
+        right.set(xlabel="RMS error of the stuck share d² in a trial", ylabel="law of slip", xlim=(0, None))

@@ -1,10 +1,10 @@
 """Time per tracked point against tracking error, for image pairs, recordings and streams with noise of 2 grey levels.
 
 Skin of 512 x 640 px and 700 points (fewer with --quick), anywhere within a pixel. us_per_point is one call for all
-points over points and frames, and time_to_peer is over OpenCV's with 1 level at 21 px. over_bound is the RMS error over
-the Cramer-Rao bound of the same window: a larger window has a smaller bound, compare rms_px across windows. Points that
-are accepted and lie more than 0.5 px off are left out of both, since a few of them would hide all the others; `wrong`
-is their share of all points. The figure is drawn from these rows.
+points over points and frames (of one thread the processor's time), and time_to_peer is over OpenCV's with 1 level at
+21 px. over_bound is the RMS error over the Cramer-Rao bound of the same window: a larger window has a smaller bound,
+compare rms_px across windows. Points that are accepted and lie more than 0.5 px off are left out of both, since a few
+of them would hide all the others; `wrong` is their share of all points. The figure is drawn from these rows.
 
 *A pair* moves by 0.1, 0.35, 0.6 and 0.85 px (and 0.7 of it in y), and nothing of it is known before: forward and
 backward, pyramids and spline coefficients included.
@@ -24,6 +24,7 @@ correction for the deformation and fields are not part of it.
 """
 
 import json
+import time
 import tomllib
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -37,6 +38,7 @@ from matplotlib import patheffects
 from torch import Tensor
 
 from bench import dic_codes
+from bench.drawing import BLUE, GREEN, RED, VIOLET
 from bench.environment import describe
 from bench.errors_of_tracks import error_cells
 from bench.kornia_tracker import track_kornia
@@ -101,7 +103,10 @@ def run(quick: bool) -> list[Row]:
                 absent.append({"window_px": window, "tracker": name, "left_out": reason})
     # All in one round, so that the windows can be compared with each other.
     times = time_in_turns(
-        {_label(*name): way.call for name, way in ways.items()}, _label(*PEER), rounds=2 if quick else 31
+        {_label(*name): way.call for name, way in ways.items()},
+        _label(*PEER),
+        rounds=2 if quick else 31,
+        clock=time.process_time if torch.get_num_threads() == 1 else time.perf_counter,
     )
     rows = [_row(*name, way, times[_label(*name)], points.shape[1]) for name, way in ways.items()]
     return [*rows, *absent, *_measured_apart()]
@@ -169,6 +174,7 @@ def _row(tracker: str, window: int, way: Way, timing: Timing, peer_points: int) 
         "us_p10": 1e3 * timing.low_ms / count,
         "us_p90": 1e3 * timing.high_ms / count,
         "time_to_peer": timing.to_peer * peer_points / count,
+        "threads": torch.get_num_threads(),
     }
 
 
@@ -192,16 +198,15 @@ class _Style(NamedTuple):
     name: tuple[float, float]
 
 
-_RED, _BLUE, _GREEN, _VIOLET = "#b5402a", "#2b5c8a", "#3c7d3f", "#6f4a8e"
 _STYLES = {
-    "fingerflow, recorded": _Style(_RED, _RED, "D", (-10, 0), (-48, 12)),
-    "fingerflow, live": _Style(_RED, "white", "D", (10, 0), (-50, -92)),
-    "fingerflow, a pair": _Style(_RED, _RED, "o", (11, -2), (8, -12)),
-    "OpenCV, 1 level": _Style(_BLUE, _BLUE, "s", (0, 10), (-42, 17)),
-    "OpenCV, 4 levels": _Style(_BLUE, "white", "s", (0, 10), (-46, 17)),
-    "al-dic": _Style(_GREEN, _GREEN, "^", (0, 10), (8, 2)),
-    "pyvale": _Style(_GREEN, "white", "^", (0, -11), (8, -7)),
-    "kornia": _Style(_VIOLET, _VIOLET, "^", (0, -11), (-68, -4)),
+    "fingerflow, recorded": _Style(RED, RED, "D", (-10, 0), (-48, 12)),
+    "fingerflow, live": _Style(RED, "white", "D", (10, 0), (-40, -80)),
+    "fingerflow, a pair": _Style(RED, RED, "o", (11, -2), (8, -12)),
+    "OpenCV, 1 level": _Style(BLUE, BLUE, "s", (0, 10), (-42, 17)),
+    "OpenCV, 4 levels": _Style(BLUE, "white", "s", (0, 10), (-46, 17)),
+    "al-dic": _Style(GREEN, GREEN, "^", (0, 10), (8, 2)),
+    "pyvale": _Style(GREEN, "white", "^", (0, -11), (8, -7)),
+    "kornia": _Style(VIOLET, VIOLET, "^", (0, -11), (-68, -4)),
 }
 _TOP = 1.08  # what lies above is drawn here, with its number
 _HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
@@ -224,12 +229,12 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             label += f" ({lost:.0%} lost)"
         axes.plot(times, errors, style.marker, ls="-", c=style.colour, mfc=style.filling, ms=6, lw=1.2, clip_on=False)
         write = partial(axes.annotate, textcoords="offset points", color=style.colour, path_effects=_HALO)
-        for time, error, row in zip(times, errors, mine, strict=True):
+        for where, error, row in zip(times, errors, mine, strict=True):
             right, up = style.window
             # OpenCV's times at 21 and 25 px are nearly the same: the larger windows above, the others below.
             below = number(row, "window_px") <= 21 and len(mine) > 2 and up > 0
             place = right, -up if below else up
-            write(str(row["window_px"]), (time, error), place, ha="center", va="center", fontsize=8)
+            write(str(row["window_px"]), (where, error), place, ha="center", va="center", fontsize=8)
         write(label, (times[-1], errors[-1]), style.name, fontsize=9)
     axes.set_xscale("log")
     ticks = [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
@@ -237,9 +242,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     axes.minorticks_off()
     axes.set_xlim(0.2, 6000)
     axes.set_ylim(0.91, _TOP)
-    threads = torch.get_num_threads()
+    threads = next(row["threads"] for row in rows if row.get("threads"))
+    clock = "processor time" if threads == 1 else f"{threads} threads"
     apart = "; ".join(sorted({f"DIC codes {row['remark']}" for row in rows if "remark" in row}))
-    axes.set_xlabel(f"time per point and frame, {threads} thread{'s' * (threads > 1)} (µs)\n{apart}")
+    axes.set_xlabel(f"time per point and frame, {clock} (µs)\n{apart}")
     axes.set_ylabel("RMS error / Cramér–Rao bound")
     axes.set_title(
         f"Points of skin at a noise of {NOISE} grey levels; numbers are windows in px", loc="left", fontsize=10

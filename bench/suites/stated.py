@@ -17,8 +17,9 @@ the contact, once the pull has drawn skin in over the rear rim: of their medians
 entry. What the deviation takes of points that moved in was set on the first five; the others had no part in it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +27,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bench.contact_grid import energy_since_onset, skin_in_contact
+from bench.drawing import RED, Mark, draw_dots, saved_axes
 from bench.recordings import QUICK_PRESS, processed
-from bench.rows import Row
+from bench.rows import Row, number
 from fingerflow.synthetic import ChainPress, FingerprintTexture, Press, RidgeTexture, Slide
 from fingerflow.synthetic.scenes import SyntheticScene
 
@@ -190,3 +192,18 @@ def _held(presses: list[Compared]) -> Row:
         "within_1": float(np.mean(np.abs(z) < 1)),
         "within_2": float(np.mean(np.abs(z) < 2)),
     }
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the RMS of error over stated deviation, and the shares of frames within one and two deviations."""
+    names = [f"{row['what']}: {row['quantity']}" for row in rows]
+    with saved_axes(path, 0.25 * len(rows) + 1, 2, width=9, sharey=True) as (left, right):
+        left.axvline(1, color="0.65", linewidth=0.8, zorder=0)
+        draw_dots(left, names, {"z": [number(row, "z_rms") for row in rows]}, {"z": Mark(RED)})
+        left.set(xlabel="RMS of error / deviation", xlim=(0, None))
+        shares = {f"{k} x deviation": [100 * number(row, f"within_{k}") for row in rows] for k in (1, 2)}
+        draw_dots(right, names, shares, dict(zip(shares, (Mark(RED, filled=False), Mark(RED)), strict=True)))
+        for percent in (68, 95):
+            right.axvline(percent, color="0.65", linewidth=0.8, zorder=0)
+        right.set(xlabel="frames within (%)", xlim=(None, 101))
+        right.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))

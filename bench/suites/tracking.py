@@ -13,11 +13,14 @@ percentile.
   the 21 x 21 px of the bound.
 """
 
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from bench.drawing import BLUE, RED, Mark, cells, saved_axes
 from bench.errors_of_tracks import error_cells, root_mean_square
 from bench.rows import Cell, Row, number
 from bench.skin import QUICK_SHAPE, SHAPE, choose_points, error_bound, photograph_pair
@@ -72,3 +75,16 @@ def _pooled(rows: list[dict[str, Cell]]) -> dict[str, Cell]:
         "over_bound": root_mean_square([number(row, "over_bound") for row in counted]),
         "accepted": sum(number(row, "accepted") for row in counted) / len(counted),
     }
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the error over the bound against the noise, by program and start."""
+    noises = sorted({number(row, "noise") for row in rows})
+    with saved_axes(path, 3.2, width=6) as (axes,):
+        axes.axhline(1, color="0.65", linewidth=0.8, zorder=0)
+        for name, tracker, colour in (("fingerflow", "fingerflow", RED), ("OpenCV", "opencv", BLUE)):
+            for start in ("whole pixel", "anywhere"):
+                found = cells(rows, "over_bound", "noise", noises, start=start, shift="all", tracker=tracker)
+                axes.plot(noises, found, label=f"{name}, {start}", **Mark(colour, filled=start == "anywhere").style)
+        axes.set(xlabel="noise (grey levels)", ylabel="RMS error / Cramér–Rao bound", xticks=noises)
+        axes.legend(frameon=False)

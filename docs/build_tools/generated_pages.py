@@ -1,5 +1,6 @@
-"""Pages that the build of the site writes: outputs, keys of a scene, measurements, reproduction of both papers."""
+"""Pages and figures that the build of the site writes: outputs, keys of a scene, measurements, both papers."""
 
+import importlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -123,11 +124,30 @@ def measurements_page() -> str:
             rows = _pooled(found["rows"])
             columns = list(dict.fromkeys(name for row in rows for name in row))
             about = found["about"].partition("\n\n")[0].replace("\n", " ")
-            lines += [f"### {path.stem}: {suite}", "", _cell(about), "", f"    python -m bench {suite}", ""]
+            lines += [f"({path.stem}-{suite})=", f"### {path.stem}: {suite}", "", _cell(about), ""]
+            lines += [f"    python -m bench {suite}", ""]
             lines += _table(
                 [_cell(name) for name in columns], ([as_text(row.get(name)) for name in columns] for row in rows)
             )
     return "\n".join(lines)
+
+
+def draw_figures(folder: Path) -> None:
+    """Draw the figure of each suite that has one, as PNG named after the suite, from its newest rows in bench/results;
+    leave a figure that is newer than its rows.
+    """
+    folder.mkdir(exist_ok=True, parents=True)
+    newest = {suite: path for path in sorted(RESULTS.glob("*.json")) for suite in _suites(path)}
+    for suite, path in newest.items():
+        module, figure = importlib.import_module(f"bench.suites.{suite}"), folder / f"{suite}.png"
+        drawn = figure.stat().st_mtime if figure.exists() else 0.0
+        if hasattr(module, "draw") and drawn < max(path.stat().st_mtime, Path(module.__file__).stat().st_mtime):
+            module.draw(_suites(path)[suite]["rows"], figure)
+
+
+def _suites(path: Path) -> dict[str, Any]:
+    """Return what the file of a run of the bench holds for each suite."""
+    return json.loads(path.read_text(encoding="utf-8"))["suites"]
 
 
 def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -179,8 +199,8 @@ PAGES = {
 
 
 def write(folder: Path) -> None:
-    """Write the pages. An unchanged page is not touched, so that Sphinx does not read it again."""
-    folder.mkdir(exist_ok=True)
+    """Write the pages and figures. An unchanged page is not touched, so that Sphinx does not read it again."""
+    draw_figures(folder / "figures")
     for name, page in PAGES.items():
         path, text = folder / f"{name}.md", page()
         if not path.exists() or path.read_text(encoding="utf-8") != text:

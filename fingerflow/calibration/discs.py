@@ -7,13 +7,14 @@ from numpy.typing import ArrayLike
 from fingerflow.calibration.edge import Array, Disc, fit_disc
 from fingerflow.errors import FingerflowError
 
-# Ranges of radii searched, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06, its ring
-# 0.156.
+# Smallest and largest radii searched, as shares of the shorter side of the view. The discs of the lab's target have
+# 0.045 to 0.06, its ring has 0.156.
 DISC_RADII = (0.015, 0.15)
 HOLE_RADII = (0.05, 0.45)
-# One octave of rings in pixels; larger ones are the same rings on a reduced image.
+# Radii in px of the rings that are searched on each reduced image: one octave, as a larger ring is one of these on an
+# image reduced further.
 RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
-# Mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
+# Least mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
 LEAST_AGREEMENT = 0.4
 MOST_CANDIDATES = 16
 # Limits for a fit to count as a disc. On the lab's frames the true discs have a coverage of 0.98 to 1, an edge RMS of
@@ -150,7 +151,7 @@ def _hough_circles(levels: Array, reduction: int, radii: list[float]) -> list[tu
     # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
     blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)
     reduced = blocks.mean(axis=(1, 3))
-    # Variation over more than the largest ring is illumination, not a disc.
+    # Slow variation, over distances larger than the largest ring, is uneven illumination and not a disc.
     image = cv2.GaussianBlur(reduced, (0, 0), 1.2) - cv2.GaussianBlur(reduced, (0, 0), RING_RADII_PX[-1])
     slope_x, slope_y = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
     steepness = np.hypot(slope_x, slope_y)

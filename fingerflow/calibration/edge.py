@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 SEARCH_BANDS = (0.45, 0.3, 0.2, 0.2)
 # Edge points farther off than this many robust standard deviations get weight 0 (Tukey's biweight).
 TUKEY_LIMIT = 4.685
-# Accuracy of the edge detection itself, px: on noise-free drawings its points lie up to 0.025 off the best ellipse. A
-# smaller spread would reject points as good as the others and lower the coverage of a perfect disc.
+# Least spread, px, that is assumed for the edge points: the detection itself places them up to 0.025 px off the best
+# ellipse on noise-free drawings. With a smaller spread good points would be rejected and the coverage of a perfect disc
+# would fall.
 LEAST_EDGE_SPREAD_PX = 0.01
 # The errors of a ragged edge are correlated along the contour, so the number of its points does not give the error of
 # the centre. In polar form harmonic 1 is a shift of the centre and harmonic 2 the ellipse. The next harmonics estimate
@@ -104,14 +105,15 @@ class _UnwrappedImage:
         radius = float(np.sqrt(np.linalg.det(self.shape)))
         rays = int(np.clip(round(2 * np.pi * radius), 48, 720))
         self.angles = 2 * np.pi * np.arange(rays) / rays
-        steps = 2 * max(6, round(2 * band * radius))  # half a pixel apart
+        steps = 2 * max(6, round(2 * band * radius))  # half a pixel apart along each ray
         self.factors = np.linspace(1 - band, 1 + band, steps + 1)
         circle = np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1) @ self.shape
         x = middle[0] + circle[:, :1] * self.factors
         y = middle[1] + circle[:, 1:] * self.factors
         height, width = image.shape
         self.inside_image = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-        # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after 12.
+        # The cubic spline is fitted to this patch alone; boundary effects decay by 0.27 per pixel, negligible after
+        # 12 px.
         left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
         patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
         self.levels: Array = map_coordinates(patch, [y - top, x - left], order=3, mode="nearest")
@@ -167,7 +169,7 @@ def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, A
     """
     if len(points) < 12:
         return None
-    # Few iterations suffice: the next unwrapping starts from this result.
+    # A few iterations suffice: the next unwrapping of the edge starts from this result.
     for _ in range(6):
         distances, jacobian = _distances(points, middle, inverse)
         scale = max(1.4826 * float(np.median(np.abs(distances))), LEAST_EDGE_SPREAD_PX)

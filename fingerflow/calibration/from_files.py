@@ -50,19 +50,22 @@ def calibrate_files(
     halves = {"contact": View((0, rows), (half, columns))}
     if target is not None:
         halves["topography"] = View((0, rows), (0, half))
-    found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+    try:
+        found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+    except FingerflowError as error:
+        raise FingerflowError(f"{', '.join(str(one) for one in inputs if one)}: {error}") from None
     picture = output.with_suffix(".png")
     for path in (output, picture):
         spare(path, *inputs)
     keep_others(output, is_calibration, overwrite)
-    # The image carries no mark: it is ours if the file beside it is a calibration.
+    # The image has no mark of its own: fingerflow wrote it if the file beside it is a calibration.
     keep_others(picture, lambda _: output.exists() and is_calibration(output), overwrite)
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
         write_atomically(picture, lambda part: draw_overlay(part, found, target_frame, ring_frame))
 
-    # Both files or none: once the image is written, only a renaming remains.
+    # Write both files or neither: once the image is written, only the calibration file remains to be renamed.
     write_atomically(output, write_both)
     return found
 

@@ -13,9 +13,11 @@ from fingerflow.calibration.registration import Transform, fit_affine, fit_simil
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.views import View
 
-# Candidates a view, more than the target's three: its shape then rejects stains and dust.
+# Largest number of candidate discs per view. It exceeds the three discs of the target: the target's shape then rejects
+# stains and dust.
 MOST_DISCS = 9
-# Limits for a warning. The lab's frames have 0.984, 0.10 px and 0.44 px.
+# Limits for warnings: least axis ratio of the ring's hole, and largest RMS residual of the similarity transform (px).
+# The lab's frames have 0.984, and 0.10 and 0.44 px.
 LEAST_HOLE_AXIS_RATIO = 0.97
 MOST_SIMILARITY_RMS_PX = 1.0
 MOST_CENTER_SIGMA_PX = 1.0

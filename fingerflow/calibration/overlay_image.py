@@ -17,9 +17,10 @@ from fingerflow.calibration.registration import Transform
 
 LABELS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 CHECKER_PX = 64
-# Approximate width of a label as a share of the view: farther right it is placed to the left of its disc.
+# Approximate width of a label as a share of the view; where it would not fit on the right, it is placed to the left of
+# its disc.
 LABEL_SHARE = 0.36
-# Scale on which uneven light is removed, as a share of the shorter side of a view.
+# Standard deviation of the blur that removes uneven light, as a share of the shorter side of a view.
 LIGHT_SHARE = 1 / 8
 
 
@@ -147,7 +148,7 @@ def _flatten_light(image: Array) -> NDArray[np.uint8]:
 def _standardise(image: Array) -> NDArray[np.uint8]:
     """Return an 8-bit image with standardised mean and contrast, so that differently lit views can be compared."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
-    # Applied twice, to remove the remaining slope of the light.
+    # The blurred light is subtracted twice, to remove its remaining slope.
     level = smooth - _blurred_over_light(smooth)
     level -= _blurred_over_light(level)
     spread = np.sqrt(_blurred_over_light(level**2))

@@ -9,14 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.errors import FingerflowError
 
-# Residual between two triangles after the best similarity, relative to their size. A compression of one axis to 0.8
-# gives 0.11, to 0.7 gives 0.18. The typical value scales the score; beyond the limit the triangles do not match.
+# Residual between two triangles after the best similarity transform, relative to their size. A compression of one axis
+# to 0.8 gives 0.11, to 0.7 gives 0.18. The typical value scales the score; above the largest one the triangles do not
+# match.
 TYPICAL_DISTORTION, MOST_DISTORTION = 0.05, 0.2
-# The same for the natural logarithm of the ratio of the discs' radii to the ratio of the triangles.
+# Error of the discs' radii: absolute natural logarithm of the ratio of the radii over the ratio of the triangles'
+# sizes, with a typical and a largest value.
 TYPICAL_SIZE_ERROR, MOST_SIZE_ERROR = 0.1, 0.3
 # Smallest height of a triangle over its longest side: below it the transform across the line is undetermined.
 LEAST_HEIGHT = 0.1
-# Margin (share of the size) by which a mirror image must fit better: an isosceles triangle is its own mirror image.
+# Margin, as a share of the triangle's size, by which a mirror image must fit better to be reported: an isosceles
+# triangle is its own mirror image.
 MIRROR_MARGIN = 0.02
 # Relative score above which a second labelling of the same discs makes the match ambiguous.
 AMBIGUOUS = 0.5
@@ -185,7 +188,7 @@ def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[
     places = np.array([second.center for _, second in pairs])
     offsets = places - places.mean(axis=0)
     largest = int(np.argmax([first.radius_px * second.radius_px for first, second in pairs]))
-    # With y down the angle from x towards y grows clockwise.
+    # With the y axis pointing down, the angle from x towards y grows clockwise.
     angles = np.arctan2(offsets[:, 1], offsets[:, 0])
     order = np.argsort((angles - angles[largest]) % (2 * np.pi))
     return [pairs[index] for index in order]

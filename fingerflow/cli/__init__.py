@@ -7,7 +7,7 @@ import threading
 
 import typer
 
-# Their commands add themselves.
+# Importing these modules adds their commands to the app.
 from fingerflow.cli import (  # noqa: F401
     bundles,
     preparation,
@@ -28,7 +28,7 @@ def main() -> None:
     """Run the command line; exit status 0 for success, 2 for an error that the user can correct, 130 if interrupted."""
     others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
-        # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
+        # Commands return nothing; typer returns the exit status, 130 where it caught the interrupt itself.
         code = app(standalone_mode=False) or 0
     except FingerflowError as error:
         typer.echo(f"fingerflow: {error}", err=True)
@@ -36,7 +36,7 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:
-        # Wrong usage: typer's own message, with the place in the command line.
+        # Wrong usage: show typer's own message, which names the part of the command line.
         if hasattr(error, "show") and hasattr(error, "exit_code"):
             error.show()
             sys.exit(error.exit_code)
@@ -51,8 +51,8 @@ def main() -> None:
 def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
     """Raise KeyboardInterrupt again in the main thread after Python discarded it in a callback."""
     if isinstance(raised.exc_value, KeyboardInterrupt):
-        # After the callback, as here it would be lost again. Only a signal to the main thread wakes it up if it waits,
-        # which Windows does not have.
+        # Interrupt after this callback has returned, since an exception raised here would be lost. Only a signal to the
+        # main thread wakes it while it waits, and Windows has no such signal.
         threading.Timer(0.01, _interrupt_the_main_thread).start()
     else:
         sys.__unraisablehook__(raised)

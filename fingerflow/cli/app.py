@@ -8,7 +8,7 @@ import typer
 app = typer.Typer(
     help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True
 )
-INTERRUPTED = 130  # exit status, as shells have it for SIGINT
+INTERRUPTED = 130  # exit status of an interrupted command: 128 + SIGINT, as in shells
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")

@@ -62,7 +62,7 @@ def info(
         try:
             forces = force_facts(recording)
         except FingerflowError as not_forces:
-            can_be_a_recording = recording.suffix.lower() in (".h5", ".hdf5")  # or forces
+            can_be_a_recording = recording.suffix.lower() in (".h5", ".hdf5")  # an HDF5 file may also hold forces
             raise not_a_recording if can_be_a_recording or not recording.exists() else not_forces from None
         columns = {} if as_json else {f"column {name}": said for name, said in forces.pop("columns").items()}
         return tell_facts(forces | columns, as_json)

@@ -47,7 +47,7 @@ def report(
             raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
         typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite, figure_files=files)}")
         return
-    loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
+    loaded = load_scene(scene)  # loaded first, so that an error in the scene is not reported as an error in the result
     stored = load_result(result or scene.parent / "result.h5")
     beside = compare_with_chain(stored, friction, chain) if friction else None
     page = write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite, figure_files=files)

@@ -72,7 +72,7 @@ def simulate(
 def _remove_demo(folder: Path) -> None:
     """Remove the files of an earlier demo; if the folder has other files, raise FingerflowError and remove nothing."""
     for name in _DEMO_FILES:
-        unfinished(folder / name)  # removes what a killed demo left
+        unfinished(folder / name)  # removes the files that an aborted demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)
     if strange or not (folder / "truth.json").exists():
         found = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"

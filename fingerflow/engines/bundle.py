@@ -46,6 +46,7 @@ class Bundle:
     Attributes:
         height, width, bit_depth: of a view: px, px, and bits of a pixel, 8 to 16.
         points: largest number of points in a frame.
+        hashes, files: SHA-256 and path of each graph, by name; the compiled library needs none of them.
         engine_settings: settings with which the graphs were exported.
         expected: results of the built-in frame (`engines.check`).
     """
@@ -95,17 +96,15 @@ def load_bundle(folder: Path) -> Bundle:
             folder=folder,
             recipe=recipe,
             version=str(facts["fingerflow"]),
-            hashes={name: graphs[name]["sha256"] for name in GRAPHS},
-            files={name: folder / graphs[name]["file"] for name in GRAPHS},
+            hashes={name: graphs[name]["sha256"] for name in graphs},
+            files={name: folder / graphs[name]["file"] for name in graphs},
             expected=facts["expected"],
             **{name: int(recipe["views"][name]) for name in ("height", "width", "bit_depth")},
             points=int(recipe["tracking"]["points"]),
             engine_settings=bundle_settings(recipe),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise PlayerError(
-            f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
-        ) from None
+        raise PlayerError(f"{path}: has no proper entry {error}; {again}") from None
     for name, file in bundle.files.items():
         try:
             digest = hashlib.sha256(file.read_bytes()).hexdigest()

@@ -16,9 +16,12 @@ from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
 from fingerflow.errors import first_line
 
-_AFTER = 2  # ordinary calls of a signature before it is recorded: many signatures, as of lost points, come only once
-_GRAPHS = 8  # of a module, each with memory of its own; the one that was not used for longest is dropped
-_one_recording = Lock()  # a recording begins with freeing the memory that is not used
+# Number of uncaptured calls with the same input shapes before a CUDA graph is captured: many shapes, as those of lost
+# points, occur only once.
+_AFTER = 2
+# Largest number of captured graphs per module, each with memory of its own; the least recently used one is dropped.
+_GRAPHS = 8
+_one_recording = Lock()  # one capture at a time, since a capture begins with freeing unused memory
 log = logging.getLogger("fingerflow.engines")
 
 
@@ -45,14 +48,15 @@ def record_graph(call: Callable[[], Any]) -> RecordedCall:
         try:
             ahead = torch.cuda.Stream()
             ahead.wait_stream(current)
-            with torch.cuda.stream(ahead):  # libraries set up what they need, which must not be recorded
+            # A first call lets libraries allocate their workspaces, which must not be captured.
+            with torch.cuda.stream(ahead):
                 call()
             current.wait_stream(ahead)
-            # Other threads may go on to compute on the device.
+            # "thread_local" lets other threads use the device during the capture.
             with torch.cuda.graph(graph, capture_error_mode="thread_local"):
                 result = call()
         finally:
-            torch.cuda.set_stream(current)  # a failed recording leaves its own stream
+            torch.cuda.set_stream(current)  # a failed capture leaves its own stream current
     return RecordedCall(graph.replay, result)
 
 

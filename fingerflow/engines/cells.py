@@ -48,7 +48,8 @@ def _at_places(cells: Array, x: Array, y: Array) -> Array:
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     left, top = (np.clip(np.floor(at), 0, max(size - 2, 0)) for at, size in ((x, width), (y, height)))
     first = (top * width + left).astype(np.intp)
-    right, down = min(1, width - 1), width * min(1, height - 1)  # index steps to the next cell, 0 if there is none
+    # Index steps to the next cell, 0 if the grid has only one column or row.
+    right, down = min(1, width - 1), width * min(1, height - 1)
     flat = cells.reshape(len(cells), -1)
     a, b, c, d = (np.take_along_axis(flat, first + step, 1) for step in (0, right, down, down + right))
     across, along = x - left, y - top

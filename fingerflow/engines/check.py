@@ -14,19 +14,22 @@ import numpy as np
 from fingerflow.engines.engine import Array, Engine
 from fingerflow.errors import FingerflowError
 
-# Relative intensity loss: its limit lies between two grey levels, even if the illumination gain is off by 0.5 %.
+# Threshold of the relative intensity loss. It lies between those of two grey levels, even if the illumination gain is
+# off by 0.5 %.
 THRESHOLD = 0.4875
-_GLASS, _RIDGE, _VALLEY = 200.0, 40.0, 180.0  # grey levels of 255
+# Brightness, grey levels of 255: glass without contact, touching ridges, valleys between ridges.
+_GLASS, _RIDGE, _VALLEY = 200.0, 40.0, 180.0
 _WAVES = 24
 _STRETCH = np.array([[1.01, 0.004], [-0.003, 0.995]])
 _SHIFT = np.array([0.3, -0.2])
-_BESIDE = 0.2  # px, error of the predicted positions
-_MARGIN = 8  # px from a window to the border
+_BESIDE = 0.2  # px, error along x and y of the predicted positions
+_MARGIN = 8  # px, distance of the tracking windows from the border of the view
 _DIFFERENT = "its numbers of the built-in frame are not those of the bundle"
-_UNKNOWN = 7  # every 7th point is NaN
-_FOUND = 0.8  # least share of the points that is found where it is
-_TURNS = 6  # frames computed in turns: more than an engine computes before it records a graph
-_FLIPS = 0.01  # share of the values that may be finite in only one of both results
+_UNKNOWN = 7  # every 7th point has the position NaN, as a lost point has
+_FOUND = 0.8  # least share of the points whose measured position is nearer to the true than to the predicted one
+# Frames computed, alternating between two images: more than an engine computes before it captures a CUDA graph.
+_TURNS = 6
+_FLIPS = 0.01  # largest share of the values that may be finite in one of both results and NaN in the other
 
 
 class Tolerance(NamedTuple):
@@ -40,7 +43,8 @@ class Tolerance(NamedTuple):
     relative: bool = False
 
 
-#: Engines differ by up to 2e-5 px; 1e-3 px is guaranteed. A cell at the border may be in contact for one engine only.
+#: Largest differences to the results stored in a bundle. Positions of engines differ by up to 2e-5 px; 1e-3 px is
+#: guaranteed. A cell at the border may be in contact for one engine only.
 TOLERANCES = {
     "real_area_px": Tolerance(1e-3, "of itself", relative=True),
     "gross_area_px": Tolerance(1e-3, "of itself", relative=True),
@@ -48,7 +52,7 @@ TOLERANCES = {
     "semi_axes": Tolerance(0.1, "px"),
     "found": Tolerance(1e-3, "px"),
     "corrected": Tolerance(1e-3, "px"),
-    # The frame has no noise: its residual is a difference of nearly equal sums.
+    # The frame has no noise: the residual, on which the deviation is based, is a difference of nearly equal sums.
     "deviation": Tolerance(0.05, "of itself", relative=True),
 }
 
@@ -192,7 +196,8 @@ def _texture(x: Array, y: Array) -> Array:
     """Return a texture in grey levels that repeats nowhere: a sum of waves 7 to 20 px long in all directions."""
     total = np.zeros_like(x)
     for wave in range(_WAVES):
-        turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and ratio: nothing repeats
+        # Direction and wavelength by golden angle and golden ratio, so that no two waves are alike.
+        turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)
         total += np.sin(2 * math.pi / length * (math.cos(turn) * x + math.sin(turn) * y) + wave * wave)
     levels: Array = 120 + 80 / math.sqrt(2 * _WAVES) * total
     return np.clip(levels, 0, 255)

@@ -6,7 +6,7 @@ import logging
 from functools import cache
 from typing import TYPE_CHECKING
 
-from fingerflow.engines.bundle import Bundle
+from fingerflow.engines.bundle import GRAPHS, Bundle
 from fingerflow.engines.check import built_in, check_engine, check_frames
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
@@ -15,9 +15,11 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
-#: Engines of a recording: "auto" takes native where it can be used and torch elsewhere; then the engines by name.
+#: Engines of a recording: "auto" chooses native where it is available and torch elsewhere; the others are chosen by
+#: name.
 ENGINES = ("auto", "native", "torch", "onnx")
-#: Engines of a stream: the compiled library, and the graphs of a bundle by ONNX Runtime. Default: the first that works.
+#: Engines of a stream: the compiled library ("native"), and the graphs of a bundle run by ONNX Runtime ("onnx"). By
+#: default the first that works is used.
 STREAM_ENGINES = ("native", "onnx")
 log = logging.getLogger("fingerflow.player")
 
@@ -96,6 +98,11 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             return NativeEngine(bundle.engine_settings)
         if name == "native":
             raise FingerflowError(f"--engine native: {why}; leave the option out, or take --engine onnx")
+    if absent := [one for one in GRAPHS if one not in bundle.files]:
+        raise FingerflowError(
+            f"{bundle.folder}: without the graphs {', '.join(absent)} only the compiled library plays the bundle "
+            f"({why}); export the recipe without `graphs` in [export]"
+        )
     try:
         from fingerflow.engines.onnx import OnnxEngine
         from fingerflow.engines.providers import installed_providers

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-# Batch size of the graphs that process a subset of the points; also the largest number of points that a stream searches
-# for in one round of lost-point recovery.
+# Batch size of the graphs that process a subset of the points, and largest number of points that a stream searches for
+# in one round of lost-point recovery.
 ROWS = 64
-Images = Any  # frames (K, 1, H, W) in the engine's own representation: they have a length and can be sliced by frame
+Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a length and can be sliced by frame
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@
 frame. A captured step keeps its memory (`engines.capture`), so that the steps add up.
 """
 
-FRAMES = 8  # of a recording in a call for their contact or their points
-_FRAMES_OF_FIELDS = 64  # of one recording in a call for its fields
-_PIXEL = 30.0  # bytes a pixel of a frame: contact, light and black level, the frame itself in 32 bit
-_SAMPLE = 160.0  # bytes a sample of a template: prepared, kept, copied for all recordings and for a graph, found
-_PAIR = 20.0  # bytes a pair of points of a frame: deformation or fields
-_UPDATED = 1e9  # bytes while templates are updated, of however many recordings (`ops.pieces`)
-_SHARE = 0.7  # of the memory that is free; the rest is that of libraries, and lost between blocks
+FRAMES = 8  # frames of a recording per call that computes contact or tracks points
+_FRAMES_OF_FIELDS = 64  # frames of a recording per call that computes fields
+_PIXEL = 30.0  # bytes per pixel of a frame: contact, light, black level, and the frame itself in 32 bit
+# Bytes per sample of a template: prepared, kept, copied for all recordings and for a captured graph, tracked.
+_SAMPLE = 160.0
+_PAIR = 20.0  # bytes per pair of points in a frame, for deformation or fields
+_UPDATED = 1e9  # bytes for a template update, whatever the number of recordings (`ops.pieces`)
+_SHARE = 0.7  # usable share of the free memory; libraries and fragmentation take the rest
 
 
 def recordings_that_fit(free: float, height: int, width: int, points: int, window_px: int) -> int:

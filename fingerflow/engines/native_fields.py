@@ -34,7 +34,7 @@ def fields_of_frames(
         rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
     gradient, spread = _point_gradients(reference, rest, gauge_length, covariance)
     if entered is not None:
-        # Nothing is known of a lost point.
+        # A lost point has no gradient.
         own = entered.among & np.isfinite(displacement[..., 0] + displacement[..., 1])
         gradient[own] = entered.gradient[own]
         if spread is not None and entered.covariance is not None:

@@ -35,7 +35,7 @@ from fingerflow.kernels.tracked_points import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
-_SUPPORTS = 4  # sets of points whose neighbours are cached
+_SUPPORTS = 4  # number of point sets whose neighbours are cached
 
 
 class _KeyImage:

@@ -17,7 +17,7 @@ log = logging.getLogger("fingerflow.engines")
 CPU = "cpu"
 _SUFFIX = "ExecutionProvider"
 _PLUGINS = "onnxruntime_ep_"  # prefix of the names of plugin packages
-_REMOTE = "AzureExecutionProvider"  # computes nothing here
+_REMOTE = "AzureExecutionProvider"  # runs models on a remote server, not on this computer
 
 
 def installed_providers() -> dict[str, str]:
@@ -27,7 +27,7 @@ def installed_providers() -> dict[str, str]:
     """
     built_in = [name for name in ort.get_available_providers() if name != _REMOTE]
     if any(name.startswith("CUDA") for name in built_in):
-        ort.preload_dlls()  # CUDA's libraries where they were installed as Python packages
+        ort.preload_dlls()  # loads CUDA's libraries if they were installed as Python packages
     _register_plugins()
     plugged = [device.ep_name for device in ort.get_ep_devices() if device.ep_name not in built_in]
     names = {full.removesuffix(_SUFFIX).lower(): full for full in (*built_in, *plugged)}
@@ -61,7 +61,7 @@ def _register_plugins() -> None:
             try:
                 library = importlib.import_module(module.name).get_library_path()
                 ort.register_execution_provider_library(module.name, library)
-            except Exception as error:  # whatever a foreign package raises, the other providers remain usable
+            except Exception as error:  # a plugin package may raise anything; the other providers remain usable
                 log.warning("the package %s is installed but its provider cannot be loaded (%s)", module.name, error)
 
 

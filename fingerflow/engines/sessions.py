@@ -18,7 +18,7 @@ from fingerflow.errors import FingerflowError, first_line
 Array = NDArray[Any]
 
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
-#: Providers that can capture a graph as one CUDA graph, with the option that says so.
+#: Providers that can capture a graph as one CUDA graph, with the option that enables it.
 CAPTURING = {"cuda": "enable_cuda_graph", "tensorrt": "trt_cuda_graph_enable"}
 _NUMPY = {
     "tensor(float)": np.float32,
@@ -70,7 +70,7 @@ class GraphSession:
         """
         feed = {name: self._array(name, given[name]) for name in self.inputs}
         try:
-            # Plain arrays where they are not bound: wrapping takes longer than a small graph.
+            # Pass plain arrays if inputs are not bound: binding takes longer than running a small graph.
             results = self._bound(feed) if self._bound else self._session.run(self._names, feed)
         except Exception as error:
             raise FingerflowError(
@@ -173,7 +173,7 @@ class Sessions:
         options = ort.SessionOptions()
         options.intra_op_num_threads = self._threads
         options.log_severity_level = 3
-        # Idle threads of the other graphs would spin beside those that compute.
+        # Idle threads of other sessions would spin and take processor time from the computing ones.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         of_provider: dict[str, Any] = {CAPTURING[self._short]: "1"} if captured else {}
         if self._short == "tensorrt":

@@ -20,8 +20,9 @@ from fingerflow.errors import is_out_of_memory
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
-# Methods that may be joined, in the order in which their calls are answered. The smallest steps come first: recordings
-# that need more of them catch up, and the next larger step is again shared by all.
+# Methods whose calls may be batched over recordings, in the order in which they are answered. The most frequent and
+# shortest calls come first: recordings that need more of them catch up, and the next longer call is again shared by
+# all.
 _ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "threshold", "contact")
 
 
@@ -57,7 +58,7 @@ def run_alone(steps: Steps[T]) -> T:
         call = next(steps)
         while True:
             method, arguments = call
-            del call  # frees its images before the recording reads the next ones
+            del call  # frees the images of this call before the recording reads the next ones
             try:
                 answer = method(*arguments)
             except Exception as error:
@@ -81,7 +82,8 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
     results: dict[int, T] = {}
     errors: dict[int, Exception] = {}
     waiting: dict[int, Call] = {}
-    most: dict[str, int] = {}  # recordings in a call of a method, where memory was too small for more
+    # Largest number of recordings in a call of a method, after a larger call ran out of memory.
+    most: dict[str, int] = {}
 
     def go_on(place: int, resume: Callable[[], Call]) -> None:
         try:
@@ -89,7 +91,8 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
         except StopIteration as end:
             results[place] = end.value
         except Exception as error:
-            clear_frames(error.__traceback__)  # they would keep the memory of this recording while others continue
+            # The frames of the traceback would keep this recording's memory while others continue.
+            clear_frames(error.__traceback__)
             errors[place] = error
 
     with ExitStack() as closing:
@@ -101,7 +104,7 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
             for place, answer, error in _compute_group(_next_group(waiting), most):
                 steps = many[place]
                 go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
-                del answer, error  # frees their memory before the next recording continues
+                del answer, error  # frees the memory of answer and error before the next recording continues
     if errors:
         raise errors[min(errors)]
     return [results[place] for place in range(len(many))]
@@ -145,8 +148,8 @@ def _compute_group(group: dict[int, Call], most: dict[str, int]) -> Iterator[tup
     if len(group) > 1 and isinstance(engine, BatchingEngine):
         try:
             results = engine.joined(name, [call.arguments for call in group.values()])
-        except Exception as error:  # calling one by one shows to which recording it belongs
-            # Log its text: a kept log record would keep the memory of the error itself.
+        except Exception as error:  # calling one recording at a time shows which one fails
+            # Log the text of the error: a log record with the error itself would keep its memory.
             if is_out_of_memory(error):
                 most[name] = len(group) // 2
                 how = f"needs too much memory and is from now on made of {most[name]} at a time"
@@ -159,7 +162,7 @@ def _compute_group(group: dict[int, Call], most: dict[str, int]) -> Iterator[tup
         if most.get(name, len(group)) < len(group):
             yield from _compute_group(group, most)
             return
-    # Outside the handler, because the error keeps the memory of the failed call.
+    # Repeat outside the handler, because the error keeps the memory of the failed call until its end.
     for place, call in group.items():
         yield place, *_made(call)
 

@@ -38,8 +38,8 @@ from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
-Modules = Callable[[Any], Any]  # returns the callable that replaces a module
-_Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
+Modules = Callable[[Any], Any]  # function from a module to the callable that replaces it
+_Many = Sequence[tuple[Any, ...]]  # arguments of one method, by recording
 
 
 @dataclass
@@ -104,13 +104,14 @@ class TorchEngine:
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
         matrix = self._tensor(topography_to_contact, torch.float32)
-        # Components before points: torch is slow on a short last axis.
+        # Put components before points, since torch is slow on a short last axis.
         x, y = (matrix[:, :2] @ self._tensor(points).mT + matrix[:, 2:]).unbind(1)
         return _array(covered(self._tensor(density_margin), x, y, self.cell_px))
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
-        # Not replaced by `modules`: each number of points would be another graph, and most are used once.
+        # `modules` does not replace this module: each number of points would need another graph, and most are used
+        # once.
         detect = DetectGraph(count, own.min_distance_px, own.window_px)
         points, _ = detect(image, self._tensor(mask)[None, None])
         return _array(points[0][points[0].isfinite().all(-1)])
@@ -257,7 +258,8 @@ class TorchEngine:
         templates = self._stacked_templates(held, rows)
         if kernels.fused_serves(templates.samples, *images):
             return self._follow_fused(templates, images, places, speeds)
-        # Points of all recordings are concatenated; one of fewer frames repeats its last frame until the others end.
+        # Concatenate the points of all recordings; a recording with fewer frames repeats its last frame until the
+        # others end.
         courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
@@ -266,7 +268,7 @@ class TorchEngine:
             look = partial(self._look, image)
             first = look(templates, guess)
             found = _arrays(first)
-            # Decided on the host, which waits for the first round anyway.
+            # This decision on the host costs no extra wait, as the host waits for the first round anyway.
             if (arrays.FoundPoints(*found).status == TrackStatus.NOT_CONVERGED).any():
                 found = _arrays(further_rounds(look, templates, first, ROUNDS - 1))
             courses.append(courses[k].see(arrays.FoundPoints(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
@@ -285,9 +287,9 @@ class TorchEngine:
         """Track the templates of several recordings through all frames of each in one GPU kernel launch (Triton), from
         the positions `places` and `speeds` of the points before the first frame.
         """
-        from fingerflow.kernels.tensors.fused_tracking import find_templates  # needs Triton
+        from fingerflow.kernels.tensors.fused_tracking import find_templates  # imported here, as it needs Triton
 
-        views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b at k B + b
+        views = nn.utils.rnn.pad_sequence(list(images)).flatten(0, 1)  # frame k of recording b has the index k B + b
         lengths = self._tensor(np.array([len(one) for one in images], np.int32))
         limits = rounding_variance(views), self.settings.forward_backward_limit_px, MISMATCH_SHARE
         near = self._tensor(stacked(places)), self._tensor(stacked(speeds))
@@ -414,7 +416,7 @@ def _upload(images: Tensor, device: torch.device) -> Tensor:
     with torch.cuda.stream(ahead):
         there = images.pin_memory().to(device, non_blocking=True)
     current.wait_stream(ahead)
-    there.record_stream(current)  # its memory is not given away before `current` has read it
+    there.record_stream(current)  # keeps the memory from being reused before `current` has read it
     return there
 
 
@@ -430,7 +432,7 @@ class _DeclaredWritable:
     """
 
     def __init__(self, array: Array) -> None:
-        self._array = array  # keeps the memory alive
+        self._array = array  # keeps the array's memory alive as long as the pointer is used
         address = array.__array_interface__["data"][0]
         self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
 

@@ -36,7 +36,8 @@ from fingerflow.tracker.subset_verification import STEP
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
-#: Graphs for a fixed number `engines.engine.ROWS` of points (rows), and which of their inputs are cut to it.
+#: Graphs that process a fixed number `engines.engine.ROWS` of points (rows), and their inputs that are cut to this
+#: number.
 OF_FEW: dict[str, tuple[str, ...]] = {
     "renew": ("points", "warp"),
     "track_few": (*_TEMPLATES, "prediction"),
@@ -50,7 +51,7 @@ _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
 _SUPPORTS = ("support_weights", "support_within", "inner_weights", "inner_within")
 _CORRECTED = ("points", "covariance", "warp", "shift", "expected")
 
-#: Unit of every input and output: px of the views, counts of the camera, mm on the glass.
+#: Unit of every input and output: px of the views, grey levels of the camera ("counts"), mm on the glass.
 UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "key_view", "empty", "dark"), "counts"),
     **dict.fromkeys((*_LIGHT, "noise", "spline", "samples"), "counts"),
@@ -164,11 +165,12 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
         return tuple(track(Templates(*given[:3]), *given[3:]))
 
     def support(start: Tensor) -> tuple[Tensor, ...]:
-        # Compiled kernels need none.
+        # Compiled kernels need no precomputed supports.
         return tuple(part for one in supports_of(start, WARP_GAUGE_PX) if one is not None for part in one)
 
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
-        found = Found(points, points[..., 0], covariance, points[..., 0], points)  # error, status, estimate: unused
+        # Fields error, status and estimate are unused.
+        found = Found(points, points[..., 0], covariance, points[..., 0], points)
         numbers, inverse_warp, *of = known
         supports = Supports(Support(*of[:2]), Support(*of[2:]))
         corrected, *others = deformation(start, found, numbers, inverse_warp, supports)

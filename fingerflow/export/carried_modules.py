@@ -12,7 +12,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-# Third-party packages that modules may need when they are loaded, with those that onnxruntime needs.
+# Third-party packages that a bundle's modules may import on the lab computer: those of the player and those that
+# onnxruntime needs.
 ON_THE_LAB_PC = ("numpy", "onnxruntime", "tifffile", "flatbuffers", "google", "packaging")
 ROOMS = ("engines", "errors", "kernels", "player", "recordings", "results", "schema", "tracker")
 _DATA = ("kernels/interface.h", "player/page/*")

@@ -31,13 +31,13 @@ class Difference(NamedTuple):
     share: float
 
 
-# Largest tolerated differences to torch in the same precision and in float64; each graph gets the same inputs.
-# Points: a position of 640 px has a spacing of 6e-5 px in float32; the project guarantees 1e-3 px. Fields: rounding
-# of a position over a gauge length of tens of px. All but px and rad is relative to the largest value of the output:
-# points that jump by tens of px have strains far beyond 1.
+# Largest tolerated differences of ONNX results to torch in the same precision, and to torch in float64; each graph gets
+# the same inputs. Points: a position of 640 px has a spacing of 6e-5 px in float32; the project guarantees 1e-3 px.
+# Fields: rounding of a position over a gauge length of tens of px. Except for px and rad, differences are relative to
+# the largest value of the output: points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
     "points": (1e-3, 1e-3),
-    # False matches have a nearly singular backward check and step; the limit of both is 1 px.
+    # False matches have a nearly singular backward check and step; accepted points have at most 1 px in both.
     **dict.fromkeys(("error", "estimate"), (2e-2, 2e-2)),
     **dict.fromkeys(("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), (2e-4, 1e-3)),
     # A cell at the border of the region may be classified differently in float64.
@@ -49,7 +49,7 @@ _TOLERANCES = {
     **dict.fromkeys(("support_weights", "inner_weights"), (1e-3, 1e-3)),
 }
 _RELATIVE = (1e-4, 1e-3)
-_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may change
+_MOST_FLIPS = 1e-2  # largest share of decisions (real contact, tracked, returns) that rounding may change
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
@@ -79,7 +79,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
         for case in cases(recipe, batch):
             known = complete_inputs(
                 recipe, case
-            )  # same inputs in all three, so that errors do not propagate between graphs
+            )  # each graph gets the same inputs in all three versions, so that errors do not propagate between graphs
             for name in sessions:
                 graph = graphs[name]
                 given = inputs_of(name, graph, known)
@@ -115,17 +115,17 @@ def as_text(rows: list[Difference]) -> str:
 def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> Difference:
     unit = UNITS[output]
     if output == "status":
-        # Compare only whether a point is tracked: far from a solution the reason depends on rounding.
+        # Compare only whether a point is tracked: far from a solution the reason for its loss depends on rounding.
         ours, near, far = (values != 0 for values in (ours, near, far))
     if output == "covariance":
         ours, near, far = (np.sqrt(values[..., (0, 1), (0, 1)]) for values in (ours, near, far))
         unit = "px"
     if output == "template_numbers":
-        # Without texture they are quotients of rounding errors, and such points are not tracked.
+        # Without texture, template statistics are quotients of rounding errors, and such points are not tracked.
         textured = near[..., Number.TEXTURED] > 0
         ours, near, far = (values[textured] for values in (ours, near, far))
     if graph == "detect" and output == "points":
-        # Corners of nearly equal strength change their order, and which of them are last may differ.
+        # Corners of nearly equal strength may swap their order, and the weakest selected ones may differ.
         return Difference(graph, output, unit, _missing_share(near, ours), _missing_share(far, ours), 0, 0.0)
     if not np.issubdtype(near.dtype, np.floating):
         share = float(np.mean(ours != far)) if ours.size else 0.0

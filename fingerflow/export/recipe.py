@@ -10,7 +10,7 @@ from fingerflow.engines.bundle import GRAPHS as GRAPHS
 from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 
-_LARGEST_SIDE = 4096  # px: counts of pixels are exact in float32 up to 2^24
+_LARGEST_SIDE = 4096  # px, largest side of a view: counts of pixels are exact in float32 up to 2^24
 
 
 def _odd(value: int) -> int:
@@ -49,7 +49,7 @@ class ContactRecipe(_Table):
     gross_radius_px: Annotated[int, Field(ge=1, le=255)] = 8
     stride_px: Annotated[int, Field(ge=1, le=16)] = 1
     cell_px: Literal[4, 8] | None = None  # side of the cells of the gross contact region
-    real_contact_mask: bool = True  # whether `contact` outputs the mask
+    real_contact_mask: bool = True  # True if `contact` outputs the mask of the real contact
 
 
 class TrackingRecipe(_Table):
@@ -74,7 +74,7 @@ class FieldsRecipe(_Table):
 class ExportRecipe(_Table):
     """Settings [export] of a recipe: the graphs to export, and the precision of all operations except the median."""
 
-    graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # TOML has lists only
+    graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # not strict, since TOML has lists and no tuples
     precision: Literal["float32", "float64"] = "float32"
 
 

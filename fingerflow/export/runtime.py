@@ -24,9 +24,11 @@ from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
 M = TypeVar("M", bound=nn.Module)
-_SOURCES = ("export", "graphs", "ops")  # packages whose code graphs are made of
+# Packages with the code of the graphs; a change in them invalidates cached graphs.
+_SOURCES = ("export", "graphs", "ops")
 _PATIENCE = 60.0  # s of export after which a warning explains the delay
-# Smallest number of points of a graph, so that the small groups of points where skin enters share one graph.
+# Smallest number of points to which inputs are padded, so that the small groups of points where skin enters share one
+# graph.
 _LEAST_POINTS = 256
 log = logging.getLogger(__name__)
 
@@ -70,7 +72,7 @@ class OnnxRuntime:
         if not file.exists():
             begun = time.perf_counter()
             names = [f"result_{place}" for place in range(outputs)]
-            # The exporter would merge two inputs that are the same tensor.
+            # Clone the inputs: the exporter would merge two inputs that are the same tensor.
             with torch.inference_mode(False):
                 model = standard_model(leaves, tuple(one.clone() for one in tensors), inputs, names)
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -139,12 +141,12 @@ class _WrappedModule:
         )
         if key not in self._sessions:
             leaves = _ExportedMethod(self._module, method, call)
-            with Portable():  # compiled kernels may return fewer results
+            with Portable():  # traced in portable form, since compiled kernels may return fewer results
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
                 more = result
                 if points:
                     more = tree.tree_leaves(leaves.result(*pad_points(given, along, _padded_count(points) + 1)))
-            # For each result its axes of points, without its memory; None for one that is no tensor.
+            # For each result, its axes that depend on the number of points; None for a result that is no tensor.
             of_results = [
                 axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else None
                 for leaf, other in zip(result, more, strict=True)
@@ -154,7 +156,7 @@ class _WrappedModule:
             self._sessions[key] = session, of_results, result_structure
         session, of_results, result_structure = self._sessions[key]
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
-        known = {one.name for one in session.get_inputs()}  # unused inputs are not among them
+        known = {one.name for one in session.get_inputs()}  # the session lacks inputs that the graph does not use
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
         joined: list[Tensor | None] = []
         for axes in of_results:
@@ -187,7 +189,7 @@ class _ExportedMethod(nn.Module):
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         results = [leaf for leaf in tree.tree_leaves(self.result(*tensors)) if isinstance(leaf, Tensor)]
-        # An argument that is returned unchanged would be an output with the name of an input.
+        # An argument that is returned unchanged would give an output with the name of an input, so it is cloned.
         return tuple(leaf.clone() if any(leaf is one for one in tensors) else leaf for leaf in results)
 
 
@@ -205,7 +207,7 @@ def _is_private(folder: Path) -> bool:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return False
-    # Temporary folders of Windows belong to one user.
+    # On Windows, which has no `getuid`, each user has a temporary folder of their own.
     return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
 
 

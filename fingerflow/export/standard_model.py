@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from fingerflow.errors import FingerflowError
 
-OPSET = 18  # with newer ones execution providers fall back to the CPU silently
+OPSET = 18  # ONNX opset: with newer ones, execution providers fall back to the CPU silently
 _PACKAGES = ("onnx", "onnxscript", "onnxruntime")
 _CONTROL_FLOW = {"Loop", "If", "Scan"}
 
@@ -48,13 +48,13 @@ def standard_model(
             verbose=False,
         )
     assert program is not None
-    # The exporter's own optimisation also searches for transformer patterns, which takes most of its time.
+    # The exporter's own optimisation is off: it also searches for transformer patterns, which takes most of its time.
     for _ in range(2):
         onnxscript.optimizer.fold_constants(program.model)
         onnxscript.optimizer.remove_unused_nodes(program.model)
     model = program.model_proto
     _use_int32_indices(model.graph)
-    for node in model.graph.node:  # remove stack traces of this machine
+    for node in model.graph.node:  # remove stack traces, which contain paths of this computer
         node.doc_string = ""
         del node.metadata_props[:]
     for value in (*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer):

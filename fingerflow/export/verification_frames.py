@@ -16,10 +16,10 @@ from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.templates import inverse_2x2
 from fingerflow.synthetic import Camera, Press
 
-_SHIPPED = (512, 640)  # px, size of the views of the default press
-_BORDER = 0.6  # of the contact for the fields, as a share of half the view
-_ENTERED = 0.1  # radius within which points count as advected into the contact
-_KEY, _FRAME = 180, 183  # frames of the press in which skin in contact moves and spreads
+_SHIPPED = (512, 640)  # px (rows, columns), size of the views of the default press
+_BORDER = 0.6  # radius of the contact in the fields' test, as a share of half the view
+_ENTERED = 0.1  # radius, as a share of half the view, within which points count as advected into the contact
+_KEY, _FRAME = 180, 183  # frames of the press in which skin in contact moves and spreads: key frame and tracked frame
 
 
 class Case(NamedTuple):

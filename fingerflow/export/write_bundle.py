@@ -76,10 +76,10 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     import onnx
 
     dynamic = recipe.views.batch == "dynamic"
-    # The exporter would take a batch of 1 for a constant.
+    # A dynamic batch is traced with 2, since the exporter would treat a batch of 1 as a constant.
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
     known = complete_inputs(recipe, cases(recipe, batch)[0])
-    # The exporter would merge two inputs that are the same tensor.
+    # Clone the inputs: the exporter would merge two inputs that are the same tensor.
     tensors = tuple(tensor.clone() for tensor in inputs_of(name, graph, known).values())
     shapes = (tuple({0: torch.export.Dim.DYNAMIC} for _ in graph.inputs),) if dynamic else None
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)

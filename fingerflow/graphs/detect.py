@@ -14,7 +14,7 @@ from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
 _TINY = 1e-30
-_MARGIN = 2 + BOX // 2  # px around a pixel that decide whether its response is a local maximum
+_MARGIN = 2 + BOX // 2  # px around a pixel that decide whether its corner response is a local maximum
 
 
 class DetectGraph(nn.Module):
@@ -51,7 +51,7 @@ class DetectGraph(nn.Module):
         height, width = view.shape[-2:]
         noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
         if not topography_view.is_floating_point():
-            noise = noise + 1 / 12  # variance of rounding
+            noise = noise + 1 / 12  # variance of the rounding to whole grey levels
         edge = min(self.border_px, (min(height, width) - 1) // 2)
         count = min(self.points, height * width)
         # No corner lies outside the mask: crop to the mask and the margin that decides on local maxima.
@@ -62,7 +62,7 @@ class DetectGraph(nn.Module):
         before, behind = _beyond(edge, width, left, right)
         inside = response[..., above : bottom - top - below, before : right - left - behind]
         inside = functional.pad(torch.where(finite(inside), inside, 0.0), (before, behind, above, below))
-        # Maxima are sought before masking: at the edge of the mask any slope would be a maximum.
+        # Find maxima before masking: at the edge of the mask any slope would be a maximum.
         inside = torch.where(mask & (inside >= largest_around(inside)), inside, 0.0)
         strongest = inside.amax((2, 3), keepdim=True)
         limit = torch.maximum(QUALITY * strongest, NOISE * noise)
@@ -70,8 +70,9 @@ class DetectGraph(nn.Module):
         largest = corners
         for _ in range(self.beside - 1):
             largest = largest_around(largest)
-        alone = torch.zeros_like(corners)  # px to the nearest stronger corner beyond the minimum distance
-        # Larger squares are not tested: N of them do not fit into the view.
+        # Chebyshev distance, px, to the nearest stronger corner beyond the minimum distance.
+        alone = torch.zeros_like(corners)
+        # Larger squares are not tested: `count` of them do not fit into the view.
         for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
             largest = largest_around(largest)
             alone = alone + (corners >= largest).to(alone.dtype)

@@ -15,9 +15,9 @@ from fingerflow.ops.tensors import finite, sum_rows
 class GrossEllipse(NamedTuple):
     """Ellipse of the apparent (gross) contact of B frames, in the length unit of the points."""
 
-    center: Tensor  # (B, 2), x and y
-    semi_axes: Tensor  # (B, 2)
-    angle: Tensor  # (B,), from x towards y, rad
+    center: Tensor  # (B, 2) centre of the contact's ellipse, x and y
+    semi_axes: Tensor  # (B, 2) semi-axes of the ellipse
+    angle: Tensor  # (B,) angle of the first semi-axis from x towards y, rad
 
 
 class Entered(NamedTuple):
@@ -28,8 +28,8 @@ class Entered(NamedTuple):
     of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
     """
 
-    among: Tensor  # (B, N) bool
-    gradient: Tensor  # (B, N, 2, 2), NaN where it is not known
+    among: Tensor  # (B, N) bool, True for points that entered the contact after its beginning
+    gradient: Tensor  # (B, N, 2, 2) displacement gradient at entry, NaN where it is not known
     covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
@@ -103,7 +103,7 @@ class FieldsGraph(nn.Module):
         rest = displacement if entered is None else torch.where(entered.among[..., None], torch.nan, displacement)
         gradient, spread = point_gradients(reference, rest, self.gauge_length, covariance)
         if entered is not None:
-            # An entered point that is lost has no gradient.
+            # A point that entered and was lost has no gradient.
             own = entered.among & finite(sum_rows(displacement.mT))[:, 0]
             gradient = torch.where(own[..., None, None], entered.gradient, gradient)
             if spread is not None and entered.covariance is not None:

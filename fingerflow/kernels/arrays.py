@@ -19,7 +19,7 @@ class Shaped(Protocol):
     def dtype(self) -> Any: ...
 
 
-#: NumPy arrays or torch tensors: the results of a function are of the kind of its arguments.
+#: NumPy arrays or torch tensors: a function returns the type that it is given.
 Array = TypeVar("Array", bound=Shaped)
 
 
@@ -127,7 +127,7 @@ def range_of(array: Shaped) -> tuple[int, int]:
     given: Any = array
     if isinstance(given, np.ndarray):
         return int(given.min()), int(given.max())
-    # torch has no minimum of uint16.
+    # The minimum of uint16 is not implemented in torch.
     least, greatest = (given.int() if kind(array) == "uint16" else given).aminmax()
     return int(least), int(greatest)
 

@@ -12,7 +12,7 @@ from fingerflow.kernels.arrays import (
 )
 from fingerflow.kernels.library import values_are_known
 
-FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # of kernels/pixels.h
+FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # codes of kernels/pixels.h
 
 
 def check_frames(frames: Shaped, kinds: tuple[str, ...] = tuple(FRAME_KINDS)) -> None:

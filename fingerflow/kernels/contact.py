@@ -21,7 +21,7 @@ from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 MEDIAN_KINDS = ("uint8", "uint16")
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15
-LARGEST_RADIUS = 255  # px
+LARGEST_RADIUS = 255  # px, largest radius of a morphological operation in the compiled kernel
 CELLS = (1, 2, 4, 8)
 COUNTED_LEVELS = {"uint8": 1 << 8, "uint16": 1 << 16}
 
@@ -41,7 +41,7 @@ def median(frames: Array, size: int) -> Array:
         **described(frames),
         medians=medians,
         size=size,
-        table=table_of(int(size)),  # the torch compiler passes a size without a value
+        table=table_of(int(size)),  # `int` because the torch compiler passes a symbolic size
         threads=threads(),
     )
     return medians

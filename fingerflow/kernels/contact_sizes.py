@@ -3,7 +3,8 @@
 The radius is half the ridge distance or a little more.
 """
 
-# The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
+# Quantile of a reference image that counts as its full light: the brightest hundredth may be reflections and hot
+# pixels.
 FULL_LIGHT = 0.99
 LEAST_LIGHT = 0.05  # of full light, below which glass counts as not lit
 PIXELS_OF_LIGHT = 128  # along the shorter side: some 10,000 pixels suffice for the quantile of smooth light

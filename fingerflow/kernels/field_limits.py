@@ -10,20 +10,27 @@ from numpy.typing import NDArray
 STRAIN_MEASURES = ("green_lagrange", "as_printed", "infinitesimal")
 
 MINIMUM_POINTS = 5
-# The weighted standard deviation of the points must be this part of the support's radius in every direction. A uniform
+# Least weighted standard deviation of the points as a share of the support's radius, in every direction. A uniform
 # cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points have less.
 MINIMUM_SPREAD = 0.1
 
-POSITIONS = 800  # in an ellipse, whatever its size; 8,000 move the median divergence of a press by 0.3 um/mm RMS
-# A straight border of a dense cloud has its centroid 0.15 gauge lengths away. Farther out a fit would extrapolate.
+# Sampling positions in the contact ellipse, whatever its size; 8,000 change the median divergence of a press by
+# 0.3 um/mm RMS.
+POSITIONS = 800
+# Largest distance of the points' centroid from the position of a fit. At a straight border of a dense cloud it is 0.15
+# gauge lengths; a fit with a centroid farther away would extrapolate.
 FARTHEST_CENTROID = 0.16  # gauge lengths
-# Share of the area in which the fields must be known for a valid median. A contact of 5 mm2 among 700 points has 50 of
-# them: by chance they leave 0.12 of it unknown.
+# Least share of the area in which the fields must be known for a valid median. A contact of 5 mm2 among 700 points has
+# 50 of them: by chance they leave the fields unknown in 0.12 of the area.
 LEAST_SHARE = 0.85
-LEAST_RATIO = 0.1  # of areas before and after: less is no deformation of skin, but an edge that folds
-REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
-SAME_PLACE = 0.5  # radii
-EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
+# Least ratio of the area before deformation to that after it; below, the fit at an edge folds and is no deformation of
+# skin.
+LEAST_RATIO = 0.1
+# Distance from the median, in standard deviations of a fit, up to which a position contributes to the median's error.
+REACH = 2.0
+# Largest distance, in radii of the support, of a position from the nearest point if it takes the fields given there.
+SAME_PLACE = 0.5
+EVEN = 0.4  # ratio of sum w^2 d d' to sum w d d' over a disc, for fit weights w and offsets d
 
 
 @functools.cache
@@ -35,7 +42,8 @@ def lattice() -> NDArray[Any]:
     number = np.arange(POSITIONS) + 0.5
     radius, turn = np.sqrt(number / POSITIONS), number * (math.pi * (3 - 5**0.5))
     place = np.stack((radius * np.cos(turn), radius * np.sin(turn)), axis=1)
-    # Sorted into bands of y, and by x within a band: the compiled kernel takes sixteen at a time.
+    # Sort into bands of y, and by x within a band, so that the sixteen positions that the kernel takes together are
+    # close to each other.
     bands = round((POSITIONS / 16) ** 0.5)
     ordered = place[place[:, 1].argsort(kind="stable")]
     size = -(-POSITIONS // bands)

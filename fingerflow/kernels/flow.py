@@ -25,20 +25,20 @@ __all__ = [
 ]
 
 _MOST_LEVELS = 63
-# Channels of tensor, right, down, inverse and inside, and their rows and columns relative to those of the level.
+# Channels of tensor, right, down, inverse and inside; then their numbers of rows and columns minus those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
 class FlowFields(NamedTuple, Generic[Array]):
     """Fields computed from the first of two images, as needed for the dense optical flow between them."""
 
-    value: Array  # (B, 1, H, W) spline at the pixels
-    gradient: Array  # (B, 2, H, W), 0 outside the mask
+    value: Array  # (B, 1, H, W) spline of the image, at the pixels
+    gradient: Array  # (B, 2, H, W) slopes of the spline, 0 outside the mask
     inside: Array  # (B, 1, H, W), 1 in the mask, else 0
-    tensor: Array  # (B, 3, h, w) means over cells of the products of slopes
+    tensor: Array  # (B, 3, h, w) means over cells of the products of slopes, xx, xy, yy
     known: Array  # (B, 1, h, w), 1 for cells with a pixel in the mask, else 0
-    right: Array  # (B, 1, h, w - 1) edges to the next cell of the row
-    down: Array  # (B, 1, h - 1, w) and of the column
+    right: Array  # (B, 1, h, w - 1) weights of the edges to the next cell of the row
+    down: Array  # (B, 1, h - 1, w) weights of the edges to the next cell of the column
 
 
 class FlowResidual(NamedTuple, Generic[Array]):
@@ -46,10 +46,10 @@ class FlowResidual(NamedTuple, Generic[Array]):
     illumination do not explain.
     """
 
-    data: Array  # (B, 2, h, w)
-    squares: Array  # (B, 1, h, w)
-    seen: Array  # (B, 1, h, w)
-    gain: Array  # (B, 1, 1, 1)
+    data: Array  # (B, 2, h, w) products of residual and slopes
+    squares: Array  # (B, 1, h, w) squared residuals
+    seen: Array  # (B, 1, h, w) share of the cell's pixels with a residual
+    gain: Array  # (B, 1, 1, 1) illumination gain
 
 
 def _run_kernel(

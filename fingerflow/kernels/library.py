@@ -19,9 +19,9 @@ import numpy as np
 from fingerflow.kernels.arrays import Shaped, address_of_numpy
 from fingerflow.kernels.declarations import HEADER, Function, digest, read
 
-_NO_MEMORY = 1  # of kernels/entry.h
-_WHOLE = ("i", "q")  # codes of whole numbers (`declarations`)
-_OF_ANY_SIGN = {"most", "piece"}  # whole numbers of entries for tests that may be negative
+_NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
+_WHOLE = ("i", "q")  # codes of integers in `declarations`
+_OF_ANY_SIGN = {"most", "piece"}  # integer arguments, of kernels for tests, that may be negative
 
 _log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class Entry:
         whole = [
             k for k, field in enumerate(function.fields) if field.code in _WHOLE and field.name not in _OF_ANY_SIGN
         ]
-        # A place twice, as of one alone it would be no tuple.
+        # Repeat the indices, since an itemgetter with a single index returns no tuple.
         self._whole = operator.itemgetter(*whole, *whole) if whole else lambda values: (0,)
         self._pack = struct.Struct(function.format).pack
         self._enter: Any = library[f"enter_{name}"]
@@ -77,7 +77,7 @@ class Entry:
             value = values[place]
             if value is None:
                 values[place] = 0
-            elif isinstance(value, np.ndarray):  # as `address` does, without the cost of its call
+            elif isinstance(value, np.ndarray):  # same as `address`, without the cost of the call
                 values[place] = address_of_numpy(value)
             elif value.is_cpu:
                 values[place] = value.data_ptr()
@@ -193,7 +193,7 @@ def set_threads(count: int) -> None:
         sys.modules["torch"].set_num_threads(count)
 
 
-_threads = 0  # 0: not set
+_threads = 0  # number of threads of the kernels, 0 if not set
 
 
 def _own_threads() -> int:

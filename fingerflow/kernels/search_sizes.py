@@ -3,11 +3,11 @@
 The search is `ops.tracking.search`.
 """
 
-# The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
-# than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them
-# apart. Within a few px there is no neighbouring ridge.
+# Side of the template of a wide search in tracking windows. Ridges repeat every 15 px: a window of 21 px holds little
+# more than one of them and matches the neighbouring ridge almost as well; 63 px hold the bends and endings by which
+# ridges differ. A search within a few px needs no larger template, as there is no neighbouring ridge.
 _WIDENING = 3
-SEARCHED = 1.0  # px of the full image, accuracy of a search
+SEARCHED = 1.0  # accuracy of a search, px of the full image
 
 
 def sizes_of(window: int, radius: int) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from fingerflow.kernels.tracking import WIDEST_SEARCH
 Array = NDArray[Any]
 
 _LANES = 16  # points in the SIMD lanes of the compiled kernel
-_ROWS = 32  # points whose distances to all others are in memory at a time
+_ROWS = 32  # points whose distances to all others are held in memory at a time
 
 
 class NeighbourLists(NamedTuple):
@@ -70,10 +70,10 @@ def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
         own = np.arange(first, min(first + _ROWS, count))
         away_x, away_y = (positions[:, k] - positions[own, k, None] for k in range(2))
         distance = away_x * away_x + away_y * away_y
-        near = distance <= np.float32((gauge_length / 2) ** 2)  # NaN is nowhere near
+        near = distance <= np.float32((gauge_length / 2) ** 2)  # False for NaN
         near[own - first, own] = False
         distance[~near] = np.inf
-        # By distance, then by number: the bit patterns of non-negative floats have the order of the floats.
+        # Sort by distance, then by index: bit patterns of non-negative floats have the order of the floats.
         order = (distance.view(np.int32).astype(np.int64) << 32) + np.arange(count)
         nearest = np.sort(np.partition(order, most - 1, axis=1)[:, :most], axis=1) & 0xFFFFFFFF
         counts = np.take_along_axis(near, nearest, 1)

@@ -19,8 +19,8 @@ from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
 
 LARGEST_CORNER_WINDOW = 15
-WIDEST_SEARCH = 1 << 15  # px, so that positions in it can be counted with 32 bits
-WIDEST_WINDOW = (1 << 12) - 1  # px, so that the pixels of a few can be
+WIDEST_SEARCH = 1 << 15  # px, widest search: positions in it must be countable with 32 bits
+WIDEST_WINDOW = (1 << 12) - 1  # px, widest window: the pixels of a few windows must be countable with 32 bits
 
 
 def prepare_templates(

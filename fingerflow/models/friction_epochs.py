@@ -16,20 +16,21 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from torch import Tensor
 
-_PARTS = 25  # windows in a half period; the finger's velocity is the slope of a line fitted over about one window
-_LEAST_SAMPLES = 8  # per epoch
+# Number of windows in a half period; the finger's velocity is the slope of a line fitted over about one window.
+_PARTS = 25
+_LEAST_SAMPLES = 8  # least number of samples per epoch
 
 
 @dataclass(frozen=True)
 class FrictionEpochs:
     """Friction coefficients in E sliding epochs and A bins of vibration amplitude; NaN in a bin without samples."""
 
-    start: Tensor  # (E,) int64, first sample
-    stop: Tensor  # (E,) int64, one past the last sample
-    edges: Tensor  # (A + 1,) m of amplitude
-    median: Tensor  # (E, A) of |T| / N, every amplitude of the bin counting alike
-    spread: Tensor  # (E, A) interquartile range of |T| / N, likewise
-    count: Tensor  # (E, A) int64 samples
+    start: Tensor  # (E,) int64, index of the first sample
+    stop: Tensor  # (E,) int64, index after the last sample
+    edges: Tensor  # (A + 1,) m, bounds of the amplitude bins
+    median: Tensor  # (E, A) median of |T| / N, weighted so that all amplitudes of a bin count equally
+    spread: Tensor  # (E, A) interquartile range of |T| / N, with the same weights
+    count: Tensor  # (E, A) int64, number of samples
 
     def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return median and interquartile range of friction over the epochs, and the number of epochs, by bin (A,).
@@ -121,7 +122,7 @@ def _fit_modulation(
             f"the envelope has {swing:g} m at {frequency:g} Hz and {rest:g} m beside it: it is not modulated with that "
             "frequency; give modulation_hz, and the envelope rather than the vibration itself"
         )
-    lowest = (math.atan2(sine, cosine) + math.pi) % (2 * math.pi)  # of cos(phase - angle)
+    lowest = (math.atan2(sine, cosine) + math.pi) % (2 * math.pi)  # phase of the minimum of cos(phase - angle)
     periods = np.arange(-1, phase[-1] / (2 * np.pi) + 1)
     return time[0] + (lowest / (2 * np.pi) + periods) / frequency, np.abs(np.sin(phase - lowest))
 

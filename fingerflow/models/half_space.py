@@ -27,7 +27,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_PAIRS_AT_ONCE = 1 << 20  # pairs of a point and a strip; a few tens of MB
+_PAIRS_AT_ONCE = 1 << 20  # largest number of pairs of a point and a strip in memory; a few tens of MB
 
 
 class Stress(NamedTuple):
@@ -84,10 +84,10 @@ class _Kernels(NamedTuple):
     and load, and its components r along the surface and z in depth.
     """
 
-    z_rr: Tensor  # of 2 z r^2 / R^4
-    zzz: Tensor  # of 2 z^3 / R^4
-    zz_r: Tensor  # of 2 z^2 r / R^4
-    rrr: Tensor  # of 2 r^3 / R^4
+    z_rr: Tensor  # integral of 2 z r^2 / R^4
+    zzz: Tensor  # integral of 2 z^3 / R^4
+    zz_r: Tensor  # integral of 2 z^2 r / R^4
+    rrr: Tensor  # integral of 2 r^3 / R^4
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
@@ -98,7 +98,7 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     both = (first_squared * second_squared).sqrt()
     between = first + second
     theta = torch.atan2(z * width, z * z + first * second)
-    sine = z * width / both  # of theta
+    sine = z * width / both  # sin theta
     sine_sum, cosine_sum = z * between / both, (z * z - first * second) / both
     ahead = cosine_sum > 0
     # sin^2 and cos^2 of Sigma / 2: the smaller is computed from sin Sigma, the larger from cos Sigma.

@@ -10,11 +10,14 @@ import math
 import torch
 from torch import Tensor
 
-# theta^2 = 4 asin^2(sqrt(t / 2)) = sum of these times t^k, t = delta / R. It is smooth at t = 0; theta itself is not.
+# Coefficients of t^k, k = 1, 2, ..., in theta^2 = 4 asin^2(sqrt(t / 2)), with t = delta / R. theta^2 is smooth at t =
+# 0; theta itself is not.
 _SQUARED_ANGLE = tuple(2.0 * 2.0**k / (k * k * math.comb(2 * k, k)) for k in range(1, 20))
-# 1 - sin theta / theta = sum of these times theta^(2 k).
+# Coefficients of theta^(2 k), k = 1, 2, ..., in 1 - sin theta / theta.
 _SHORTENING = tuple((-1.0) ** (k + 1) / math.factorial(2 * k + 1) for k in range(1, 12))
-_SERIES_UP_TO = 0.25  # of t: terms of the first series then fall by a factor of 8, of the second by at least 12
+# Largest t at which the series are used: there the terms of the first fall by a factor of 8, of the second by at least
+# 12.
+_SERIES_UP_TO = 0.25
 
 
 def radial_strain(delta: Tensor | float, radius: Tensor | float) -> Tensor:
@@ -46,7 +49,7 @@ def arc_length(delta: Tensor | float, radius: Tensor | float) -> Tensor:
     Arguments are those of `radial_strain`.
     """
     ratio, radius = _ratio(delta, radius)
-    return 2 * radius * torch.asin((ratio / 2).sqrt())  # 1 - cos theta = 2 sin^2(theta / 2)
+    return 2 * radius * torch.asin((ratio / 2).sqrt())  # from 1 - cos theta = 2 sin^2(theta / 2)
 
 
 def contact_radius(delta: Tensor | float, radius: Tensor | float) -> Tensor:

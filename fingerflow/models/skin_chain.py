@@ -45,9 +45,10 @@ from torch import Tensor
 from fingerflow.models.skin_motion import Chains, Motion, advance_chains
 from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
-TOLERANCE_M = 5e-8  # position error in one step; after some 150 steps positions are right to about twice that
-CONTACT_N = 1e-9  # normal force above which an element touches: rounding leaves less
-REST = 2e-7  # of the load: sum of all unbalanced forces at which the chain counts as at rest
+# m, position error allowed in one step; after some 150 steps positions are accurate to about twice that.
+TOLERANCE_M = 5e-8
+CONTACT_N = 1e-9  # N, normal force above which an element touches the plate; rounding leaves less
+REST = 2e-7  # sum of the unbalanced forces, as a share of the load, below which the chain counts as at rest
 
 
 @dataclass(frozen=True)
@@ -60,19 +61,19 @@ class PressedChain:
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
     displacement: Tensor  # (..., N, 2) m from the undeformed chain in its initial position
-    normal_force: Tensor  # (..., N) N, exerted by the plate on each element
-    friction_force: Tensor  # (..., N) N along x, exerted by the plate on each element
+    normal_force: Tensor  # (..., N) N, force of the plate on each element
+    friction_force: Tensor  # (..., N) N along x, force of the plate on each element
     pressure: Tensor  # (..., N) Pa, compression positive
     traction: Tensor  # (..., N) Pa along x on the skin
-    coefficient: Tensor  # (..., N) of friction
+    coefficient: Tensor  # (..., N) coefficient of friction
     strain: Tensor  # (..., N) du/dx, NaN outside of the contact
     divergence_field: Tensor  # (..., N) du/dx + u/x, NaN outside of the contact
-    divergence: Tensor  # (...) its median along the contact, NaN without one
+    divergence: Tensor  # (...) median of the divergence along the contact, NaN without contact
     contact_length: Tensor  # (...) m
-    bone: Tensor  # (..., 2) m, displacement
-    balance: Tensor  # (...) N: sum of the absolute unbalanced forces on elements and bone
-    time: Tensor  # (...) s, elapsed
-    steps: Tensor  # (...) int64
+    bone: Tensor  # (..., 2) m, displacement of the bone
+    balance: Tensor  # (...) N, sum of the absolute unbalanced forces on elements and bone
+    time: Tensor  # (...) s, elapsed time
+    steps: Tensor  # (...) int64, number of time steps
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return the load on the skin's surface under the M elements that touch the plate, as edges of surface strips,
@@ -217,7 +218,7 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
     length = _between_neighbours(x)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]
     slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
-    # Hoop strain u / x: the part of u that is odd about the axis, over the distance from it; on the axis the slope.
+    # Hoop strain u / x: the odd part of u about the axis, divided by the distance from it; on the axis it is the slope.
     across = reference[..., 0] - reference[..., 0].flip(-1)
     apart = displacement[..., 0] - displacement[..., 0].flip(-1)
     middle = across == 0
@@ -281,6 +282,6 @@ def weighted_median(values: Tensor, weights: Tensor) -> Tensor:
     low, high = reached.gather(-1, after - 1), reached.gather(-1, after)
     share = (0.5 - low) / torch.where(high > low, high - low, 1.0)
     first, second = values.gather(-1, after - 1), values.gather(-1, after)
-    # With a single weight nothing lies below or above.
+    # With a single weighted value no value lies below or above it.
     share = torch.where(low > 0.5, 0.0, share.clamp(0, 1))
     return torch.where(weights.sum(-1) > 0, (first + share * (second - first))[..., 0], torch.nan)

@@ -12,8 +12,8 @@ from torch import Tensor
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import Number, SkinParameters, parameter_set
 
-_STEP = 0.03  # finite-difference step of the logarithms; it spans several elements, by which contact grows
-_FARTHEST = 50.0  # times the first guess, either way
+_STEP = 0.03  # finite-difference step of the logarithms of the parameters; contact grows by several elements in it
+_FARTHEST = 50.0  # largest factor between a fitted parameter and its first guess, in both directions
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class SkinFit:
 
     friction: float
     friction_interval: tuple[float, float] | None
-    tissue_stiffness: float  # N/m, k_t of one of 501 elements
+    tissue_stiffness: float  # N/m, k_t of one element of a chain with 501 elements
     tissue_interval: tuple[float, float] | None
     level: float
-    misfit: float  # root mean square of residuals over their errors: 1 if errors and model are right
-    count: int  # of measured values
-    parameters: SkinParameters  # with the fitted stiffness
+    misfit: float  # root mean square of residuals divided by their errors: 1 if errors and model are right
+    count: int  # number of measured values
+    parameters: SkinParameters  # parameters of the chain with the fitted stiffness
 
 
 def fit_skin(
@@ -117,7 +117,8 @@ def fit_skin(
         )
     freedom = count - len(first)
     covariance = 2 * found.cost / freedom * np.linalg.pinv(found.jac.T @ found.jac)
-    half = np.minimum(student.ppf((1 + level) / 2, freedom) * np.sqrt(np.diag(covariance)), 700.0)  # exp has no more
+    # Clipped, since exp overflows beyond.
+    half = np.minimum(student.ppf((1 + level) / 2, freedom) * np.sqrt(np.diag(covariance)), 700.0)
     ends = iter(np.exp(np.stack((found.x - half, found.x + half), 1)).tolist())
     intervals = [tuple(next(ends)) if one else None for one in free]
     return SkinFit(

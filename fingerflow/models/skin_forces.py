@@ -16,16 +16,16 @@ class Chain(NamedTuple):
     undeformed shape.
     """
 
-    reference: Array  # (N, 2) x along the plate and z above it, m
+    reference: Array  # (N, 2) m, undeformed positions: x along the plate and z above it
     radius: float
-    membrane: float  # N/m of a link, in every direction
-    tissue: float  # N/m along the line to the bone, k_t - k_s: without the isotropic part `shear`
-    shear: float  # N/m in every direction
-    nail: float  # N/m at both ends, in every direction
-    contact: float  # N/m
-    damping: float  # N s/m of an element
-    bone_damping: float  # N s/m
-    friction_stiffness: float  # N/m
+    membrane: float  # N/m, stiffness of a link between neighbours, in every direction
+    tissue: float  # N/m, stiffness along the line to the bone, k_t - k_s: without the isotropic part `shear`
+    shear: float  # N/m, isotropic stiffness between element and bone
+    nail: float  # N/m, stiffness of the links at both ends, in every direction
+    contact: float  # N/m, stiffness of the plate
+    damping: float  # N s/m, damping of an element
+    bone_damping: float  # N s/m, damping of the bone
+    friction_stiffness: float  # N/m, sigma_0 of Dahl's model
     exponent: float
 
     @property

@@ -18,13 +18,13 @@ from fingerflow.models.skin_forces import Array, Chain, elastic_forces
 from fingerflow.models.skin_solve import Arrow
 
 GAMMA = 2 - np.sqrt(2.0)
-C = GAMMA / 2  # of the step, in both stages
+C = GAMMA / 2  # weight of the unknown forces in both stages, as a share of the step
 TO_LATER, TO_EARLIER = 1 / (GAMMA * (2 - GAMMA)), (1 - GAMMA) ** 2 / (GAMMA * (2 - GAMMA))
 ERROR = 2 * (-3 * GAMMA**2 + 4 * GAMMA - 2) / (12 * (2 - GAMMA))
 MOST_ITERATIONS = 12
 NEWTON = 0.1  # convergence of Newton's iteration, as a share of the step's tolerance
 MOST_STEPS = 100_000
-SHORTEST_S = 1e-13  # a step that falls below it never meets the tolerance
+SHORTEST_S = 1e-13  # s, shortest step: a shorter one will not meet the tolerance either
 
 
 @dataclass
@@ -34,9 +34,9 @@ class State:
     """
 
     nodes: Array  # (N + 1, 2) m, elements and bone as in `skin_forces`
-    friction: Array  # (N,) N, positive where it opposes motion along +x
-    velocity: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N + 1, 2) m/s, set by `advance`
-    step: float = 1e-6  # s, the next one
+    friction: Array  # (N,) N, friction force, positive where it opposes motion along +x
+    velocity: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N + 1, 2) m/s, velocity, set by `advance`
+    step: float = 1e-6  # s, length of the next step
     steps: int = 0
     rejected: int = 0
 
@@ -47,8 +47,8 @@ class Load:
     linearly.
     """
 
-    first: Array  # (2,)
-    last: Array  # (2,)
+    first: Array  # (2,) N at the beginning
+    last: Array  # (2,) N at the end
 
     def at(self, share: float) -> Array:
         return self.first + share * (self.last - self.first)
@@ -78,7 +78,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
         step = left if state.step > 0.99 * left else state.step
         error = _try_step(chain, state, mu, load, time / duration, step, duration, tolerance)
         growth = _step_factor(error)
-        if growth < 1 or step == state.step:  # a last step cut short says nothing about longer ones
+        if growth < 1 or step == state.step:  # a last step that was cut short does not bound longer steps
             state.step = step * growth
         if error <= 1:
             time += step
@@ -178,7 +178,7 @@ def _newton(
         moved = arrow.solve(side)
         nodes = nodes + moved
         most = np.abs(moved).max()
-        if not most < 1.0:  # m
+        if not most < 1.0:  # m: the iteration diverges
             return None
         if most <= NEWTON * tolerance:
             return nodes, slid(nodes).force, arrow

@@ -11,21 +11,21 @@ from fingerflow.models.skin_forces import Chain, half_circle
 from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, Load, State, advance, net_forces
 from fingerflow.models.skin_parameters import SkinParameters
 
-# Parameters of a chain, in the order of the compiled kernel.
+# Names of a chain's parameters, in the order of the compiled kernel.
 NUMBERS = Chain._fields[1:]
-_FIRST_STEP = 1e-6  # s
+_FIRST_STEP = 1e-6  # s, length of the first time step
 
 
 @dataclass(frozen=True)
 class Motion:
     """State of motion of many chains (...) of N elements, with elapsed time and number of steps; float64, SI units."""
 
-    place: Tensor  # (..., N, 2)
-    bone: Tensor  # (..., 2)
-    rubbed: Tensor  # (..., N) friction force, positive where it opposes motion along +x
-    step: Tensor  # (...) length of the next step
-    time: Tensor  # (...) since the beginning
-    steps: Tensor  # (...) int64
+    place: Tensor  # (..., N, 2) m, positions of the elements
+    bone: Tensor  # (..., 2) m, displacement of the bone
+    rubbed: Tensor  # (..., N) N, friction force, positive where it opposes motion along +x
+    step: Tensor  # (...) s, length of the next step
+    time: Tensor  # (...) s since the beginning
+    steps: Tensor  # (...) int64, number of time steps
 
     def single(self, index: int) -> State:
         """Return a copy of the state of one chain, selected by its flat index; the velocity is left out."""
@@ -42,9 +42,9 @@ class Chains:
     """
 
     shape: torch.Size
-    reference: Tensor  # (..., N, 2)
-    numbers: Tensor  # (..., 10) of NUMBERS
-    width: Tensor  # (...)
+    reference: Tensor  # (..., N, 2) m, undeformed positions
+    numbers: Tensor  # (..., 10) parameters named in NUMBERS
+    width: Tensor  # (...) m, width across the chain
 
     @staticmethod
     def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":

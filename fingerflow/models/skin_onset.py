@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fingerflow.models.skin_chain import PressedChain, weighted_median
 
-_SYMMETRY = 1e-6  # of the contact radius: largest asymmetry accepted as rounding
+_SYMMETRY = 1e-6  # largest asymmetry that is accepted as rounding, as a share of the contact radius
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class SinceOnset:
     Values of elements off the contact are NaN.
     """
 
-    radius: Tensor  # (T, ..., M) distance from the axis now
-    displacement: Tensor  # (T, ..., M) outward since the onset
+    radius: Tensor  # (T, ..., M) m, present distance from the axis
+    displacement: Tensor  # (T, ..., M) m, outward displacement since the onset
     divergence_field: Tensor  # (T, ..., M) dimensionless
-    area_median: Tensor  # (T, ...) divergence, median by contact area, as over the pixels of an image
+    area_median: Tensor  # (T, ...) median of the divergence weighted by contact area, as over the pixels of an image
 
-    contact_area: Tensor  # (T, ...) m², of the disc
+    contact_area: Tensor  # (T, ...) m², area of the contact disc
 
     def mean_within(self, share: float) -> Tensor:
         """Return the mean divergence (T, ...) over the inner part of the contact, a disc whose radius is a `share` of
@@ -67,7 +67,7 @@ def since_onset(press: PressedChain) -> SinceOnset:
     inside = height < 0
     first = inside.to(torch.uint8).argmax(0, keepdim=True)
     before = (first - 1).clamp_min(0)
-    # The onset is interpolated from the height, linear between two times: contact counted in elements grows by jumps.
+    # Interpolate the onset linearly from the height between two times: a contact counted in elements grows by jumps.
     later, earlier = height.gather(0, first), height.gather(0, before)
     falls = earlier > later
     share = torch.where(falls, later / torch.where(falls, later - earlier, 1.0), 0.0).clamp(0, 1)

@@ -18,15 +18,15 @@ class SkinParameters:
     Tensors of one shape hold the parameters of many chains.
     """
 
-    radius: Number  # m, of the half-circle
-    membrane_stiffness: Number  # N/m, k_m of the link between two neighbours
+    radius: Number  # m, radius of the half-circle
+    membrane_stiffness: Number  # N/m, k_m of the link between two neighbouring elements
     tissue_stiffness: Number  # N/m, k_t along the line from an element to the bone
-    contact_stiffness: Number  # N/m, of the plate
-    damping: Number = 0.1  # N s/m, zeta of an element, and of the bone
+    contact_stiffness: Number  # N/m, stiffness of the plate
+    damping: Number = 0.1  # N s/m, damping zeta of an element, and of the bone
     friction_stiffness: Number = 500.0  # N/m, sigma_0 of Dahl's model
     friction_exponent: Number = 0.7  # n of Dahl's model
-    poisson_ratio: Number = 0.4  # of the tissue; the paper's, from its strain energy
-    width: Number = 8e-3  # m across the chain, converts element forces to pressure
+    poisson_ratio: Number = 0.4  # Poisson's ratio of the tissue; the paper's value, from its strain energy
+    width: Number = 8e-3  # m, width across the chain, which converts element forces to pressure
 
     def for_elements(self, count: int) -> "SkinParameters":
         """Return the parameters of this skin, converted from a chain of 501 elements to one of ``count`` elements.
@@ -65,13 +65,14 @@ def _lab() -> SkinParameters:
 
 
 PARAMETERS = {
-    # Printed as 2.5 and 0.13 "kNm", meaning kN/m. The radius follows from "10 %" at 3 mm (equation 10). The plate's
-    # stiffness is not printed and takes the lab's ratio.
+    # The stiffnesses are printed as 2.5 and 0.13 "kNm", meaning kN/m. The radius follows from "10 %" at 3 mm (equation
+    # 10). The plate's stiffness is not printed; its ratio to the others is that of the lab's parameters.
     "paper": SkinParameters(10e-3, 2500.0, 130.0, 13000.0, width=10e-3),
     "lab": _lab(),
 }
-# The supplement fits the tissue to the relation of force and area, but the printed stiffnesses press 21 mm² at 3 N
-# where its contacts have 70.1: with a 5.6th of them the area is 68 (friction 1) to 71 mm² (friction 0.02).
+# The supplement fits the tissue to the relation of force and area, but a chain with the printed stiffnesses has a
+# contact of 21 mm² at 3 N where the supplement's contacts have 70.1. With stiffnesses divided by 5.6 the area is 68
+# (friction 1) to 71 mm² (friction 0.02).
 PARAMETERS["fitted"] = PARAMETERS["paper"].softer(5.6)
 
 

@@ -26,14 +26,15 @@ class Arrow:
         blocks[:, 0, 0] += chain.damping + c * rubbing.along
         blocks[:, 0, 1] += c * rubbing.above
         blocks[:, 1, 1] += chain.damping + c * np.where(nodes[:-1, 1] < 0, chain.contact, 0.0)
-        band = np.zeros((7, 2 * count))  # row 3 + i - j of column j
+        band = np.zeros((7, 2 * count))  # banded storage: row 3 + i - j, column j
         for i in range(2):
             for j in range(2):
                 band[3 + i - j, j::2] = blocks[:, i, j]
         band[5, : 2 * count - 2] = -link
         band[1, 2:] = -link
         self.band = band
-        self.column = -tissue.reshape(2 * count, 2)  # symmetric blocks: the bone's rows are its transpose
+        # Columns of the bone; its rows are their transpose, since the blocks are symmetric.
+        self.column = -tissue.reshape(2 * count, 2)
         self.bone = chain.bone_damping * np.eye(2) + tissue.sum(0)
 
     def solve(self, sides: Array) -> Array:

@@ -56,7 +56,7 @@ def viscoelastic_strain(
         if not bool((torch.as_tensor(value) > 0).all()):
             raise ValueError(f"{name} {torch.as_tensor(value).min().item()} {unit}: give a positive one")
     across = torch.stack((sigma_y - poisson_ratio * sigma_z, sigma_z - poisson_ratio * sigma_y), 1)
-    elastic = across.double() / young_modulus  # the equilibrium strain of each stress
+    elastic = across.double() / young_modulus  # equilibrium strain under each stress
     rates = torch.as_tensor(rate, dtype=torch.float64)
     delays = rates * time.double().diff().reshape(-1, *[1] * max(rates.ndim, elastic.ndim - 2))
     early, late = (share[:, None] for share in _step_weights(delays))

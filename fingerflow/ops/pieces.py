@@ -8,9 +8,9 @@ from torch import Tensor
 
 from fingerflow.ops.branching import may_branch
 
-# Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
+# Pixels of a piece: planes of one 512 x 640 frame stay in a processor's cache, those of a long batch do not.
 _PIXELS = 1 << 19
-_WINDOWS = 1 << 12  # about 1 GB of intermediate results, for windows of 25 px
+_WINDOWS = 1 << 12  # windows of a piece: about 1 GB of intermediate results for windows of 25 px
 
 
 def points_at_once(like: Tensor, in_cache: int) -> int:

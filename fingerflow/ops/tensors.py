@@ -61,5 +61,5 @@ def constant_like(constant: Tensor, like: Tensor) -> Tensor:
 
 @cache
 def _copy_on(constant: Tensor, device: torch.device, dtype: torch.dtype) -> Tensor:
-    with torch.inference_mode(False):  # else autograd could not use it later
+    with torch.inference_mode(False):  # otherwise autograd could not use the constant later
         return constant.to(device, dtype)

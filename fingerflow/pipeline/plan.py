@@ -1,10 +1,9 @@
 """Plan of a run: the ordered stages that are needed for the requested outputs."""
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from typing import NamedTuple
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.pipeline.stages import all_stages
 from fingerflow.pipeline.stages.stage import Stage
 from fingerflow.schema.scene import Scene
@@ -12,9 +11,9 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.variables import by_name
 
-#: All variables by name.
+#: All variables that stages give, by name.
 VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))
-#: Names of all outputs.
+#: Names of all outputs that may be requested, sorted.
 OUTPUTS = tuple(sorted(VARIABLES))
 _REMEDIES = {
     "forces": "needs forces, and the scene has no [forces] table",
@@ -75,8 +74,7 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     names, stage_of = list(outputs), {variable.name: stage for stage in stages for variable in stage.gives}
     for name in names:
         if name not in VARIABLES:
-            close = get_close_matches(name, OUTPUTS, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
+            hint = did_you_mean(name, OUTPUTS)
             raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
         stage = stage_of[name]
         lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene, at)

@@ -25,7 +25,8 @@ from fingerflow.recordings.digest import digest_of, digest_of_bytes
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.store import Store
 
-#: Attributes of a result: the keys of its stages (`record`); the stages taken over, and from which file.
+#: Attributes of a result, both JSON: the cache keys of its stages (`record`), and the stages copied from an earlier
+#: result.
 STAGES, TAKEN_OVER = "stages", "taken_over"
 _TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
 _PICTURES = ("background.frames", "background.dark")
@@ -41,7 +42,7 @@ _CODE = (
     "schema",
     "tracker",
 )
-_SHOWN = 60  # characters of a setting shown in a message
+_SHOWN = 60  # largest number of characters of a setting shown in a message
 
 
 class StageKey(NamedTuple):
@@ -92,7 +93,7 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
-    known: dict[str, list[tuple[str, Any]]] = {}  # cache: several stages digest the same background frames
+    known: dict[str, list[tuple[str, Any]]] = {}  # cache, since several stages digest the same background frames
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames
     for stage in plan.stages:
         before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
@@ -147,7 +148,8 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
         why = whole or _reason_to_compute(stage, plan, keys[place], known.get(stage.name), computed)
         if why:
             computed[place] = why
-    # A stage that runs needs the steps of stages beside it, and stages after which it comes unless `restored`.
+    # A stage that runs needs the steps of the stages in `beside`, and the stages in `after` unless these can be
+    # `restored`.
     for stage in reversed(plan.stages):
         if stage.place() in computed:
             for other in plan.stages:
@@ -211,7 +213,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 def _content(file: Path) -> str:
     try:
         return digest_of_bytes([file.read_bytes()])
-    except OSError:  # reported by the stage that reads the file
+    except OSError:  # the stage that reads the file reports the error
         return ""
 
 

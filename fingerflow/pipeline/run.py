@@ -36,8 +36,8 @@ from fingerflow.schema.variable_record import Variable
 if TYPE_CHECKING:
     from fingerflow.export.runtime import OnnxRuntime
 
-_PICTURES = 8  # frames of a batch; as many again are decoded ahead
-_NUMBERS = 64  # frames of a batch where no stage reads pictures
+_PICTURES = 8  # frames per batch; as many again are decoded ahead
+_NUMBERS = 64  # frames per batch in a pass without images
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 
@@ -127,7 +127,8 @@ def process_together(
 
 def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
     """Run several generators made by `steps_to` concurrently (`engines.together`), and return their results."""
-    with torch.inference_mode():  # around all of them: leaving it in one would end it for the others
+    # Entered once around all generators: leaving it in one of them would end it for the others.
+    with torch.inference_mode():
         return run_together(many)
 
 
@@ -216,7 +217,7 @@ def _run(ready: _PreparedScene, store: Store, way: _RunOptions) -> Steps[None]:
     trial = RunContext(inputs, store, wanted.stages, wanted.asked, stages)
     said: dict[str, str] = {}
     with ExitStack() as held:
-        # Forces alone are computed without reading a frame, so the recording needs no identity.
+        # If only forces are processed, no frame is read and the recording needs no identity.
         recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
         keys = keys_of(wanted, inputs, ready.engine, recording)
         known: Reused | None = None
@@ -237,7 +238,7 @@ def _run(ready: _PreparedScene, store: Store, way: _RunOptions) -> Steps[None]:
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     if runtime is not None:
-        seconds["export"] = runtime.seconds  # also counted in the stages that exported a graph
+        seconds["export"] = runtime.seconds  # this time is also counted in the stages that exported a graph
     scene = inputs.scene
     store.finish(
         inputs.times,
@@ -304,18 +305,19 @@ def _go_over_frames(
         return batch
 
     def begin_alone(indices: np.ndarray) -> Batch:
-        with torch.inference_mode():  # of this thread
+        with torch.inference_mode():  # inference mode holds per thread
             return run_alone(begin(read(indices)))
 
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not way.progress)
     with bar:
         if way.ahead and pictures and early and torch.get_num_threads() > 1:
-            # `closing` waits for the thread also after an error: the recording must not be closed while it reads.
+            # `closing` waits for the thread also after an error, so that the recording is not closed while the thread
+            # reads.
             with closing(_compute_ahead(begin_alone, batches)) as begun:
                 for batch in begun:
                     yield from _step(last, batch, seconds)
                     bar.update(len(batch.indices))
-                    del batch  # before the batch after the next one is read
+                    del batch  # frees the batch before the batch after the next one is read
         else:
             ahead = pictures and _decodes_ahead(trial.inputs)
             with closing(_compute_ahead(read, batches) if ahead else (read(one) for one in batches)) as every:
@@ -346,7 +348,8 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
         return None
     if device not in ("auto", "cpu"):
         raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
-    from fingerflow.export.runtime import OnnxRuntime  # slow import, only needed for this engine
+    # Imported here, as the import is slow and needed for this engine only.
+    from fingerflow.export.runtime import OnnxRuntime
 
     return OnnxRuntime(torch.get_num_threads())
 
@@ -359,7 +362,8 @@ def _compute_ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) ->
     with ThreadPoolExecutor(max_workers=1) as worker:
         coming: Future[_Result] | None = None
         for some in given:
-            # Wait before the next computation is submitted: two results are in memory at a time, not three.
+            # Wait for a result before submitting the next computation: then two results are in memory at a time, not
+            # three.
             result = [] if coming is None else [coming.result()]
             coming = worker.submit(act, some)
             if result:

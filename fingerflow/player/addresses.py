@@ -61,5 +61,5 @@ def open_address(package: str, what: str, asked: str, *arguments: Any) -> Any:
         raise PlayerError(f"{what} {asked!r}: {error}; its form is {kind.ADDRESS}") from None
     except ImportError as error:
         raise PlayerError(f"{what} {asked!r}: needs the package {error.name}: `pip install {error.name}`") from None
-    except Exception as error:  # libraries do not specify what they raise
+    except Exception as error:  # a user's or library's code may raise anything
         raise PlayerError(f"{what} {asked!r}: cannot be opened ({first_line(error)})") from error

@@ -8,9 +8,9 @@ from typing import Any
 
 from fingerflow.player.playing import play
 
-_FREE_S, _HELD_S = 3.0, 10.0  # s of a run as fast as possible, and of one at a rate
-_SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # of the rate without pace
-_INTERVALS = 5  # frame intervals within which 99 % of the results must come
+_FREE_S, _HELD_S = 3.0, 10.0  # s, length of the run as fast as possible, and of each run at a fixed rate
+_SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # tried rates as shares of the rate of the first run
+_INTERVALS = 5  # number of frame intervals within which 99 % of the results must come
 
 
 def benchmark(bundle: Path, free_s: float = _FREE_S, held_s: float = _HELD_S) -> str:

@@ -8,9 +8,10 @@ import time
 
 log = logging.getLogger("fingerflow.player")
 
-#: Unix time at `time.perf_counter()` 0. It is fixed at the start, so that a step of the system clock shifts no latency.
+#: Unix time, s, at `time.perf_counter()` 0. It is read once at the start, so that a step of the system clock shifts no
+#: latency.
 EPOCH = time.time() - time.perf_counter()
-_WINDOW = 5.0  # s; two quartz clocks drift apart by some 0.1 ms in it
+_WINDOW = 5.0  # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it
 
 
 def unix_now() -> float:
@@ -36,7 +37,8 @@ class CameraClock:
         self._warned = False
         self._last = self._began = math.nan
         self._start, self._first = math.nan, math.nan  # stamp and time of the first frame since the last restart
-        self._least = self._before = math.inf  # offset in the present window, and in the one before
+        # s, least offset between arrival and stamp in the present window, and in the window before.
+        self._least = self._before = math.inf
 
     def see(self, stamp: float, arrival: float) -> tuple[float, float]:
         """Convert a frame's time stamp by the camera, s, and its arrival here, s, to two exposure times in s: one for

@@ -20,7 +20,7 @@ from fingerflow.player.options import option_parser
 from fingerflow.player.stream_player import Player
 from fingerflow.schema.unfinished import finish, remove, unfinished
 
-_SUMMARY = {"processed", "latency_ms", "policy"}  # keys that identify a summary
+_SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
 
 
 def main(

@@ -16,7 +16,8 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
     "<=": operator.le,
 }
-_FORM = re.compile(r"\s*([\w ]+?)\s*(>=|<=|>|<)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
+_NUMBER = r"([\d.]+(?:[eE][-+]?\d+)?)"
+_FORM = re.compile(rf"\s*([\w ]+?)\s*(>=|<=|>|<)\s*([-+]?){_NUMBER}\s*([^\s,]*)(?:\s*,\s*margin\s+{_NUMBER})?\s*")
 
 
 class Condition:
@@ -24,12 +25,14 @@ class Condition:
     becomes true.
 
     Args:
-        text: "NAME > NUMBER UNIT"; also >=, <, <=. The name is that of a variable, or the words by which its definition
-            begins, as in "apparent_area". The unit is that of the data set or that of the page.
+        text: "NAME > NUMBER UNIT" or "NAME > NUMBER UNIT, margin NUMBER"; also >=, <, <=. The name is that of a
+            variable, or the words by which its definition begins, as in "apparent_area". The unit, also of the margin,
+            is that of the data set or that of the page.
         variables: that can be compared, by name.
 
     Attributes:
-        name, limit: name of the variable, and the limit in the unit of the data set.
+        name, limit, margin: name of the variable; limit, and distance by which the value has to return beyond the limit
+            before the condition can become true again (hysteresis), in the unit of the data set.
 
     Raises PlayerError for another form, an unknown variable, or a unit in which it is not measured.
     """
@@ -37,27 +40,33 @@ class Condition:
     def __init__(self, text: str, variables: Mapping[str, Variable]) -> None:
         parts = _FORM.fullmatch(text)
         if parts is None:
-            raise PlayerError(f"{text!r} is no condition such as 'gross_contact_area > 20 mm2'")
+            raise PlayerError(
+                f"{text!r} is no condition such as 'gross_contact_area > 20 mm2', or 'gross_contact_area > 20 mm2, "
+                "margin 2'"
+            )
         self.text = text
         self.name = _meant(parts[1], variables)
         self._compare = _COMPARE[parts[2]]
+        factor = _factor(variables[self.name], parts[5])
         try:
-            number = float(parts[3])
+            self.limit, self.margin = float(parts[3] + parts[4]) / factor, float(parts[6] or 0) / factor
         except ValueError:
-            raise PlayerError(f"{text!r}: {parts[3]!r} is no number") from None
-        self.limit = number / _factor(variables[self.name], parts[4])
+            raise PlayerError(f"{text!r}: a number has one decimal point, as in 2.5") from None
         self._true = False
 
     def becomes_true(self, values: Mapping[str, float]) -> bool:
         """Return whether the condition holds for the values of a frame, by name, and did not hold for the last earlier
         frame whose value was known.
 
-        The first frame of a stream counts as preceded by one of which it was not true.
+        Once true it holds until the value has returned beyond the limit by the margin. The first frame of a stream
+        counts as preceded by one of which it was not true.
         """
         value = values[self.name]
         if math.isnan(value):
             return False
-        before, self._true = self._true, self._compare(value, self.limit)
+        down = self._compare(0, 1)  # true of < and <=
+        limit = self.limit + (self.margin if down else -self.margin) * self._true
+        before, self._true = self._true, self._compare(value, limit)
         return self._true and not before
 
 
@@ -89,7 +98,7 @@ def _factor(variable: Variable, unit: str) -> float:
     factors = {_plain(name): factor for name, factor in known.items()}
     if _plain(unit) not in factors:
         units = " or ".join(repr(one or "no unit") for one in known)
-        given = f"not in {unit!r}" if unit else "and the condition gives no unit"
+        given = f"not in {unit!r}" if unit else "and the condition gives no unit behind the number"
         raise PlayerError(f"{variable.name} is measured in {units}, {given}")
     return factors[_plain(unit)]
 

@@ -8,7 +8,7 @@ from collections import Counter
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.stream_frame_quality import USABLE
 
-_WIDE_MM2 = 8.0  # twice a usual gauge length across: a smaller contact has no median
+_WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
 
 
 class Findings:

@@ -17,19 +17,20 @@ from fingerflow.engines.engine import Array
 from fingerflow.player.handover import Slot
 from fingerflow.schema.variables import VARIABLES
 
-_PAGE_INTERVAL = 1 / 15  # s between images, made only while a page is open
-_TRACE_LENGTH = 900  # 30 s, as the page shows, with a point every 1 / 30 s
-_PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
+_PAGE_INTERVAL = 1 / 15  # s between images of the page, which are made only while it is open
+_TRACE_LENGTH = 900  # number of trace points: 30 s, as the page shows, with a point every 1 / 30 s
+_PAGE_SIDE = 400  # px, longest side of the image; of larger views every 2nd, 3rd ... pixel is sent
 _TRACED = ("real_contact_area", "gross_contact_area", "median_divergence")
 _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_semi_axes")
-#: Variables that the page shows, with label, unit, factor and decimals; it asks for them once.
+#: Variables that the page shows, with label, unit, factor and decimals; the page requests them once.
 SHOWN = {
     name: VARIABLES[name].shown()
     for name in (*_TRACED, "divergence", "contact_threshold", "ellipse_semi_axes", "normal_force", "tangential_force",
                  "slip_flag")
 }  # fmt: skip
 
-Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a frame and the number of the restart
+# Function from the numbers of a frame and of the restart to the true values by name.
+Expected = Callable[[int, int], Mapping[str, float]]
 
 
 class LiveViews(NamedTuple):

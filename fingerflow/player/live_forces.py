@@ -16,9 +16,9 @@ from fingerflow.player.sensors.sensor import ForceSample, ForceSensor
 
 log = logging.getLogger("fingerflow.player")
 
-_REMEMBERED = 4096  # samples
-_CLOSE_BY = 0.05  # s between a frame and its sample, beyond which the force is unknown
-_FAILED_WAIT = 0.2  # s after a sample that could not be read
+_REMEMBERED = 4096  # largest number of samples kept
+_CLOSE_BY = 0.05  # s, largest time between a frame and its sample; with more the force is NaN
+_FAILED_WAIT = 0.2  # s to wait after a sample that could not be read
 
 
 class FrameForces(Protocol):

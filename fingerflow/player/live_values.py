@@ -11,7 +11,7 @@ from fingerflow.player.records import RecordLayout
 from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import FRAME, VARIABLES
 
-_STAMPED = {"frame", "time"}  # which the stamp of a message holds
+_STAMPED = {"frame", "time"}  # fields of a record that are in the stamp of a message already
 
 
 class LiveValues:

@@ -15,7 +15,7 @@ def load_lsl() -> tuple[Any, float]:
     """
     try:
         pylsl = importlib.import_module("pylsl")
-    except (ImportError, RuntimeError):  # RuntimeError: the package is there without its library liblsl
+    except (ImportError, RuntimeError):  # RuntimeError: the package is installed without its library liblsl
         raise ImportError(name="pylsl") from None
     readings = []
     for _ in range(5):

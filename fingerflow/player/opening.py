@@ -51,7 +51,7 @@ def open_player(
 
     Raises FingerflowError for all that the user can correct.
     """
-    # By default Python lets a thread run for 5 ms before it switches, which is the time budget of a whole frame.
+    # By default Python lets a thread run for 5 ms before it switches to another, which is the time budget of a frame.
     sys.setswitchinterval(5e-4)
     bundle = load_bundle(options.bundle)
     played = choose_input(options, bundle)
@@ -59,7 +59,7 @@ def open_player(
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
     parallel = options.parallel_frames
-    # One core is left for the other threads: reading frames, results of the frame before, the page.
+    # Leave one core to the other threads: reading frames, results of the previous frame, the page.
     set_threads(options.threads or max(1, threads() - 1))
     of_onnx = parallel > 1 or options.provider is not None
     if options.engine == "native" and of_onnx:
@@ -68,7 +68,7 @@ def open_player(
             "on all threads; leave them out, or take --engine onnx"
         )
     engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
-    # With ONNX Runtime the lag is at least 2, so that sequential and parallel frames give the same numbers.
+    # With ONNX Runtime the lag is at least 2, so that frames computed one by one and in parallel give the same numbers.
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
@@ -100,7 +100,7 @@ def open_player(
         "coordinates": COORDINATES,
         "warnings": warnings,
     }
-    with ExitStack() as opened:  # what is closed again where something else cannot be opened
+    with ExitStack() as opened:  # closes what was opened if a later part cannot be opened
         forces: FrameForces | None = None
         if options.forces is not None:
             forces = SensorForces(open_address(SENSORS, "force sensor", options.forces), options.forces)

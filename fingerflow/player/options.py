@@ -69,7 +69,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     add("--forces", metavar="ADDRESS", help=f"live force sensor: {forms(SENSORS)}")
     repeated: dict[str, Any] = {"action": "append", "default": []}
     add("--send", **repeated, metavar="ADDRESS", help=f"send the values of each frame to {forms(OUTPUTS)}")
-    add("--when", **repeated, metavar="CONDITION", help="such as 'gross_contact_area > 20 mm2'; needs --then")
+    add("--when", **repeated, metavar="CONDITION", help="such as 'gross_contact_area > 20 mm2, margin 2'; needs --then")
     add("--then", **repeated, metavar="ADDRESS", help="where to send when the --when before it becomes true")
     add("--values", type=lambda text: text.split(","), metavar="NAME,...", help="that --send sends; default all")
     add("--benchmark", action="store_true", help="tell which frame rate this PC holds, and end")

@@ -27,13 +27,14 @@ from fingerflow.player.page_token import PageToken, redirect
 
 log = logging.getLogger("fingerflow.player")
 
-_TIMEOUT = 5.0  # s to wait for data from a client, or for it to accept a response; the page polls every 66 ms
-_REQUEST = 10.0  # s for a whole request, however slowly its bytes come
-_LINGER, _MOST_BODY = 0.5, 1 << 20  # s and bytes of a body that is refused
-_CLIENTS = 16  # at once
+_TIMEOUT = 5.0  # s to wait for data from a client, or for a client to accept a response; the page polls every 66 ms
+_REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come
+_LINGER, _MOST_BODY = 0.5, 1 << 20  # limits of the body of a refused request that is read: s without data, and bytes
+_CLIENTS = 16  # largest number of simultaneous clients
 _NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _WAIT = 0.2  # s to wait when no descriptor is free
-_LAST_LOOK = 1.2  # s; a page polls 15 times a second, or once a second in the background
+# s for which the server outlives the stream: a page polls 15 times a second, or once a second in the background.
+_LAST_LOOK = 1.2
 _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
@@ -79,7 +80,8 @@ def serve_page(
 
         def do_POST(self) -> None:
             if not self.is_refused():
-                # Pages of other sites cannot send this header: it needs a CORS preflight, which is not granted.
+                # Pages of other sites cannot send this header: it needs a CORS preflight, which this server does not
+                # grant.
                 if self.path == "/restart" and self.headers.get("X-Fingerflow"):
                     restart()
                     self.answer(204, "text/plain", b"")
@@ -110,7 +112,8 @@ class PageServer(ThreadingHTTPServer):
         self._live = live
         self._room = threading.BoundedSemaphore(_CLIENTS)
         self.host = address[0]
-        self.asking: dict[socket.socket, float] = {}  # clients with an incomplete request, and when it began
+        # Sockets of clients with an incomplete request, and the time when it began.
+        self.asking: dict[socket.socket, float] = {}
         self._said = False
         super().__init__(address, handler)
         host, port = self.server_address[:2]
@@ -136,7 +139,7 @@ class PageServer(ThreadingHTTPServer):
                 if not self._said:
                     log.warning("live page: %s; it answers nobody until others are closed", error.strerror)
                 self._said = True
-                time.sleep(_WAIT)  # the client still waits: without a pause this loop would occupy a core
+                time.sleep(_WAIT)  # without a pause this loop would occupy a core, since the client keeps waiting
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -167,7 +170,7 @@ class PageServer(ThreadingHTTPServer):
                 try:
                     connection.shutdown(socket.SHUT_RDWR)
                 except OSError:
-                    continue  # the client has closed it
+                    continue  # the client has closed the connection
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log an error of a request in one line; lost connections are not logged."""
@@ -196,7 +199,7 @@ class _Handler(BaseHTTPRequestHandler):
         origin = self.headers.get("Origin")
         lengths = self.headers.get_all("Content-Length", ["0"])
         if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
-            # The body is not parsed: on a connection that stays open it would be taken for the next request.
+            # The body is not parsed; on a connection that stays open it would be taken for the next request.
             self.answer(400, "text/plain", b"requests have no body here")
             self._discard_body()
             return True

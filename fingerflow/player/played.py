@@ -19,7 +19,7 @@ from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
 from fingerflow.player.stream_scene import StreamScene, check_scene, load_scene
 from fingerflow.schema.views import View
 
-_STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's
+_STILLS = 64  # number of averaged frames of the empty glass: the noise is an eighth of that of one frame
 
 
 class StreamInput(NamedTuple):
@@ -58,7 +58,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         gauge = bundle.engine_settings.gauge_length_mm if path is None else None
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
         glass = scene.contact.crop(drawn.background)
-        # The true values hold only for the scene of the synthetic source, not for the views of a scene file.
+        # The true values hold for the scene of the synthetic source only, not for the views of a scene file.
         known = drawn.expected_in if path is None else None
         return StreamInput(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
     if scene.background is None:
@@ -87,7 +87,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
             f"in {path}"
         )
     first, frames, forces_in = 0, None, None
-    if file.resolve() == scene.frames:  # range and forces belong to the scene's own recording
+    if file.resolve() == scene.frames:  # range of frames and forces belong to the scene's own recording
         first, forces_in = scene.first_frame, path if scene.has_forces else None
         frames = None if scene.last_frame is None else scene.last_frame + 1 - first
     return StreamInput(

@@ -27,7 +27,7 @@ _VARIABLES = by_name((TIME,), FRAME_CHECK, LOADING, CONTACT, TRACKING, FIELDS, S
 _FRAME_NUMBER = Variable(
     "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
 )
-# Variables that the player itself adds to a record.
+# Variables of a record that the player adds to those of the tracker.
 _OWN = (
     _FRAME_NUMBER,
     *(_VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
@@ -61,7 +61,7 @@ class RecordLayout:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
         self.fields = [_entry(one, one.kind, ()) for one in (*_OWN, *(_VARIABLES[name] for name in forces))]
         for variable in (_VARIABLES[name] for name in RESULTS):
-            # The tracker computes in single precision.
+            # The tracker computes in single precision, so floats are stored with 4 bytes.
             kind = "f4" if variable.kind.startswith("f") else variable.kind
             self.fields.append(_entry(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
         self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])

@@ -17,9 +17,9 @@ from fingerflow.player.outputs.output import FrameStamp, Output
 
 log = logging.getLogger("fingerflow.player")
 
-_WAITING = 256  # messages
-_CATCH_UP = 0.01  # s within which all messages that wait are to be sent, or else only the newest is
-_CLOSING = 2.0  # s that a stopped stream waits for an output before it abandons it
+_WAITING = 256  # largest number of queued messages
+_CATCH_UP = 0.01  # s within which all queued messages must be sent; if it takes longer, only the newest is sent
+_CLOSING = 2.0  # s for which a stopped stream waits for an output before it abandons the output
 
 
 class Message(NamedTuple):
@@ -72,8 +72,9 @@ class Sender:
         self._waits, self._triggered = waits, triggered
         self._messages: Channel[Message] = Channel(_WAITING)
         self.offered = self.sent = self.failed = 0
-        self._pushed_out = self._passed_over = 0  # overtaken, as the offering and the sending thread count them
-        self._took = 0.0  # s, by the last message
+        # Overtaken messages, counted by the offering and by the sending thread.
+        self._pushed_out = self._passed_over = 0
+        self._took = 0.0  # s, duration of the last sending
         self.latencies = Latencies()
         self._fails = False
         self._thread = threading.Thread(target=self._send_all, name=f"send {self.name}", daemon=True)
@@ -170,5 +171,6 @@ class Sender:
         self._fails = False
         self.latencies.add(latency)
         if self._condition is not None:
-            with contextlib.suppress(FingerflowError, ValueError):  # of a file that is full, or closed by now
+            # The event log may be on a full disk, or closed already.
+            with contextlib.suppress(FingerflowError, ValueError):
                 self._triggered(frame.number, self._condition.text, latency)

@@ -38,7 +38,7 @@ class PosixLine:
         if rate is None:
             raise PlayerError(f"{baud} is no rate of serial lines here; 115200 is usual")
         try:
-            # Without O_NONBLOCK, opening waits for the carrier of a modem.
+            # Without O_NONBLOCK, opening would wait for the carrier of a modem.
             self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
             raise PlayerError(
@@ -49,7 +49,7 @@ class PosixLine:
             settings = termios.tcgetattr(self._file)
             settings[2] |= termios.CLOCAL | termios.CREAD
             settings[4] = settings[5] = rate
-            settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 2  # a reader is told of silence after 0.2 s
+            settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 2  # a read returns after 0.2 s without data
             termios.tcsetattr(self._file, termios.TCSANOW, settings)
             os.set_blocking(self._file, True)
         except termios.error:
@@ -86,7 +86,7 @@ class WindowsLine:
         """Return the bytes that have arrived, at most `size`, after waiting for the first; b"" after 0.2 s without
         data.
         """
-        # With a larger size pyserial waits until so many bytes are there.
+        # With a larger size pyserial would wait until so many bytes have arrived.
         data: bytes = self._port.read(min(size, max(1, self._port.in_waiting)))
         return data
 

@@ -37,17 +37,17 @@ from fingerflow.tracker.stream_frame_quality import USABLE
 
 log = logging.getLogger("fingerflow.player")
 
-_STALL_WARNING = 2.0  # s
-_HANGING = 2.0  # s that a stopped stream waits for its source before it abandons it
+_STALL_WARNING = 2.0  # s without a frame after which a warning is logged
+_HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
-_STORE_INTERVAL = 0.02  # s
-_BEHIND = 0.1  # s, the longest latency with which results count as keeping up
-_SENTENCES = {  # for the log, by the names of the tracker's events
+_STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
+_BEHIND = 0.1  # s, longest median latency with which results count as keeping up
+_SENTENCES = {  # log messages by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-_RECORDS_WAITING = 512  # records of more than a second, the time that a slow disk may take to sync
+_RECORDS_WAITING = 512  # number of queued records, of more than a second: the time that a slow disk may take to sync
 
 
 @dataclass(frozen=True)
@@ -98,16 +98,18 @@ class Player:
         self.computed_by, self.source_name = computed_by, played.name
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
-        # One slot is being filled, some computed, some are deferred, one is measured, one drawn on the page; the others
-        # wait. Their number is the bound.
+        # Slots in use: one is being filled, `lag` or fewer are computed, up to LONGEST are deferred, one is measured,
+        # one is drawn on the page. The others form the queue, whose length is limited.
         slots = [Slot(bundle) for _ in range(settings.queue + 3 + LONGEST + tracker.lag)]
-        # The slot that was used last is still in the processor's cache.
+        # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
-        self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)  # one is being filled, one written
-        self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
+        # Two more records than are queued: one is being filled, one written.
+        self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
+        # Views of the fields, looked up only once.
+        self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
         self.frames_in = self.processed = self.dropped = self.overruns = 0
         self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
@@ -115,22 +117,23 @@ class Player:
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values or LiveValues(layout)
         can_wait = settings.every and settings.rate is None and not source.live
-        self._can_wait = can_wait  # for results, as a file does that is played as fast as possible
+        self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
         self._senders = [Sender(one, can_wait, self._record_trigger) for one in destinations]
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
-        self._state, self._said = "waiting", ""  # for the page
-        self._behind = ""  # how results fall behind the camera, for the page
+        self._state, self._said = "waiting", ""  # state and message shown on the page
+        self._behind = ""  # message shown on the page: how results fall behind the camera
         self._clock = CameraClock()
         self._stop = threading.Event()
         self._finished = threading.Event()
         self._failure: BaseException | None = None
-        self._waiting_since: float | None = None  # for the source
-        self._computing = settings.parallel  # threads
+        self._waiting_since: float | None = None  # time since which the source has been waited for
+        self._computing = settings.parallel  # number of running computing threads
         self._beginning, self._order = threading.Lock(), InOrder(self._end, tracker.lag)
         self._first = math.nan
         self._findings = Findings()
-        self._drawing = False  # a frame is queued for the page
-        areas = abs(np.linalg.det(self.scene.topography_to_contact[:, :2]))  # px² of the contact view in one px²
+        self._drawing = False  # True while a frame is queued for the page
+        # px² of the contact view per px² of the topography view.
+        areas = abs(np.linalg.det(self.scene.topography_to_contact[:, :2]))
         self._topography_mm_per_px = self.scene.mm_per_px * math.sqrt(areas)
         self._last_trouble = ""
 
@@ -262,7 +265,7 @@ class Player:
     def _record_trigger(self, frame: int, condition: str, latency: float) -> None:
         self._sink.event("trigger", frame, condition=condition, latency_ms=round(1e3 * latency, 3))
 
-    # Main thread: writes the log and monitors the source.
+    # Main thread: write the log and monitor the source.
 
     def _watch(self) -> None:
         said, processed, stalled, lost = time.perf_counter(), 0, False, 0
@@ -311,7 +314,7 @@ class Player:
             f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.found}"
         )
 
-    # Capture: source -> frames.
+    # Capturing thread: from the source to frames.
 
     def _capture(self) -> None:
         source: Source | None = self._source
@@ -335,7 +338,7 @@ class Player:
                 exposed, arrival = self._clock.see(source.stamp, arrival)
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
-                    # A camera at that rate would deliver the frame at this time: any delay after it counts as latency.
+                    # A camera at this rate would deliver the frame at this time, so any later delay counts as latency.
                     exposed = arrival = start + self.frames_in / self.settings.rate
                     if (wait := arrival - time.perf_counter()) > 0:
                         time.sleep(wait) if wait < 0.1 else self._stop.wait(wait)
@@ -350,7 +353,7 @@ class Player:
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
-        self._clock = CameraClock()  # a camera may count from 0 again
+        self._clock = CameraClock()  # the stamps of a reopened camera may start from 0 again
         log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
         self._sink.event("reconnect", self._first_number + self.frames_in, error=self._last_trouble)
         if source is not None:
@@ -362,7 +365,7 @@ class Player:
         if slot is None:
             self.overruns += cannot_wait
             slot = self._free.get()
-        if slot is None:  # the stream has failed
+        if slot is None:  # the stream has failed, and its queues are closed
             return
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
@@ -375,7 +378,7 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Compute: frames -> outcomes, in one thread for each frame that is computed in parallel.
+    # Computing threads, one for each frame that is computed in parallel: from frames to outcomes.
 
     def _compute(self) -> None:
         try:
@@ -383,7 +386,7 @@ class Player:
                 number, work = begun
                 self._tracker.compute(work)
                 self._order.done(number, work)
-            with self._beginning:  # done by the first of these threads that arrives
+            with self._beginning:  # the first computing thread that ends settles the deferred frames
                 if self._order.wait_for_all():
                     self._queue_outcomes(self._tracker.settle())
         except BaseException:
@@ -426,7 +429,7 @@ class Player:
         """
         return all(self._outcomes.put(one) for one in passed)
 
-    # Measure: outcomes -> records.
+    # Measuring thread: from outcomes to records.
 
     def _measure(self) -> None:
         while (one := self._outcomes.get()) is not None:
@@ -485,7 +488,7 @@ class Player:
             self._free.put(slot)
         return self._records.put((place, drawn))
 
-    # Sink: records -> disk and page.
+    # Storing thread: from records to the disk and the page.
 
     def _store(self) -> None:
         as_bytes = self._room.view(np.uint8).reshape(len(self._room), -1)
@@ -501,5 +504,5 @@ class Player:
                 traced = float(record["time"])
                 self.live.trace(record)
             self._sink.write(as_bytes[place], int(record["frame"]))
-            if self._records.is_empty():  # one wake-up for several records
+            if self._records.is_empty():  # wait, so that one wake-up serves several records
                 time.sleep(_STORE_INTERVAL)

@@ -173,7 +173,7 @@ def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
         )
 
 
-_PLAYED = {  # fixed in a stream, because later frames are unknown or graphs are fixed
+_PLAYED = {  # settings with a fixed value in a stream, because later frames are unknown or graphs are fixed
     "tracking.direction": "forward",
     "tracking.points_from": "recorded",
     "tracking.template": "keyframe",

@@ -11,10 +11,10 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.variables import VARIABLES
 
-_LEAST_CHANGE = 0.1  # share of its largest value: a force that changes less is constant
-_ABOVE_NOISE = 10.0  # standard deviations of a sample: a force that changes less is constant
-_LARGEST_RETURN = 0.03  # share of its range by which a rising force may fall in between
-_SMOOTHED = 5  # samples of a median filter against single outliers
+_LEAST_CHANGE = 0.1  # a force is constant if it changes by less than this share of its largest value
+_ABOVE_NOISE = 10.0  # a force is constant if it changes by less than this many standard deviations of a sample
+_LARGEST_RETURN = 0.03  # largest decrease of a force that counts as rising, as a share of its range
+_SMOOTHED = 5  # samples of a median filter that removes single outliers
 _MAD_TO_STD = 1.4826
 
 
@@ -44,7 +44,8 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
             f"against {name!r}: the result has no such variable of the frames; choose one of "
             + ", ".join(sorted(str(one) for one in result.variables if result[one].dims == ("frame",)))
         )
-    own = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")  # of a variable that is not ours
+    # Record for a variable that is not one of fingerflow.
+    own = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")
     variable = VARIABLES.get(name, own)
     return Abscissa(
         name, np.asarray(variable.shown_values(result[name].values.astype(np.float64))), variable.axis_label

@@ -12,17 +12,18 @@ from matplotlib.figure import Figure, SubFigure
 
 from fingerflow.plot.captions import describe
 
-# Dark blue, vermilion and bluish green differ for colour-blind readers too (Okabe & Ito 2008).
+# Colour-blind readers can tell dark blue, vermilion and bluish green apart (Okabe & Ito 2008).
 INK, RED, GREEN, YELLOW, GREY = "#1f3b57", "#d55e00", "#009e73", "#edae49", "#8a96a3"
-BAND = 2.0  # standard deviations that a band shows on either side
+BAND = 2.0  # half width of a band in standard deviations
 BAND_WORDS = f"± {BAND:g} standard deviations"
-FONT = "DejaVu Sans"  #: comes with matplotlib; a single one, as each font of a list is searched for at each text
-ONE_COLUMN_MM, TWO_COLUMNS_MM = 85.0, 180.0  # widths of a figure on a printed page
+#: Comes with matplotlib; a single font, since each font of a list would be searched for at each text.
+FONT = "DejaVu Sans"
+ONE_COLUMN_MM, TWO_COLUMNS_MM = 85.0, 180.0  # mm, widths of a figure on a printed page
 MM_PER_INCH = 25.4
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 _DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 3)), (0, (8, 3)))
 _COLOURS = (INK, RED, YELLOW, GREEN, GREY)
-_LIGHTEST = 0.85  # of viridis: lighter colours vanish on white paper
+_LIGHTEST = 0.85  # largest position used in viridis: lighter colours vanish on white paper
 _STYLE: dict[Any, Any] = {
     "font.family": [FONT], "font.size": 7.5, "figure.titlesize": 7.5, "axes.titlesize": 7.5, "axes.labelsize": 7.5,
     "xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0, "legend.title_fontsize": 7.0,

@@ -15,7 +15,7 @@ from fingerflow.plot.wording import definition_of, followed
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
-_FEW = 60  # frames: fewer are drawn as dots
+_FEW = 60  # a curve with fewer frames is drawn with dots
 
 
 class _Curve(NamedTuple):
@@ -47,7 +47,7 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
     """
     need(result, "gross_contact_area")
     curves = [_curve(result, "gross_contact_area", "gross")]
-    # A soft sensor shows no micro-junctions.
+    # Omit the real contact of a soft sensor, which shows no micro-junctions.
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
         curves.append(_curve(result, "real_contact_area", "real"))
     return _from_zero(_draw(result, axes, against, curves, "Contact area", "contact area"))
@@ -207,7 +207,7 @@ def _draw(
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
         known = np.isfinite(values) & np.isfinite(x.values)
         beside = np.pad(known, 1)
-        alone = known & ~beside[:-2] & ~beside[2:]  # frames without known neighbours, which a line does not show
+        alone = known & ~beside[:-2] & ~beside[2:]  # frames without known neighbours, which a line would not show
         axes.plot(x.values, values, marker="." if known.sum() < _FEW else "", label=name, **style)
         if alone.any():
             axes.plot(x.values[alone], values[alone], ".", color=style["color"], label="_alone")

@@ -16,14 +16,14 @@ from fingerflow.plot.captions import caption_of
 from fingerflow.results.atomic_write import MARK, is_marked, keep_others, write_atomically
 
 FORMATS = ("pdf", "svg", "png")
-_DPI = 300  # of PNG files, and of pictures and maps in the others
+_DPI = 300  # dots per inch of PNG files, and of images within the other formats
 _LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|in)")
 _MM = {"mm": 1.0, "cm": 10.0, "in": MM_PER_INCH}
 _LEAST_MM, _MOST_MM = 60.0, 400.0
-_CLAUSE_END = re.compile(r"(?<=,) (?![^(]*\))")  # lines are broken there first
-_MOST_RUNS = 5  # of the layout
-_LINES = 100  # characters of a line of a caption file
-# Text of PDF and SVG files stays text: editable, searchable, and drawn by fonts instead of outlines.
+_CLAUSE_END = re.compile(r"(?<=,) (?![^(]*\))")  # end of a clause, where lines of text are broken first
+_MOST_RUNS = 5  # largest number of runs of the layout engine
+_LINES = 100  # largest number of characters in a line of a caption file
+# Keep the text of PDF and SVG files as text: editable, searchable, and drawn with fonts instead of outlines.
 _TYPE: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 _METADATA = {
     "png": {"Comment": MARK},
@@ -90,7 +90,7 @@ class FigureFiles:
         return pictures[0]
 
 
-PNG = FigureFiles()  #: each figure as PNG, in its own width
+PNG = FigureFiles()  #: writer of each figure as PNG, in its own width
 
 
 def settle(figure: Figure) -> None:
@@ -99,8 +99,8 @@ def settle(figure: Figure) -> None:
     if layout is None:
         return
     with mpl.rc_context({"font.family": [FONT]}):
-        # Maps need a second run, as their axes have another shape after the first. Axes are smaller beside labels of
-        # several lines, which may then need more of them.
+        # Run the layout twice if there are maps, as their axes have another shape after the first run. Axes become
+        # smaller beside labels of several lines, and the labels may then need more lines.
         again = any(axes.get_aspect() != "auto" for axes in figure.axes)
         for run in range(_MOST_RUNS):
             layout.execute(figure)

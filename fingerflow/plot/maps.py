@@ -19,9 +19,10 @@ from fingerflow.plot.wording import frame_text
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
-_SHOWN = 0.98  # quantile of the values that limits a colour scale,
-_OF_MEDIAN = 3.0  # at most this times their median, as torn triangles may be more than 2 %
-_ARROWS, _DIRECTIONS = 220, 260  # about so many are drawn
+_SHOWN = 0.98  # quantile of the absolute values that limits a colour scale
+_OF_MEDIAN = 3.0  # largest limit as a multiple of the median, since more than 2 % of the triangles may be torn
+# Approximate number of arrows of displacement and of lines of principal direction in a map.
+_ARROWS, _DIRECTIONS = 220, 260
 _MARGIN_MM = 0.3
 
 
@@ -130,7 +131,7 @@ def field_map(
     shown = whole & np.isfinite(by_triangle)
     dots = np.isfinite(values) & np.isfinite(position).all(1) if not chosen.of_triangles else np.zeros(0, dtype=bool)
     if shown.any():
-        # A triangle is drawn only if all its corners are known: unknown positions become 0 and are never shown.
+        # Draw a triangle only if all its corners are known: unknown positions become 0 and are never shown.
         filled = np.nan_to_num(position)
         mesh = Triangulation(filled[:, 0], filled[:, 1], corners[shown])
         colours = axes.tripcolor(mesh, facecolors=by_triangle[shown], **scale)
@@ -142,7 +143,7 @@ def field_map(
         axes.text(0.5, 0.5, "not known in this frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         _set_limits(axes, outline)
         return finished(axes)
-    colours.set_rasterized(True)  # thousands of triangles make a small file only as pixels
+    colours.set_rasterized(True)  # thousands of triangles make a small file only as an image
     if quantity == "displacement":
         _arrows(axes, one, chosen.title)
     elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
@@ -213,7 +214,8 @@ def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
     if long <= 0:
         return
     width = float(np.ptp(position[known], axis=0).max()) or 1.0
-    scale = float(f"{width / 8 / long:.1g}")  # one digit; the 0.95 quantile becomes an eighth of the width
+    # Rounded to one digit; the 0.95 quantile is drawn as an eighth of the width.
+    scale = float(f"{width / 8 / long:.1g}")
     axes.quiver(
         *position[known].T, *(scale * moved[known]).T, angles="xy", scale_units="xy", scale=1,
         color="white", edgecolor=INK, linewidth=0.3, width=0.006,

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure, SubFigure
 from fingerflow.plot.axes_style import new_figure
 from fingerflow.plot.captions import caption_of
 
-_BESIDE_MM = 50.0  # least width of a panel: below, a row becomes a column
+# mm, least width of a panel; if panels would be narrower, they are drawn in a column instead of a row.
+_BESIDE_MM = 50.0
 
 
 def panel_letter(number: int) -> str:

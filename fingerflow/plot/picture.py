@@ -23,9 +23,9 @@ from fingerflow.schema.scene import Scene
 
 MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"
 _BAR_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-_BAR_SHARE = 0.25  # largest share of the width that a scale bar takes
-_MASK_SHARE = 0.45  # share of the colour in a pixel in contact
-_CONTRAST = (0.5, 99.8)  # percentiles of the grey levels drawn black and white
+_BAR_SHARE = 0.25  # largest length of a scale bar as a share of the width
+_MASK_SHARE = 0.45  # opacity of the colour over pixels in contact
+_CONTRAST = (0.5, 99.8)  # percentiles of the grey levels that are drawn black and white
 
 
 def views_of(scene: Scene) -> tuple[str, ...]:

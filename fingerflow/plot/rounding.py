@@ -2,7 +2,7 @@
 
 import math
 
-_NOTHING = 1e-9  # share of a value: a smaller deviation is that of the arithmetic
+_NOTHING = 1e-9  # share of a value below which a deviation is rounding error
 
 
 def with_uncertainty(value: float, spread: float = math.nan) -> str:

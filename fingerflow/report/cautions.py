@@ -7,9 +7,10 @@ import xarray as xr
 
 from fingerflow.plot.wording import followed, is_sensor
 
-_MOST_LOST = 0.2  # share of the points: above it, results describe a selection
-_LARGE_STRAIN = 0.5  # of a triangle: above it, points are wrong or have different onsets of contact
-_LARGE_SHARE = 0.02  # share of the triangles that may exceed it
+_MOST_LOST = 0.2  # largest share of lost points; with more, results describe a selection of the skin
+# Largest plausible strain of a triangle; above it, points are wrong or have different onsets of contact.
+_LARGE_STRAIN = 0.5
+_LARGE_SHARE = 0.02  # share of the triangles whose strain may be larger
 
 
 def cautions(result: xr.Dataset) -> list[str]:
@@ -68,7 +69,8 @@ def _of_strain(result: xr.Dataset) -> list[str]:
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """
-    if "strain" not in result or not result["strain"].size or is_sensor(result):  # a gel may strain that much
+    # The strain of a gel may be that large.
+    if "strain" not in result or not result["strain"].size or is_sensor(result):
         return []
     largest = np.abs(result["strain"].values).max(-1)
     known = np.isfinite(largest).sum(1)

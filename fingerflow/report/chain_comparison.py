@@ -21,9 +21,9 @@ from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
 _MEDIAN = VARIABLES["median_divergence"]
-INNER = 0.6  # share of the contact's radius; divergence within depends little on the detected edge
+INNER = 0.6  # share of the contact's radius; the divergence within depends little on the detected edge
 NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_divergence")
-_LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the spacing of ridges
+_LEAST_MM2 = 3.0  # mm², least contact area: below, the ridge spacing makes the edge of the contact uncertain
 _FITTED = 10  # number of forces to which the stiffness is fitted
 _ELEMENTS = 1001  # twice the paper's: with 501 the fitted stiffness is 2 % larger for the same area, with 251 5 %
 
@@ -36,7 +36,7 @@ class ChainComparison:
     Areas are in mm², divergences in the shown unit, um/mm; NaN without contact.
     """
 
-    force: Values  # N
+    force: Values  # (T,) N
     area: Values
     median: Values
     inner: Values

@@ -13,7 +13,7 @@ from fingerflow.plot.captions import describe
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
-_WIDE_IN = 5.0  # width from which four maps have room beside each other
+_WIDE_IN = 5.0  # inches, least width at which four maps are placed beside each other
 PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")
 
 
@@ -27,8 +27,8 @@ class Decomposition:
     """
 
     points: Values  # (P, 2) mm
-    parts: dict[str, Values]  # (P, 2) mm each
-    constant: tuple[float, float]  # mm
+    parts: dict[str, Values]  # displacement (P, 2) mm of each part by its name
+    constant: tuple[float, float]  # mm, mean displacement
     divergence: float
     curl: float
     shear: tuple[float, float]
@@ -109,7 +109,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         f"constant, divergence, curl, two shears and the rest, which add up to it. All arrows are drawn {scale:g} "
         f"times as long as they are. n = {known} points.",
     )
-    axes[0].invert_yaxis()  # shared by all
+    axes[0].invert_yaxis()  # the axes share their limits, so this inverts all of them
     for one in axes[::across]:
         one.set_ylabel("mm")
     for one in axes[7 - across :]:

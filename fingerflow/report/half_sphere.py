@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from fingerflow.models.hemisphere import arc_length, contact_radius, radial_strain
 from fingerflow.plot.axes_style import GREY, INK, RED, finished
 
-RADIUS_MM = 10.0  # of "10 % at 3 mm"
+RADIUS_MM = 10.0  # mm, follows from the printed "10 %" at 3 mm
 DEPTH_MM, DEEPEST_MM = 3.0, 4.0
 
 

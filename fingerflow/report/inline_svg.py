@@ -17,10 +17,10 @@ from fingerflow.plot.axes_style import FONT
 from fingerflow.plot.figure_files import settle
 
 _NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
-_RASTER_DPI = 170  # of rasterized maps
-_WIDER = 1.5  # largest magnification of a figure over its printed size
+_RASTER_DPI = 170  # dots per inch of rasterized maps
+_WIDER = 1.5  # largest magnification of a figure relative to its printed size
 _DIGITS = 5
-_LARGE, _QUALITY = 100_000, 88  # bytes above which a picture becomes JPEG; JPEG quality
+_LARGE, _QUALITY = 100_000, 88  # size in bytes above which an image is stored as JPEG; JPEG quality in percent
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 _OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
 _UNIT = re.compile(r"\(([^()]*)\)$")
@@ -38,14 +38,14 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     data = io.StringIO()
     figure.set_dpi(_RASTER_DPI)
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        # `savefig` draws twice, first to settle the layout.
+        # `savefig` would draw the figure twice, the first time to settle the layout.
         FigureCanvasSVG(figure).print_svg(data, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     text = data.getvalue()
     text = text[text.index("<svg") :]
     head, _, rest = text.partition(">")
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
-    # Ids must be unique in a page: only those that are referred to are kept.
+    # Ids must be unique in a page, so only those that are referred to are kept.
     rest = _PNG.sub(_compressed, rest)
     rest = rest.replace(f"'{FONT}'", f"'{FONT}', sans-serif")
     rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))

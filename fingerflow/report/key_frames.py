@@ -10,8 +10,8 @@ from fingerflow.plot.abscissa import varies
 
 LEVELS_N = (1.0, 2.0, 3.0)
 _MOST = 5
-_APART = 0.02  # least distance of two, as a share of the frames
-_LOADED = 0.2  # share of the largest normal force above which a load ratio is used
+_APART = 0.02  # least distance between two key frames, as a share of all frames
+_LOADED = 0.2  # share of the largest normal force above which the load ratio of a frame counts
 
 
 class ReportFrame(NamedTuple):
@@ -65,7 +65,7 @@ def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[R
         return []
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
     found = [ReportFrame(top, "largest force")]
-    # Higher levels first, as they show more.
+    # Put higher levels first, as they show more and are selected first.
     return found + [ReportFrame(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
 
 

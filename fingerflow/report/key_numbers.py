@@ -11,8 +11,8 @@ from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report.key_frames import ReportFrame
 from fingerflow.schema.variables import VARIABLES
 
-_WINDOW = 11  # frames of the parabola fit
-_DEGREES = 3  # degrees of freedom of a parabola
+_WINDOW = 11  # number of frames of the parabola fit
+_DEGREES = 3  # number of coefficients of a parabola
 _QUANTITIES = (
     "normal_force",
     "tangential_force",
@@ -83,6 +83,6 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
     rest = np.sqrt(((windows @ left.T) ** 2).sum(1) / (_WINDOW - _DEGREES))
     half = _WINDOW // 2
     found[half : len(values) - half] = rest
-    # Frames at the ends have the values of the first and last windows.
+    # Frames at the ends take the values of the first and last windows.
     found[:half], found[len(values) - half :] = rest[0], rest[-1]
     return found

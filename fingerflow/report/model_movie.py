@@ -16,9 +16,9 @@ from fingerflow.report.video_writer import encode_video
 from fingerflow.results.atomic_write import write_atomically
 
 _INCHES, _DPI = (10.0, 5.4), 96
-_WIDE_MM = 9.0  # shown half width of the finger
-_LARGEST_MM = 1e-3  # least limit of the colour scale
-_HELD = 20  # frames for which the last picture is repeated
+_WIDE_MM = 9.0  # mm, shown half width of the finger
+_LARGEST_MM = 1e-3  # mm, least limit of the colour scale
+_HELD = 20  # number of frames for which the last image is repeated
 
 
 def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
@@ -39,7 +39,8 @@ def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
-    pair = min(presses.friction), HIGH  # at 0.2 nearly all skin sticks already: it looks like 1
+    # At 0.2 nearly all skin sticks already, and the movie would look like that of friction 1.
+    pair = min(presses.friction), HIGH
     chosen = [presses.index(friction) for friction in pair]
     chain = presses.chain
     moved = 1e3 * chain.displacement[:, chosen, :, 0].numpy()
@@ -71,7 +72,7 @@ def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray
             skin, bone = skins[column]
             skin.set_segments(list(np.stack((place[:-1], place[1:]), 1)))
             skin.set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
-            # The centre of the undeformed half-circle, displaced with the bone.
+            # Draw the bone at the centre of the undeformed half-circle, displaced with the bone.
             radius = float(1e3 * (chain.position - chain.displacement)[frame, k, 0, 1])
             at = 1e3 * chain.bone[frame, k].numpy()
             bone.set_data([at[0]], [at[1] + radius])
@@ -80,4 +81,4 @@ def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray
         heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")
         canvas.draw()  # type: ignore[no-untyped-call]
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
-        figure.set_layout_engine("none")  # laid out once, as this takes ten times as long as drawing
+        figure.set_layout_engine("none")  # the layout is computed only once, as it takes ten times as long as drawing

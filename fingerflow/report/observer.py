@@ -55,7 +55,8 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
         "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion "
         "sweeps the metric. In brackets: area under the curve, 0.5 by chance, and n, the number of trials.",
     )
-    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
+    # Beside the axes, where the legend does not cover curves.
+    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
     return axes
 
 

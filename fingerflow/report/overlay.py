@@ -14,8 +14,8 @@ from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene import Scene
 
 _MOST_FRAMES = 300
-_ARROW_PX = 40  # drawn length of the largest displacements
-_CAPTION_PX = 32  # height of the line of text above the picture
+_ARROW_PX = 40  # px, drawn length of the largest displacement
+_CAPTION_PX = 32  # px, height of the line of text above the image
 
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
@@ -32,7 +32,7 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
     force = result["normal_force"].values if "normal_force" in result else None
     with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         painter = ViewPainter(result, scene, recording)
-        # Sets the contrast on the last frame, where the finger is in view.
+        # Paint the last frame first: it sets the contrast, and the finger is in view there.
         painter.paint(int(frames[-1]))
         for frame in frames:
             picture = painter.paint(int(frame), scale)

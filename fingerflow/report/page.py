@@ -85,7 +85,7 @@ class _Figures:
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
         figure = axes.get_figure(root=True)
         assert isinstance(figure, Figure)
-        drawn = self.whole(figure, name, label)  # before curves_of, as it settles the layout
+        drawn = self.whole(figure, name, label)  # drawn before `curves_of`, as drawing settles the layout
         return replace(drawn, curves=curves_of(axes, self.result.sizes["frame"]))
 
     def whole(self, figure: Figure, name: str, label: str) -> Drawn:
@@ -197,7 +197,7 @@ def write_report(
             settings=settings_tables(result.attrs["settings"]),
             stages=[(name, value, 1000 * value / result.sizes["frame"]) for name, value in seconds.items()],
             sizes=dict(result.sizes),
-            # A script element has no escapes; only "<" could end it.
+            # Only "<" could end a script element, which has no escapes of its own, so it is written as a JSON escape.
             curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
         )
     )
@@ -258,7 +258,7 @@ def _sections(
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),
     ]
-    # A soft sensor's markers are found independently in each frame: it has no forward-backward distance.
+    # Markers of a soft sensor are found independently in each frame, so they have no forward-backward distance.
     shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))

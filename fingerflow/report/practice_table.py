@@ -66,7 +66,7 @@ def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str,
         return rows
     window, scale = tracking["window_px"], float(result.attrs["mm_per_px"]) * _magnification(result)
     points = int((result["status"].values == 0).sum(1).max())
-    by_key = tracking.get("template", "keyframe") == "keyframe"  # a recipe has no other
+    by_key = tracking.get("template", "keyframe") == "keyframe"  # a recipe has no other template
     update = "key frame, updated where skin deforms" if by_key else "previous frame"
     free = "up to gain and offset (as ZNSSD)" if tracking["gain_offset"] else "of grey levels (SSD)"
     rows += [
@@ -113,7 +113,8 @@ def _view_sizes(views: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
     """Return the size (height, width) px of each view, from the settings of a scene or those of a recipe."""
     if "height" in views:
         return dict.fromkeys(("contact", "topography"), (views["height"], views["width"]))
-    some = {"camera": views["camera"]} if "camera" in views else views  # its other names are aliases for stages
+    # The other names are aliases of this view for stages.
+    some = {"camera": views["camera"]} if "camera" in views else views
     spans = {name: (view["rows"], view["columns"]) for name, view in some.items()}
     return {name: (rows[1] - rows[0], columns[1] - columns[0]) for name, (rows, columns) in spans.items()}
 

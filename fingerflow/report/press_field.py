@@ -13,8 +13,8 @@ from fingerflow.synthetic import SyntheticScene
 
 _CURL, _MEDIAN_CURL = VARIABLES["curl"], VARIABLES["median_curl"]
 Values = NDArray[np.float64]
-_SPACING_MM = 0.6  # between points
-_FRAMES = 24  # frames with a median curl
+_SPACING_MM = 0.6  # mm, distance between grid points
+_FRAMES = 24  # number of frames with a median curl
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class PressField:
     """
 
     reference: Values  # (P, 2) mm, reference positions
-    displacement: Values  # (P, 2) mm since onset of contact
-    curl: Values  # (P,) rad
-    force: Values  # (F,) N
-    median_curl: Values  # (F,) rad, over the area of the gross contact
+    displacement: Values  # (P, 2) mm, displacement since onset of contact
+    curl: Values  # (P,) rad, curl of the displacement
+    force: Values  # (F,) N, normal force
+    median_curl: Values  # (F,) rad, median curl over the gross contact area
 
 
 def press_field(scene: SyntheticScene) -> PressField:

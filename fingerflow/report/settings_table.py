@@ -14,7 +14,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
         if name == "views" and "camera" in values:
-            values = {"camera": values["camera"]}  # its other names are aliases for stages
+            values = {"camera": values["camera"]}  # the other names are aliases of this view for stages
         rows = _rows(values, SCENE.get(name), "") if isinstance(values, Mapping) else []
         if rows:
             tables[name.replace("_", " ")] = rows
@@ -28,7 +28,7 @@ def transform_rows(stored: str) -> list[tuple[str, str]]:
         return []
     linear = matrix[:, :2]
     left, sizes, right = np.linalg.svd(linear)
-    turn = left @ right  # the nearest rotation
+    turn = left @ right  # the rotation nearest to the linear part
     return [
         ("topography to contact view: magnified", f"{np.sqrt(abs(np.linalg.det(linear))):.4f} ×"),
         ("turned, from x towards y", f"{np.degrees(np.arctan2(turn[1, 0], turn[0, 0])):.3f}°"),
@@ -41,7 +41,7 @@ def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above:
     rows: list[tuple[str, str]] = []
     keys = table.keys if isinstance(table, SceneTable) else {}
     for name, value in values.items():
-        if value is None or name == "topography_to_contact":  # shown by `transform_rows`
+        if value is None or name == "topography_to_contact":  # `transform_rows` shows the transform
             continue
         key = keys.get(name, REGION.keys.get(name))
         words, unit = words_of(name, key) if key else (name.replace("_", " "), "")

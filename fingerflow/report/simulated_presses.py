@@ -23,11 +23,11 @@ from fingerflow.plot.captions import describe
 
 Values = NDArray[np.float64]
 FRICTIONS = (0.02, 0.05, 0.2, 1.0)
-LOW, HIGH = 0.2, 1.0  # low and high friction of the paper
-DEPTH_MM = 2.0  # depth over which the paper assumes uniform strain (equation 3)
+LOW, HIGH = 0.2, 1.0  # friction coefficients that the paper calls low and high
+DEPTH_MM = 2.0  # mm, depth over which the paper assumes uniform strain (equation 3)
 _TIMES = 101
-_ELEMENTS = 1001  # twice the paper's: contact grows by whole elements, which shows in rates
-_SLOPE_S = 0.12  # interval of the line fit of a rate, in which contact grows by some elements
+_ELEMENTS = 1001  # twice the paper's number: contact grows by whole elements, which is visible in rates
+_SLOPE_S = 0.12  # s, interval of the line fit of a rate, in which contact grows by some elements
 _MAP_CELLS = 241
 _RADII = 201
 _SINCE = "Strains count from the undeformed finger."
@@ -40,8 +40,8 @@ class SimulatedPresses:
     """
 
     friction: tuple[float, ...]
-    time: Values  # (T,) s
-    force: Values  # (T,) N
+    time: Values  # (T,) s, time
+    force: Values  # (T,) N, normal force
     chain: PressedChain
 
     def index(self, friction: float) -> int:
@@ -80,8 +80,8 @@ class Profile:
     """
 
     radius: Values
-    radial: Values  # du/dx
-    hoop: Values  # u/x
+    radial: Values  # radial strain du/dx
+    hoop: Values  # hoop strain u/x
 
 
 def simulate_presses(

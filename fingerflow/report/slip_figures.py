@@ -174,7 +174,7 @@ def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: Tri
 
 
 def _draw_fit(axes: Axes, mu_s: float, mu_k: float, name: str) -> None:
-    # Quadratic steps of load: near the critical load the area changes too fast for equal ones.
+    # Space the loads quadratically: near the critical load the area changes too fast for equal steps.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
     load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)

@@ -121,7 +121,7 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
     with figure_style(width_mm):
         figure, parts = row_of_panels(3, width_mm)
         left, middle, right = (part.subplots() for part in parts)
-        # The last frame of slow loading: later the stick region has almost vanished.
+        # Show the last frame of slow loading, as the stick region has almost vanished later.
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
         position, one = np.asarray(result["position"]), result.isel(frame=frame)
         draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))

@@ -17,9 +17,9 @@ from fingerflow.plot.captions import describe
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 
 Values = NDArray[np.float64]
-_REACH_MM = 5.0  # along the surface from the middle of the contact
-_APART_MM = 1.2  # spacing of marked receptors
-_SHAPES = 6  # drawn shapes of the skin during a press
+_REACH_MM = 5.0  # mm, shown range along the surface on either side of the middle of the contact
+_APART_MM = 1.2  # mm, spacing of marked receptors
+_SHAPES = 6  # number of drawn shapes of the skin during a press
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Depth:
     surface; stress also as a map over Z depths.
     """
 
-    place: Values  # (Y,) mm
-    map_depth: Values  # (Z,) mm
+    place: Values  # (Y,) mm, position along the surface
+    map_depth: Values  # (Z,) mm, depth
     sigma_z: Values  # (K, Z, Y) kPa at full load, tension positive
     receptor_stress: Values  # (3, K, Y) kPa at full load 2 mm deep: sigma_y, sigma_z, tau_yz
     strain_y: Values  # (T, K, Y) without unit, 2 mm deep, along the surface, extension positive

@@ -20,8 +20,8 @@ from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 Values = NDArray[np.float64]
 ANSWERED = "p(more slippery)"
 AMPLITUDE = "vibration amplitude (µm)"
-_BINS = 8  # with equally many trials
-_HATCHES = ("", "////", "....")  # of bars, which are told apart without colour
+_BINS = 8  # number of bins with equally many trials
+_HATCHES = ("", "////", "....")  # hatches of bars, which distinguish these without colour
 
 #: Metrics that figures and statistics use, columns of the table of trials.
 METRICS = (
@@ -156,7 +156,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
         own = own[np.isfinite(own)]
         if not own.size:
             continue
-        # Spread in the order of the table, so that figures are reproducible.
+        # Spread the dots in the order of the table and not at random, so that figures are reproducible.
         axes.plot(index + np.linspace(-0.3, 0.3, own.size), own, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
         if own.size > 1:
             mean, deviation = own.mean(), own.std(ddof=1)

@@ -12,7 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, read_trials
 from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 
-_NAMES = ("participant", "trial")  # kept as text; conditions are numbers if all of them are
+_NAMES = ("participant", "trial")  # columns that stay text; conditions are numbers if all of them are
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:

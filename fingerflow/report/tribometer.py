@@ -16,10 +16,10 @@ from fingerflow.plot.axes_style import GREEN, GREY, INK, YELLOW, finished, line_
 from fingerflow.plot.captions import describe
 from fingerflow.recordings import open_forces
 
-#: Signals of a trace, with the unit they are converted to.
+#: Signals of a trace, with the units to which they are converted.
 SIGNALS = {"normal": "N", "tangential": "N", "position": "m", "amplitude": "m"}
-BINS = 6  # of amplitude: the paper has six levels besides none
-_MOST_POINTS = 20_000  # of a line, more than any figure resolves
+BINS = 6  # number of amplitude bins: the paper has six levels besides zero amplitude
+_MOST_POINTS = 20_000  # largest number of points of a line, more than any figure resolves
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class TribometerTrace:
     """
 
     path: Path
-    time: Tensor  # (T,) s
-    normal: Tensor  # (T,) N, pressing positive
-    tangential: Tensor  # (T,) N
-    position: Tensor  # (T,) m of the finger, growing to the right
+    time: Tensor  # (T,) s, time
+    normal: Tensor  # (T,) N, normal force, positive in compression
+    tangential: Tensor  # (T,) N, tangential force
+    position: Tensor  # (T,) m, position of the finger, growing to the right
     amplitude: Tensor  # (T,) m, envelope of the vibration
 
     def epochs(self, modulation_hz: float = 4.0) -> FrictionEpochs:
@@ -114,7 +114,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
     for one in axes:
         finished(one)
     low, high = forces.get_ylim()
-    forces.set_ylim(low, high + 0.5 * (high - low))  # room for the legend
+    forces.set_ylim(low, high + 0.5 * (high - low))  # leaves space for the legend
     forces.legend(frameon=False, ncols=2, loc="upper right")
     describe(
         forces,

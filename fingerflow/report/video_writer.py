@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.results.atomic_write import MARK
 
-RATE = 30  # frames a second of a video
+RATE = 30  # frames per second
 
 
 def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
@@ -25,7 +25,7 @@ def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
         name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         container.metadata["comment"] = MARK
         stream = container.add_stream(name, rate=RATE)
-        assert isinstance(stream, av.VideoStream)  # both are video codecs
+        assert isinstance(stream, av.VideoStream)  # True for both codecs, which are video codecs
         stream.pix_fmt = "yuv420p"
         stream.time_base = Fraction(1, RATE)
         stream.bit_rate = 8_000_000
@@ -35,7 +35,7 @@ def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
         height = width = 0
         for picture in pictures:
             if not height:
-                height, width = (side // 2 * 2 for side in picture.shape[:2])  # video needs even sides
+                height, width = (side // 2 * 2 for side in picture.shape[:2])  # video codecs need even side lengths
                 stream.height, stream.width = height, width
             even = np.ascontiguousarray(picture[:height, :width])
             for packet in stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")):

@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 _OUTLINED = ("ellipse_center", "ellipse_semi_axes", "ellipse_angle", "stuck_region")
 STUCK = (255, 0, 200)
 CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), (255, 210, 60)
-_ARROW_OPACITY = 0.7  # the skin stays visible below
+_ARROW_OPACITY = 0.7  # opacity of arrows, so that the skin stays visible below
 
 
 class ViewPainter:
@@ -54,7 +54,7 @@ class ViewPainter:
     def _grey(self, number: int, picture: NDArray[Any]) -> Picture:
         part = picture.astype(np.float32)
         if number not in self._levels:
-            # One contrast for all frames, from the first one drawn, so that a video does not flicker.
+            # Use the contrast of the first painted frame for all frames, so that a video does not flicker.
             self._levels[number] = (float(np.percentile(part, 0.5)), float(np.percentile(part, 99.8)))
         low, high = self._levels[number]
         grey = np.clip((part - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)

@@ -20,8 +20,8 @@ Picture = NDArray[np.uint8]
 Drawn = tuple[Figure | None, str]
 
 _DPI, _COLOURS = 150, 256
-_STILLS = 3  # frames of a movie on the page
-_WIDE = 9.0  # inches of such a strip
+_STILLS = 3  # number of frames of a movie shown on the page
+_WIDE = 9.0  # inches, width of such a row of frames
 
 
 @dataclass(frozen=True)

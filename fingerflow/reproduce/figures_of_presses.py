@@ -33,14 +33,14 @@ from fingerflow.study.figures import draw_curves
 _FORCES_N = (1.0, 2.0, 3.0)
 _STRAINS = ("exx", "eyy", "exy")
 _MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
-_CHAIN_STEP = 4  # of the chain's simulated times in movie M3
-_MOVIE_FORCES = 12  # in movie M4
+_CHAIN_STEP = 4  # every 4th simulated time of the chain is shown in movie M3
+_MOVIE_FORCES = 12  # number of normal forces in movie M4
 _ARROWS = 10.0  # magnification of displacements in movie M1
 
 
 def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
     figure = Sheet(name, tuple(panels)).figure()
-    _, *captions = caption_of(figure).splitlines()  # without the heading
+    _, *captions = caption_of(figure).splitlines()  # omits the heading
     return figure, "\n".join((shown, *captions))
 
 
@@ -196,7 +196,7 @@ def _processed_frames(study: PressStudy) -> Iterator[Picture]:
     ):
         pairs = [(ViewPainter(one.result, one.scene, frames), one) for one, frames in ((high, first), (low, second))]
         for painter, one in pairs:
-            painter.paint(one.peak)  # sets the contrast
+            painter.paint(one.peak)  # the peak frame sets the contrast
         for force in map(float, forces):
             yield np.concatenate([painter.paint(one.frame_at(force) or one.peak, _ARROWS) for painter, one in pairs])
 

@@ -30,7 +30,7 @@ from fingerflow.synthetic import SyntheticScene
 Values = NDArray[np.float64]
 _PAPER = PARAMETERS["paper"]
 _ELEMENTS = 501
-_STEP_S = 2.5e-6  # the printed time step
+_STEP_S = 2.5e-6  # s, printed time step
 _EXACT = 1e-9
 
 

@@ -23,10 +23,10 @@ from fingerflow.study.statistics import correlate_with_answers
 
 Values = NDArray[np.float64]
 _ALPHA = 0.05
-_SMALL_UM = 1.0  # amplitudes up to which groups differ in print
+_SMALL_UM = 1.0  # µm, largest amplitude at which the groups differ in the paper
 
 
-# Distributions over presses
+# Rows on distributions over presses
 
 
 def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple[Interval, ...]]:
@@ -36,7 +36,7 @@ def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple
     values = study.values(metric)
     values = values[np.isfinite(values)]
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    # Variance of a variance: (fourth moment - squared variance) / n, for any distribution.
+    # The variance of a variance is (fourth moment - squared variance) / n, for any distribution.
     fourth = float(((values - mean) ** 4).mean())
     error = math.sqrt(max(fourth - deviation**4, 0.0) / values.size) / (2 * deviation)
     numbers = likely(mean, deviation / math.sqrt(values.size)), likely(deviation, error)
@@ -85,7 +85,7 @@ def _truth(study: PressStudy, column: str, unit: str) -> str:
 _CHANCE = "the presses of this study are few"
 
 
-# Contact areas
+# Rows on contact areas
 
 
 def _area(study: PressStudy, metric: str) -> Obtained:
@@ -156,7 +156,7 @@ def _trends(study: PressStudy) -> Obtained:
     )
 
 
-# Tests
+# Rows on hypothesis tests
 
 
 def _p(value: float | None) -> str:
@@ -247,7 +247,7 @@ def _angle_at(study: PressStudy, place: int) -> Obtained:
     )
 
 
-# Strain and energy
+# Rows on strain and energy
 
 
 def _strain_curve(study: PressStudy) -> Obtained:
@@ -353,7 +353,7 @@ def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
     return Obtained(_anova_text(test), agrees=False, because=because)
 
 
-# Ideal observer
+# Rows on the ideal observer
 
 
 def _normalisation(study: PressStudy) -> Obtained:

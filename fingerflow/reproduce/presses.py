@@ -35,11 +35,11 @@ from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
-_TRUTHS = 8  # trials whose deformation is compared with the truth
-_SLOPE_S = 0.12  # over which rates of the chain are fitted
-_LEAST_N = 3.0  # of presses that figures show
-_PEAKS = 200  # trials whose rates are followed in time
-_BIN_N, _FEWEST_PRESSES = 0.5, 3  # forces of mean rates, and presses that one needs
+_TRUTHS = 8  # number of trials whose deformation is compared with the truth
+_SLOPE_S = 0.12  # s, window over which rates of the chain are fitted
+_LEAST_N = 3.0  # N, least peak force of presses that figures show
+_PEAKS = 200  # largest number of trials whose rates are followed in time
+_BIN_N, _FEWEST_PRESSES = 0.5, 3  # N, width of the force bins for mean rates; least number of presses in a bin
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(participants=16, trials=2)
@@ -273,7 +273,7 @@ def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True)
     known = recordings / "truth.json"
     if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(design))):
         raise FingerflowError(f"{known} is of another design: name another folder, or remove {folder}")
-    if not (recordings / "study.toml").exists():  # written once all recordings are
+    if not (recordings / "study.toml").exists():  # the study file is written after all recordings
         write_recordings(recordings, design)
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)

@@ -10,7 +10,7 @@ Source = TypeVar("Source")
 
 AGREES, DIFFERS, NOT_HAD, NOT_PRINTED = "agrees", "differs", "not to be had", "not printed"
 UNEXPLAINED = "not explained"
-_TWO_SIDED = 1.96  # standard deviations of an interval of 95 %
+_TWO_SIDED = 1.96  # half width of a 95 % interval in standard deviations
 
 
 @dataclass(frozen=True)

@@ -21,18 +21,20 @@ from fingerflow.study.trial_files import read_row
 from fingerflow.synthetic import Camera, LinearSlip, RidgeTexture, rebuild_scene, write_recording
 
 ABRUPT, FADING, UNSTEADY = "abrupt", "fading", "unsteady"
-#: Verdict that each set should have.
+#: Verdict that each set of slides should get.
 EXPECTED: dict[str, Outcome] = {ABRUPT: "vanishes abruptly", FADING: "diminishes", UNSTEADY: "inconclusive"}
 
-# d^2 at which the collapse begins, and its duration (s): printed ranges and durations; pairs are not printed.
+# Pairs of the d^2 at which the collapse begins and its duration (s). The ranges and durations are printed; their
+# pairing is not.
 _COLLAPSES = ((0.34, 0.13), (0.26, 0.15), (0.17, 0.28), (0.10, 0.31))
-_FADE_S = 0.02  # of areas that have faded: the time between the largest load and the slide
-_SWINGS = {ABRUPT: 0.01, FADING: 0.01, UNSTEADY: 0.2}  # of the tangential force; with more than 5 % it is unsteady
-# Exponent of fading areas. The printed rule saw less than 0.05 of them 5 % below the largest load: they lie below the
-# straight line, which has just this.
+_FADE_S = 0.02  # s, duration over which a faded area vanishes: the time between the largest load and the slide
+# Relative swing of the tangential force; with more than 5 % the force is unsteady.
+_SWINGS = {ABRUPT: 0.01, FADING: 0.01, UNSTEADY: 0.2}
+# Exponent of the decay of fading areas. The paper saw less than 0.05 of the area at 5 % below the largest load. A
+# straight line has exactly this, so these areas lie below it.
 _BEND = 1.3
 _RATE_HZ, _SECONDS = 60.0, 2.4
-_PIXEL_MM = 0.04  # the paper's pixel
+_PIXEL_MM = 0.04  # mm, pixel size of the paper
 
 
 @dataclass(frozen=True)

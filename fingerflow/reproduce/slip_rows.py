@@ -21,8 +21,8 @@ from fingerflow.reproduce.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, S
 
 Values = NDArray[np.float64]
 _OUTCOMES = tuple(EXPECTED.values())
-_EXACT = 1e-6  # relative error of quadratures and roots
-_STATIC, _KINETIC = 0.8, 0.4  # coefficients at which equations are checked; any with mu_k < mu_s will do
+_EXACT = 1e-6  # largest relative error of quadratures and roots
+_STATIC, _KINETIC = 0.8, 0.4  # friction coefficients at which equations are checked; any pair with mu_k < mu_s would do
 
 
 def _trials(slides: Slides) -> Obtained:
@@ -160,7 +160,7 @@ def _force_rate(slides: Slides) -> Obtained:
     )
 
 
-# The model, in units in which the contact is a disc of radius 1 and N is 1.
+# Rows on the model, in units in which the contact is a disc of radius 1 and N is 1.
 
 
 def _pressure(radius: Values | float) -> Values:
@@ -287,7 +287,7 @@ def _shape(slides: Slides) -> Obtained:
         known = np.isfinite(area) & np.isfinite(load) & (area < 0.95)
         line = np.polynomial.Polynomial.fit(load[known], area[known], 1)
         straight.append(float(np.sqrt(np.mean((area[known] - line(load[known])) ** 2))))
-        # Equation 5 with the measured critical area and load: one curve, as its two coefficients follow from them.
+        # Evaluate equation 5 at the measured critical area and load, which determine its two coefficients.
         ratio = friction_ratio(min(max(verdict.critical_area, 0.0), 0.5))
         static = verdict.loss_load_ratio * (2 - float(ratio))
         curve = stuck_area_at(np.minimum(load[known], verdict.loss_load_ratio), static, ratio * static).nan_to_num(0.0)
@@ -305,7 +305,7 @@ def _ends(values: list[float], digits: int = 2) -> str:
 
 
 _DURATIONS = rounded(130, 150, 280, 310, digit=10)
-_SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # truncated, not rounded
+_SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # the printed percentages are truncated, not rounded
 
 ROWS: tuple[Row[Slides], ...] = (
     Row("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),

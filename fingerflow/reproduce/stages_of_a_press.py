@@ -18,9 +18,9 @@ from fingerflow.report.supplement import SheetPanel
 from fingerflow.schema.scene import Scene
 
 Picture = NDArray[np.float32]
-_PRINTED_RADIUS = 5  # px of the median filter in figure S3 A
-_MAGNIFIED = 10  # displacements of drawn tracks
-_BLUR_PX = 21  # side of the local mean that is taken off for the enhanced picture
+_PRINTED_RADIUS = 5  # px, radius of the median filter in figure S3 A
+_MAGNIFIED = 10  # magnification of displacements in the drawn tracks
+_BLUR_PX = 21  # px, side of the local mean that is subtracted for the enhanced image
 
 
 def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPanel]:

@@ -11,10 +11,10 @@ from fingerflow.report.tribometer import TribometerTrace, read_tribometer
 from fingerflow.results.atomic_write import write_atomically
 
 Values = NDArray[np.float64]
-MODULATION_HZ, FORCE_N = 4.0, 0.5  # as printed
+MODULATION_HZ, FORCE_N = 4.0, 0.5  # printed frequency of the modulation and printed normal force
 _RATE_HZ, _STROKES, _STROKE_S = 1000, 6, 2.0
-_SPEED, _REACH = 0.05, 0.1  # m/s, m
-_NOISE_N = 1e-3  # of a sample
+_SPEED, _REACH = 0.05, 0.1  # m/s and m, speed and length of a stroke
+_NOISE_N = 1e-3  # N, standard deviation of a sample
 
 
 def write_trace(path: Path, friction: Callable[[Values], Values], largest_um: float) -> TribometerTrace:

@@ -8,9 +8,10 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.unfinished import finish, remove, unfinished
 
-MARK = "written by fingerflow"  # identifies files without structure of their own: pages, pictures, videos
+MARK = "written by fingerflow"  # text that identifies files without structure of their own: pages, images, videos
 
-_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # recordings stored in two files
+# Suffixes of the second file of recordings in two files.
+_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}
 _END_BYTES = 1 << 20
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 

@@ -8,9 +8,10 @@ import numpy as np
 from fingerflow.results.store import Store
 from fingerflow.schema.variable_record import Variable
 
-# Later stages weight points by it: its values stay, and its definition says that they are too small.
+# Name of the only standard deviation that is kept, since later stages weight points by it; its definition then says
+# that it is too small.
 _OF_POSITIONS = "position_std_px"
-_AT_ONCE = 64  # frames
+_AT_ONCE = 64  # number of frames overwritten at a time
 
 
 def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:

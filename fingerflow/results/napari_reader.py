@@ -19,8 +19,8 @@ from fingerflow.schema.scene import Scene, scene_of_settings
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.schema.views import View
 
-Layer = tuple[Any, dict[str, Any], str]  # data, settings and kind, as napari's `Viewer.add_layer` takes them
-_COLOURED = 0.98  # quantile of the absolute values at the end of the colours
+Layer = tuple[Any, dict[str, Any], str]  # data, settings and kind of a layer, as napari's `Viewer.add_layer` takes them
+_COLOURED = 0.98  # quantile of the absolute values that limits the colour scale
 
 
 def get_reader(path: str | list[str]) -> Callable[[str], list[Layer]] | None:
@@ -52,7 +52,7 @@ def layers_of_result(path: str) -> list[Layer]:
     """
     result = load_result(Path(path))
     layers: list[Layer] = []
-    with suppress(FingerflowError):  # the recording, or a file of the scene, is gone
+    with suppress(FingerflowError):  # the recording, or a file of the scene, may be missing
         layers += _views(result, scene_of_settings(result.attrs["settings"]))
     if "position_px" not in result:
         return layers
@@ -83,7 +83,8 @@ def _views(result: xr.Dataset, scene: Scene) -> list[Layer]:
         data, settings, kind = _image(frames, contact, "contact view")
         to_contact = np.vstack((json.loads(result.attrs["topography_to_contact"]), (0, 0, 1)))
         affine = np.eye(4)
-        affine[1:, 1:] = np.linalg.inv(to_contact)[np.ix_((1, 0, 2), (1, 0, 2))]  # (y, x) for (x, y)
+        # Axes in napari's order (y, x) instead of (x, y).
+        affine[1:, 1:] = np.linalg.inv(to_contact)[np.ix_((1, 0, 2), (1, 0, 2))]
         layers.append((data, {**settings, "affine": affine, "visible": topography is None}, kind))
     if topography is not None:
         layers.append(_image(frames, topography, "topography view"))

@@ -13,9 +13,9 @@ from typing import NamedTuple
 log = logging.getLogger(__name__)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_PATIENCE = 30.0  # s that a disk may be full
-_AGAIN = 1.0  # s between two attempts
-_MOST = 256 << 20  # bytes buffered meanwhile: half a minute of 700 points at 300 frames/s
+_PATIENCE = 30.0  # s for which a full disk is tolerated
+_AGAIN = 1.0  # s between two attempts to write
+_MOST = 256 << 20  # bytes buffered while the disk is full: half a minute of 700 points at 300 frames/s
 
 
 class Refusal(NamedTuple):
@@ -46,7 +46,7 @@ class PatientFile:
         self._file = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
         self._kept = bytearray()
         self._most = 0
-        self._since: float | None = None  # when the disk was found full
+        self._since: float | None = None  # s, time when the disk was found full
         self._tried = 0.0
         self._lock = threading.Lock()
 
@@ -84,7 +84,7 @@ class PatientFile:
                     self._raise_or_wait(error)
                     if not must_wait:
                         return None
-            time.sleep(_AGAIN)  # without the lock: other threads go on writing
+            time.sleep(_AGAIN)  # without holding the lock, so that other threads can write
 
     def sync(self) -> None:
         """Wait until the disk holds all data written to the file."""

@@ -21,7 +21,7 @@ _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
     *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
 }
-MARK = "fingerflow_version"  # attribute that identifies a result
+MARK = "fingerflow_version"  # attribute that identifies a result file
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
@@ -62,6 +62,8 @@ def open_result(path: Path) -> xr.Dataset:
     """
     if path.suffix == ".zarr":
         return open_own(path)
+    if not path.exists():
+        raise FingerflowError(f"{path}: there is no such result; `fingerflow process` of a scene file writes it")
     check_file(path)
     check_in_child_process(path, "hdf5")
     return open_own(path)

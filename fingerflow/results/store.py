@@ -16,16 +16,16 @@ from fingerflow.schema.variable_record import LABELS, Variable
 from fingerflow.schema.variables import TIME
 
 _GROWING = ("point",)  # dimensions that may grow after a variable is created
-_CHUNK_BYTES = 1 << 20  # chunk cache of HDF5 for one variable
-# Factor by which a frame of a growing variable may grow: three times the points, in chunks that are not full
-# (`pipeline.stages.tracking.tracking_stage`). A row of chunks larger than the cache would be written and read again
-# with every batch.
+_CHUNK_BYTES = 1 << 20  # bytes, chunk cache of HDF5 for one variable
+# Largest factor by which a frame of a growing variable may grow: three times the points, in chunks that are not full
+# (`pipeline.stages.tracking.tracking_stage`). If a row of chunks were larger than the cache, it would be written and
+# read again with every batch.
 _MOST_GROWTH = 4
-_CHUNK_FRAMES = 64  # frames of a chunk: as many as stages read at a time; HDF5 caches smaller batches
-# Bytes of a frame below which chunks are not worth their overhead. Only integers are compressed: most bits of positions
-# and strains are noise, and gzip takes longer than all kernels to halve them.
+_CHUNK_FRAMES = 64  # number of frames in a chunk: as many as stages read at a time; HDF5 caches smaller batches
+# Least bytes of a frame for storage in chunks, which have an overhead. Only integers are compressed: most bits of
+# positions and strains are noise, and gzip takes longer than all kernels to halve their size.
 _FEWEST_BYTES = 256
-_CHUNK_GROWING = 256  # chunk length along a growing dimension: a few more points do not double the file
+_CHUNK_GROWING = 256  # chunk length along a growing dimension, so that a few more points do not double the file
 
 
 class Values(Protocol):
@@ -222,8 +222,8 @@ class FileStore(Store):
             if dim in self._datasets:
                 scales[dim], said = self._datasets[dim], dim
             else:
-                # Fixed size, as nothing grows any more: for an unlimited dimension h5netcdf queries all its variables
-                # repeatedly, which takes longer than the rest of opening the file.
+                # Give the dimension a fixed size, as nothing grows any more. For an unlimited dimension h5netcdf
+                # queries all its variables repeatedly, which takes longer than the rest of opening the file.
                 scales[dim] = self._file.create_dataset(dim, (size,), ">f4", track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
             scales[dim].make_scale(said)
@@ -269,7 +269,7 @@ class _Stored:
         given = np.broadcast_to(np.asarray(values, self._variable.dtype), shape)
         check_write(self._path, given.nbytes)
         if given.size:
-            # HDF5's own call: h5py's indexing takes three times as long for the few frames of a batch.
+            # Call HDF5 directly: h5py's indexing takes three times as long for the few frames of a batch.
             part = self._variable.id.get_space()
             part.select_hyperslab((frames.start, *(0,) * (len(shape) - 1)), shape)
             self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))

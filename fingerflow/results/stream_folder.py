@@ -26,7 +26,7 @@ from fingerflow.schema.variables import FRAME, shown_unit
 Array = NDArray[Any]
 RESULTS_FORMAT = 2
 log = logging.getLogger("fingerflow.results")
-_AT_ONCE = 1 << 13  # bytes of records written together, at most lost when the process is killed
+_AT_ONCE = 1 << 13  # bytes of records written together, which are lost at most if the process is killed
 
 
 class StreamResults(NamedTuple):
@@ -170,7 +170,7 @@ class Sink:
                     part.rename(self.folder)
                     return
                 except OSError:
-                    if not self.folder.exists():  # otherwise another stream has just created it
+                    if not self.folder.exists():  # if the folder exists, another stream has just created it
                         raise
                 finally:
                     remove(part)

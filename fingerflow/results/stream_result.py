@@ -17,7 +17,7 @@ from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TI
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 _WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that depend on the gauge length
-_TRACKED = 0  # flag of `status`
+_TRACKED = 0  # value of `status` for a tracked point
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
@@ -66,7 +66,7 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
     for name in records.dtype.names or ():
         variable = _VARIABLES.get(name)
         if variable is not None:
-            # The records have room for more points than were found.
+            # Cut to the largest number of points found, as the records have space for more.
             found[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
     if "position_px" in found:
         matrix = np.array(header["topography_to_contact"])
@@ -83,7 +83,8 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
             found["forward_backward_median"] = _medians(np.where(tracked, found["forward_backward_error"], np.nan))
     for name, one in _VARIABLES.items():
         if one.formula is not None and name not in found and found.keys() >= set(one.of):
-            with np.errstate(divide="ignore", invalid="ignore"):  # a quotient by nothing is NaN or infinite
+            # A quotient with the divisor 0 is NaN or infinite, without a warning.
+            with np.errstate(divide="ignore", invalid="ignore"):
                 found[name] = one.formula(*(found[other] for other in one.of))
     return found
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 Pixels = tuple[int, int]
-DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")  # scalar entries of a disc
+# Names of the scalar entries of a disc.
+DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")
 DISC_PAIRS = ("center", "semi_axes_px")
 _REMEDY = "Write it anew with `fingerflow calibrate`"
 

@@ -2,15 +2,15 @@
 
 import struct
 
-MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
-MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
-# Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes). Codecs of pictures
-# stay below it.
+MOST_NPY_HEADER = 1 << 16  # bytes, largest header of a NumPy file; NumPy itself reads no more than 10,000
+MOST_PIXELS = 1 << 28  # 16384 x 16384 pixels; the largest cameras have 250 million
+# Largest number of bytes to which one compressed byte can expand: the limit of deflate (zlib's technical notes). Image
+# codecs stay below it.
 MOST_COMPRESSED = 1032
-_ALWAYS = 1 << 20  # pixels
+_ALWAYS = 1 << 20  # pixels that a file of any size may have
 _PNG = b"\x89PNG\r\n\x1a\n"
-_NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG: markers without a length
-_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
+_NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG markers without a length
+_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG markers of a frame header, which holds the image size
 
 
 def impossible_picture(data: bytes | memoryview) -> str:
@@ -57,7 +57,7 @@ def _jpeg_size(data: bytes | memoryview) -> tuple[int, int] | None:
         if data[at] != 0xFF:
             return None
         marker = data[at + 1]
-        if marker == 0xFF:  # fill byte
+        if marker == 0xFF:  # skip a fill byte
             at += 1
         elif marker in _SIZES:
             height, width = struct.unpack_from(">HH", data, at + 5)

@@ -10,7 +10,7 @@ def json_value(value: Any) -> Any:
     """Convert a value, data class or NumPy array to JSON types, with None in place of NaN and infinity."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
-    if hasattr(value, "tolist"):  # of NumPy
+    if hasattr(value, "tolist"):  # arrays and scalars of NumPy have this method
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(name): json_value(one) for name, one in value.items()}

@@ -324,8 +324,8 @@ def scene_of_settings(settings: str) -> Scene:
     path = Path(said.pop("path"))
     kind = said.setdefault("kind", default_kind(said))
     shown = (*KINDS[kind].views, *KINDS[kind].optional_views) if kind in KINDS else ()
-    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # files omit roles
-    said["calibration"].pop("file", None)  # the settings hold its values as well
+    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # scene files hold no roles
+    said["calibration"].pop("file", None)  # the other settings already hold the values of this file
     checked, problems = check_scene(_without_none(said), path.parent, "process")
     if problems:
         lines = [f"settings of the result: {'.'.join(one.keys)} {one.said}" for one in problems]

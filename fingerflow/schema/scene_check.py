@@ -83,7 +83,7 @@ class _Check:
         self._written, self._folder, self._reader = written, folder, reader
         self._said: dict[Keys, str] = {}
         self._missing: set[Keys] = set()
-        self._meant: set[Keys] = set()  # likely intended keys of misspelt ones; these are not reported missing
+        self._meant: set[Keys] = set()  # likely intended keys of misspelt ones, which are not reported missing
         self._calibration: CalibrationFile | None = None
         self.kind = ""
         self.values: dict[str, Any] = {}
@@ -156,6 +156,8 @@ class _Check:
     def _path(self, file: File, value: Any) -> Path:
         if not isinstance(value, str):
             raise WrongValue("that is no path of a file; it should be in quotes, relative to the scene file")
+        if not value.isprintable():
+            raise WrongValue(r"that is no path: it has control characters, which TOML makes of \ and a letter; write /")
         try:
             path = (self._folder / value).resolve()
             there = Path(str(path).split("::")[0]).exists()
@@ -179,7 +181,7 @@ class _Check:
         hint = f"did you mean {close[0]!r}? " if close else ""
         self._refuse(keys, f"is not a key; {hint}known here: {', '.join(known)}")
 
-    # The rules.
+    # Checks of the rules.
 
     def _rule(self, rule: Rule) -> None:
         match rule:
@@ -246,7 +248,8 @@ class _Check:
             return
         others = [one.rpartition(".")[2] for one in (rule.needed, rule.transform) if one in self.given]
         if others:
-            self._said.pop(tuple(rule.key.split(".")), None)  # replaces other problems of it: the user may remove it
+            # The conflict replaces other problems of this key, as the user may remove it.
+            self._said.pop(tuple(rule.key.split(".")), None)
             self._record_conflict(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
             return
         found, table = self._calibration, SCENE[place]
@@ -275,7 +278,7 @@ class _Check:
         """
         place, _, name = rule.key.rpartition(".")
         table, around = self._value_at(rule.key), self._value_at(place)
-        if not table or place not in self.given:  # a role shares the region of its view
+        if not table or place not in self.given:  # a role has the region of its view
             return
         given = [key for key in table if f"{rule.key}.{key}" in self.given]
         wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
@@ -293,7 +296,7 @@ class _Check:
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
-        # Without another view to map, the scale is enough: it holds for any part of the frame.
+        # Without a second view to map, the scale suffices: it holds for any part of the frame.
         if from_view == into_view and rule.transform not in self.given:
             return
         name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))

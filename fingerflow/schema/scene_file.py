@@ -26,7 +26,10 @@ def read_scene(path: Path, reader: Reader) -> Checked:
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one") from None
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8") from None
+        raise SceneError(
+            f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8, or name a scene "
+            "file, which `fingerflow init` writes, if this is a recording"
+        ) from None
     return parse_scene(text, path, reader)
 
 
@@ -35,7 +38,7 @@ def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
     try:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SceneError(f"{path}: is not valid TOML: {error}; correct it there") from None
+        raise SceneError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None
     found, problems = check_scene(written, path.parent, reader)
     if problems:
         lines = [f"{path}, line {_line(text, one.keys)}: {'.'.join(one.keys)} {one.said}" for one in problems]
@@ -63,3 +66,18 @@ def _line(text: str, keys: Keys) -> int:
 
 def _parts(dotted: str) -> Keys:
     return tuple(part.strip().strip("\"'") for part in dotted.split("."))
+
+
+#: Patterns of a line that is not valid TOML, and what to do.
+_SLIPS = {
+    r"^[^\[#]*=\s*-?\d+,\d+\s*(#|$)": "write a decimal point in place of the comma",
+    r"\\": "write / in place of \\ in a path",
+    r"^[^\"#]*=\s*\"[^\"]*$": "a quotation mark is missing",
+}
+
+
+def toml_remedy(text: str, error: Exception) -> str:
+    """Return what to do about the line that a parser of TOML refuses, if it shows one of the frequent slips."""
+    place = re.search(r"at line (\d+)", str(error))
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    return next((remedy for slip, remedy in _SLIPS.items() if re.search(slip, line)), "correct it there")

@@ -176,7 +176,7 @@ class SceneTable:
     sample: Any = None
 
 
-_UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # that the name of a key ends with
+_UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # units by the endings of key names
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
@@ -196,7 +196,7 @@ RECTANGLE: dict[str, SceneKey | SceneTable] = {
     "rows": SceneKey(PixelRange(), "rows of the frame that it covers, [first, last + 1)", needed_by=BOTH, unit="px"),
     "columns": SceneKey(PixelRange(), "columns of the frame that it covers", needed_by=BOTH, unit="px"),
 }
-#: Region of a view by exactly one of these keys, in px of the view with integers at pixel centres.
+#: A region of a view is given by exactly one of these keys, in px of the view; integers are pixel centres.
 REGION = SceneTable(
     {
         "polygon": SceneKey(CornersType(), "corners [[x, y], ...]", unit="px"),
@@ -242,7 +242,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "file": SceneKey(File(calibration=True), "from `fingerflow calibrate`; in place of the other keys",
                 sample="calibration.toml"),
             "mm_per_px": SceneKey(NumberType(above=0, most=1), "of the contact view", unit="mm/px", sample=0.02),
-            # Used only if there is a topography view.
+            # This key is used only if there is a topography view.
             "topography_to_contact": SceneKey(TransformType(), "affine map of px, topography view to contact view",
                 default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
         },
@@ -389,7 +389,7 @@ def views_of(kind: Kind) -> SceneTable:
     return SceneTable(tables, "rectangles of the frame", BOTH)
 
 
-#: Former names of keys, by their dotted paths, and what they are called now.
+#: New names of renamed keys, by their old dotted paths.
 RENAMED = {"stream.rekey_share": "update_share", "stream.rekey_frames": "update_frames"}
 
 
@@ -400,7 +400,7 @@ def optional(table: SceneKey | SceneTable) -> SceneTable:
     return replace(table, keys=keys, needed_by=NOBODY)
 
 
-# Rules between keys, named by their dotted paths. An error is reported for the first key of a rule.
+# Rules between keys, which are named by their dotted paths. An error is reported for the first key of a rule.
 
 
 @dataclass(frozen=True)

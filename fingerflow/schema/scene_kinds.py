@@ -40,13 +40,14 @@ class Kind:
 KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
     "slip": Kind(views=("contact",), optional_views=("topography",)),
-    # One camera, one light: skin is tracked in the image that shows the contact.
+    # One camera and one light: skin is tracked in the image that shows the contact.
     "single_view": Kind(views=("camera",), roles={"contact": "camera", "topography": "camera"}, without=("slip",)),
-    # A gel with printed markers seen from inside: its own frames show the gel at rest.
+    # A gel with printed markers, seen from inside: frames of the recording itself show the gel at rest.
     "soft_sensor": Kind(
         views=("camera",),
         roles={"contact": "camera", "topography": "camera"},
-        without=("slip", "frame_check"),  # at 25 Hz an arriving object looks like a jump, a gel at rest like repeats
+        # At 25 Hz an arriving object looks like a jump and a gel at rest like repeated frames.
+        without=("slip", "frame_check"),
         instead=("marker_contact", "marker_tracking", "marker_displacement"),
         optional=("background",),
         regions=False,

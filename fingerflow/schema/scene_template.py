@@ -17,8 +17,9 @@ _HEAD = (
     "# Scene of fingerflow: a recording, and the settings with which it is processed. Paths are relative to this "
     "file.\n"
 )
-_ALWAYS = ("recording", "background", "calibration", "contact", "tracking", "fields")  # tables that are not optional
-_OF_FORCES = ("normal", "tangential", "trigger", "trigger_level")  # written with the file
+_ALWAYS = ("recording", "background", "calibration", "contact", "tracking", "fields")  # tables that are always written
+# Keys of the table of forces, written if a force file is given.
+_OF_FORCES = ("normal", "tangential", "trigger", "trigger_level")
 
 
 def scene_text(

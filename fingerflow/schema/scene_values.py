@@ -75,7 +75,7 @@ def either(words: Iterable[str]) -> str:
 
 def _whole(kind: Whole, value: Any) -> int:
     if type(value) is not int:
-        raise WrongValue("it should be a valid integer")
+        raise WrongValue(f"it should be a valid integer{_without_quotes(value)}")
     _within(kind, value)
     if kind.odd and value % 2 == 0:
         raise WrongValue(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
@@ -84,7 +84,7 @@ def _whole(kind: Whole, value: Any) -> int:
 
 def _number(kind: NumberType, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongValue("it should be a valid number")
+        raise WrongValue(f"it should be a valid number{_without_quotes(value)}")
     try:
         number = float(value)
     except OverflowError:
@@ -93,6 +93,13 @@ def _number(kind: NumberType, value: Any) -> float:
         raise WrongValue("it should be a finite number")
     _within(kind, number)
     return number
+
+
+def _without_quotes(value: Any) -> str:
+    """Return a remedy for a number that was written as text."""
+    return (
+        ", without quotes" if isinstance(value, str) and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value) else ""
+    )
 
 
 def _within(kind: NumberType, value: float) -> None:

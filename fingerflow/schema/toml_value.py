@@ -7,7 +7,7 @@ from typing import Any
 
 def toml_value(value: Any) -> str:
     """Format a string, number, boolean, list or table as a TOML value on one line."""
-    if isinstance(value, str):  # a TOML basic string is a JSON string in which U+007F is escaped too
+    if isinstance(value, str):  # a JSON string is a TOML basic string, except that TOML also escapes U+007F
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
     if isinstance(value, bool):
         return "true" if value else "false"

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fingerflow.schema.variable_record import MICROMETRE, Variable
 from fingerflow.schema.variables import VARIABLES
 
-#: Moments of a trial and their definitions.
+#: Moments of a trial, with their definitions in `MOMENTS`.
 FORCES_N = (1.0, 2.0, 3.0)
 AT_ONSET, AT_MAX = "at_onset", "at_max"
 MOMENTS = {
@@ -80,7 +80,7 @@ _OF_TRIAL = (
              "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
              "chance"),
 )  # fmt: skip
-#: Added when the table is written: each area over the median of its participant.
+#: Areas that are also given relative to their median over the participant's trials, when the table is written.
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
@@ -101,7 +101,7 @@ def _at_moments(one: AtMoments) -> Iterator[Variable]:
             yield column(f"{one.name}_{moment}_std", f"standard deviation of {one.name}_{moment}")
 
 
-#: Numeric columns of a trial.
+#: Numeric columns of the table of trials.
 NUMBERS: dict[str, Variable] = {
     one.name: one
     for one in (
@@ -113,7 +113,7 @@ NUMBERS: dict[str, Variable] = {
         ),
     )
 }
-#: Added when the table is written, of trials that name the reference they were compared with.
+#: Differences from the reference trial, added when the table is written, for trials that name one.
 DIFFERENCE = "_difference"
 DIFFERENCES: dict[str, Variable] = {
     f"{one}{DIFFERENCE}": replace(
@@ -121,7 +121,7 @@ DIFFERENCES: dict[str, Variable] = {
     )
     for one in (*(one.name for one in _OF_TRIAL), *(one.name for one in AT_MOMENTS))
 }
-#: Other columns of a trial.
+#: Columns of the table of trials that are not numeric.
 FACTS: dict[str, Variable] = {
     name: Variable(name, _TRIAL, "1", said)
     for name, said in {

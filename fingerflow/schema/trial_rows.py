@@ -7,7 +7,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.spreadsheet_cell import plain_cell
 
 ANSWERS = {"1": True, "true": True, "0": False, "false": False}
-NOTHING = ("", "nan", "na")  # a cell without a value
+NOTHING = ("", "nan", "na")  # contents of a cell without a value
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

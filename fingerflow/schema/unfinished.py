@@ -40,7 +40,7 @@ def finish(part: Path, path: Path) -> None:
             with one.open("r+b") as file:
                 os.fsync(file.fileno())
     part.replace(path)
-    with contextlib.suppress(OSError):  # Windows opens no folders, and some network disks sync none
+    with contextlib.suppress(OSError):  # Windows cannot open folders, and some network disks cannot sync
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)

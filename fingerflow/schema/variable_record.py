@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-#: Coordinate labels of dimensions.
+#: Labels along dimensions.
 LABELS = {
     "xy": ("x", "y"),
     "axis": ("major", "minor"),
@@ -16,7 +16,7 @@ LABELS = {
 }
 
 
-#: Environment variable that, if "1", shows in % what is otherwise shown in µm/mm. The button of the page sets it.
+#: Environment variable; "1" shows values in % that are otherwise shown in µm/mm. The button of the page sets it.
 IN_PERCENT = "FINGERFLOW_PERCENT"
 
 

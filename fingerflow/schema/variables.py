@@ -21,7 +21,7 @@ from fingerflow.schema.variable_record import (
     Variable,
 )
 
-#: Symbols of the equations.
+#: Symbols used in the equations.
 SYMBOLS = """\
 I is a pixel of a frame, I₀ of the empty glass, D without light; s mm per pixel of the contact view; x the position of a
 point on the glass, X its reference position, u = x − X = (u, v) its displacement; u_x = ∂u/∂X and so on, from planes
@@ -68,10 +68,10 @@ def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
-#: Status of a frame; only usable frames have results.
+#: Names of the frame status values; only usable frames have results.
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
-DARK_SHARE = 0.1  # of the light of the empty glass; a frame below is dark, while a contact leaves half of it
-SATURATED_SHARE = 0.5  # of the blocks at the highest grey level; a frame above is saturated
+DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
+SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
 
 # fmt: off
 FRAME_CHECK = (
@@ -153,7 +153,7 @@ CONTACT = (
     ),
 )
 
-#: Real contact area by figure S3 A of Willemet et al. (2021).
+#: Real contact area computed as in figure S3 A of Willemet et al. (2021).
 PRINTED_CONTACT = (
     Variable(
         "printed_contact_threshold", FRAME, "1",
@@ -170,7 +170,7 @@ PRINTED_CONTACT = (
     ),
 )
 
-#: Names of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
+#: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
     "tracked",
     "not_finite",
@@ -243,7 +243,7 @@ TRACKING = (
 )
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
-#: Reference instant of displacement. The attribute ``reference`` of a variable states it for this result.
+#: Reference instant of displacement in words. The attribute ``reference`` of a variable states it for its result.
 SINCE = "of points in contact since fields.reference, by default since each touched"
 DISPLACEMENT = (
     Variable(
@@ -520,7 +520,7 @@ SENSOR_SLIP = (
     ),
 )
 
-#: Variables of streams alone: the state of the stream, and fields that its graphs compute differently.
+#: Variables of streams only: the state of the stream, and fields that its graphs compute differently.
 STREAM = (
     Variable(
         "latency", FRAME, "s", "from the arrival of the frame to its result", "f4", equation="t(result) − t(frame)",
@@ -566,7 +566,7 @@ def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
     return {variable.name: variable for group in groups for variable in group}
 
 
-#: Every variable of results and streams by its name.
+#: All variables of results and streams by name.
 VARIABLES: dict[str, Variable] = by_name(
     (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, SENSOR_SLIP,
     STREAM,

@@ -3,8 +3,8 @@
 import ctypes
 import platform
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of mallopt, <malloc.h> of the GNU C library
-_LARGEST_FROM_HEAP = 32 << 20  # bytes, largest threshold that mallopt accepts
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # parameters of mallopt, from <malloc.h> of the GNU C library
+_LARGEST_FROM_HEAP = 32 << 20  # bytes, largest MMAP_THRESHOLD that mallopt accepts
 _KEPT = 256 << 20  # bytes of free memory kept at the end of a heap
 
 

@@ -19,10 +19,10 @@ from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
 
 _PARTS = ("result", "row")
-_ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that decide what is in a row
+_ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that determine the content of a row
 _IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
-_WHOLE_BYTES = 16 << 20  # size up to which a file is digested as a whole
-_SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger file, evenly spaced
+_WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
+_SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     values = dict(flattened(settings))
     named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
     inputs = {name: describe_file(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
-    # Files count by their content, not by their names.
+    # Identify files by their content, not by their names.
     values |= {name: [one.size, one.digest] for name, one in inputs.items()}
     result = digest_of(values, code_of("result"))
     return Keys(result, digest_of(result, code_of("row")), inputs)

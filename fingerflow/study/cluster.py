@@ -15,10 +15,10 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 
-_IN_FLIGHT = 3  # tasks per worker: one that runs, the others queued
-_RENEWED_AFTER = 200  # tasks per worker, after which all workers are replaced: leaked memory is then released
+_IN_FLIGHT = 3  # tasks per worker submitted at a time: one runs, the others are queued
+_RENEWED_AFTER = 200  # tasks per worker after which all workers are replaced, which releases leaked memory
 _ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
-_CONNECT = "20s"  # to reach a scheduler
+_CONNECT = "20s"  # time limit for reaching a scheduler
 _LOOK = 5.0  # s between two counts of the workers
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
@@ -62,7 +62,7 @@ def run_on_workers(
         Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
     """
     many = workers_for(count, workers)
-    # A local cluster is replaced after so many tasks, when none is in flight; other clusters follow their own rules.
+    # A local cluster is replaced after so many tasks, when none is running; other clusters follow their own rules.
     each_round = _RENEWED_AFTER * many if scheduler is None else None
     waiting = iter(tasks)
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
@@ -97,7 +97,7 @@ def _run_tasks(
     names: dict[str, str] = {}
 
     def submit(name: str, task: Task) -> Any:
-        # One group name for all tasks: a scheduler never discards the statistics of a group.
+        # Give all tasks one group name, since a scheduler never discards the statistics of a group.
         future = client.submit(function, task, key=f"trial-{os.getpid()}-{name}", pure=False)
         names[future.key] = name
         return future
@@ -120,7 +120,7 @@ def _run_tasks(
     except (Interrupted, FingerflowError):
         raise
     except Exception as error:
-        # After the loss of the scheduler a client raises different errors, depending on its current operation.
+        # After the scheduler is lost a client raises different errors, depending on its current operation.
         if isinstance(error, (OSError, TimeoutError)) or client.status != "running":
             raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
         raise
@@ -155,7 +155,7 @@ class _Workers:
             try:
                 self._threads = sum(self._client.nthreads().values())
                 place = self._client.scheduler.address
-            except Exception:  # the scheduler is lost, which is reported elsewhere
+            except Exception:  # the loss of the scheduler is reported elsewhere
                 return
             if not self._threads and not said:
                 tqdm.write(
@@ -183,17 +183,18 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     # OpenMP threads spin between operations by default: two of them on a busy machine take four times the processor
     # time and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
-    # Client and workers monitor themselves up to 50 times a second: 9 % of a core with two workers, here below 2 %.
+    # Client and workers monitor themselves up to 50 times a second, which takes 9 % of a core with two workers; with
+    # these intervals it takes less than 2 %.
     environment |= {
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.tick.cycle": "2s",
         "distributed.admin.system-monitor.interval": "5s",
         "distributed.worker.memory.monitor-interval": "500ms",
     }
-    if scheduler is None and sys.platform == "linux":  # on other systems a process that has loaded torch may not fork
+    if scheduler is None and sys.platform == "linux":  # elsewhere a process that has loaded torch may not fork
         environment["distributed.worker.multiprocessing-method"] = "forkserver"
-    # A worker's profiler keeps a call tree for every second of the last hour: 0.4 MB per small recording.
-    # Logs of messages and transitions serve Dask's developers: 16 MB in the client and its scheduler.
+    # A worker's profiler keeps a call tree for every second of the last hour, 0.4 MB per small recording. Logs of
+    # messages and transitions serve Dask's developers and take 16 MB in the client and its scheduler.
     own = {
         "distributed.comm.retry.count": 3,
         "distributed.worker.profile.enabled": False,
@@ -207,13 +208,13 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             else:
                 if scheduler is None:
                     _preload_modules()
-                    # A scheduler runs what it is sent: without a certificate, which only this process and its workers
-                    # have, every user of this computer could run commands as the one who started the study.
+                    # A scheduler executes what it receives. Without a certificate, which only this process and its
+                    # workers have, every user of this computer could run commands as the user who started the study.
                     security = Security.temporary()
                     cluster = LocalCluster(
                         host="127.0.0.1", protocol="tls://", security=security,
                         n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
-                        # No fixed port: Dask would warn if another study used it.
+                        # Let the system choose the port: with a fixed one Dask would warn if another study used it.
                         dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
                     )  # fmt: skip
                 else:
@@ -222,7 +223,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 client = Client(cluster, security=getattr(cluster, "security", None))
         except FingerflowError:
             raise
-        except Exception as error:  # whatever a deployment raises
+        except Exception as error:  # a deployment may raise anything
             raise FingerflowError(
                 f"no cluster can be had{f' from {scheduler}' if scheduler else ''} ({error or type(error).__name__}); "
                 f"look whether its scheduler runs and can be reached from here"
@@ -264,7 +265,7 @@ def _interrupt_on_sigterm() -> Iterator[None]:
 
     try:
         before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread
+    except ValueError:  # signal handlers can be set in the main thread only
         yield
         return
     try:

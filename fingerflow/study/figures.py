@@ -18,18 +18,18 @@ from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
 _FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
-_SIMULATED = ("(skin chain)", "(simulated press)")  # panels that do not depend on the study
-# Panels against answers, omitted in a study without answers; None for the whole figure.
+_SIMULATED = ("(skin chain)", "(simulated press)")  # endings of the letters of panels that do not depend on the study
+# Letters of the panels that need answers, by figure; None if the whole figure does. A study without answers omits them.
 _OF_ANSWERS: dict[str, str | None] = {"S5": "EFGI", "S7": "CDE", "S8": "HI", "S9": "E", "S11": None, "S12": None}
-# Panels that the paper draws against force: the averaged curves, by figure and letter.
+# Panels that the paper draws against force, with the metric of the averaged curve, by figure.
 _CURVES = {
     "S1": (("C", "gross_contact_area"), ("E", "real_contact_area")),
     "S8": (("E (along)", "strain"),),
     "S9": (("B", "strain_energy"),),
     "S13": (("B", "curl"),),
 }
-_AREAS = ("gross_contact_area", "real_contact_area")  # of figure S1, which shows them at 3 N
-_MOST_NAMED = 12  # most conditions in a legend
+_AREAS = ("gross_contact_area", "real_contact_area")  # areas in figure S1, which shows them at 3 N
+_MOST_NAMED = 12  # largest number of conditions named in a legend
 
 
 class StudyFigure(NamedTuple):
@@ -105,7 +105,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
     shown = NUMBERS[metric]
-    # The range of the axis follows the means: an interval of two participants is many times wider.
+    # Let the range of the axis follow the means, as the interval of two participants is many times wider.
     means = shown.shown_values(own["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
     for condition, style in zip(conditions, line_styles(len(conditions), ordered=True), strict=True):

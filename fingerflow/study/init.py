@@ -22,7 +22,7 @@ from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RE
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
 _NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")
-# Naming conventions of labs in folder and file names; values that do not match are left to be filled in.
+# Patterns of labs' naming conventions in folder and file names. If none matches, the user fills in the value.
 _GUESSES = {
     PARTICIPANT: re.compile(r"(?<![a-z])(?:participant|subject|subj|sub|s|p)[-_ ]?(\d+)(?!\d)"),
     CONDITION: re.compile(r"(\d+(?:[.,p]\d+)?)[-_ ]?(?:um|µm|micron)"),

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_keys import SCENE, SceneTable
@@ -19,15 +19,15 @@ from fingerflow.schema.trial_columns import OF_RESULTS
 from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 from fingerflow.study.dotted_keys import nested
 
-#: Columns of a table of trials that the study reads; a column name with a dot is a key of the scene.
+#: Columns of a table of trials that a study reads. A column name with a dot is a key of the scene.
 RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
     "recording", "forces", "participant", "trial", "condition", "answer",
 )  # fmt: skip
-REFERENCE = "reference"  # column: trial of the same participant that a trial was compared with
+REFERENCE = "reference"  # column that names the trial of the same participant with which a trial was compared
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
-_MOST_SHOWN = 20  # wrong rows listed in an error; the others are counted
+_MOST_SHOWN = 20  # largest number of wrong rows listed in an error; the others are counted
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Manifest:
     results: Path
     shared: Mapping[str, Any]
     trials: tuple[TrialEntry, ...]
-    design: str = FORCED_CHOICE  # of the experiment: a name in GUESSES
+    design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
 
     def scene_of(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
@@ -298,6 +298,4 @@ def _refuse_unknown(path: Path, written: Mapping[str, Any], known: tuple[str, ..
 
 
 def _known_here(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}known here: {', '.join(known)}"
+    return f"{did_you_mean(name, known)}known here: {', '.join(known)}"

@@ -31,10 +31,10 @@ from fingerflow.study.statistics import sample_of, statistics_of
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row
 
-_THUMBNAIL_PX = 220  # wide
+_THUMBNAIL_PX = 220  # px, width of a thumbnail
 _SHOWN = ("max_force", "divergence", "strain_energy", "gross_contact_area", "global_displacement")
-_FEWEST_ALIKE = 5  # trials of a condition needed to detect outliers
-_MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
+_FEWEST_ALIKE = 5  # least number of trials of a condition for the detection of outliers
+_MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median absolute deviation
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from fingerflow.results.result import Own
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
 Series = NDArray[np.float64]
-Moment = tuple[int, int, float]  # two frames, and the share of the way between them
+Moment = tuple[int, int, float]  # two frames, and the share of the way between them at which the moment lies
 
-#: Forces (N) at which curves are averaged.
+#: Forces (N) at which curves are averaged over trials.
 FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
-#: Metrics that have a curve.
+#: Metrics whose curve against force is kept.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
-#: Series of the table that are no variables of a result.
+#: Series of the table that are not variables of a result.
 _COMPUTED = ("strain", "strain_across", "strain_rate", "force_angle", "coverage")
 #: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
@@ -33,14 +33,14 @@ READ = (
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
     *("ellipse_angle", "ellipse_semi_axes", "median_strain", "median_strain_std", "median_strain_rate"),
 )
-_JUDGED = "stuck_ratio"  # has the verdict on slip among its attributes
+_JUDGED = "stuck_ratio"  # variable that has the verdict on slip among its attributes
 #: Variables whose attributes `measure` reads.
 DESCRIBED = (_JUDGED,)
 
 _LARGEST_QUANTILE = 0.99
-_ANGLE_SHARE = 0.1  # of the largest force, below which T/N is dominated by noise
-_SLID = 0.02  # stuck share below which no skin sticks
-_FEWEST_SLID = 5  # frames
+_ANGLE_SHARE = 0.1  # share of the largest force below which noise dominates T/N
+_SLID = 0.02  # stuck share up to which no skin counts as sticking
+_FEWEST_SLID = 5  # least number of frames
 
 
 def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
@@ -222,7 +222,8 @@ class _Trial:
         counts = np.isfinite(length).sum(1)
         if not counts.any():
             return {}
-        # The quantile is the value of one point (the lower neighbour), because its speed is needed too.
+        # Take the quantile as the value of one point (the lower neighbour), because the speed of this point is needed
+        # too.
         chosen = np.floor(_LARGEST_QUANTILE * np.maximum(counts - 1, 0)).astype(int)
         largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))

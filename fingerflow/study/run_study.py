@@ -14,7 +14,7 @@ from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
-_TOGETHER = 8  # trials batched on an accelerator
+_TOGETHER = 8  # largest number of trials batched on an accelerator
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def run_study(
     if together > 1 and scheduler is None:
         workers = workers or 1
     try:
-        # Trials of an unfinished group are run singly: one may be the cause, or all together needed too much memory.
+        # Run the trials of an unfinished group one by one: one of them may be the cause, or their memory together.
         for size in dict.fromkeys((together, 1)):
             ended = {one.name for one in summary.outcomes}
             left = [one for one in planned if one.entry.name not in ended]
@@ -180,7 +180,7 @@ def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Pl
     try:
         keys = keys_of(manifest.scene_of(entry), None if stored.keys is None else stored.keys.inputs)
     except FingerflowError as error:
-        # It would fail with the same message again; a row with this message is final.
+        # The trial would fail with the same message again, so its row is final.
         return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")
     if stored.keys is None:
         return Planned(entry, "everything", "could not be opened last time")

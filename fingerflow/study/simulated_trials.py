@@ -21,10 +21,10 @@ Values = NDArray[np.float64]
 Felt = Literal["divergence", "real_contact_area"]
 
 _ELEMENTS = 501
-_PATHS_N = (5.0, 18.0)  # forces up to which chains are simulated: a press takes the first that reaches its own
-_SHARES = 0.17, 0.8  # smallest and largest share of touching ridges: a thinner one has two pixels
-_RINGS = 64  # of the contact, in each of which divergence since onset is evaluated
-_FORCES_N = np.geomspace(1.0, 18.0, 21)  # of the tables of divergence and area
+_PATHS_N = (5.0, 18.0)  # N, largest forces of the simulated chains: a press takes the first that reaches its own
+_SHARES = 0.17, 0.8  # least and largest share of touching ridges; with less a ridge would be two pixels wide or less
+_RINGS = 64  # number of rings of the contact, in each of which divergence since onset is evaluated
+_FORCES_N = np.geomspace(1.0, 18.0, 21)  # N, forces in the tables of divergence and area
 
 
 @dataclass(frozen=True)
@@ -111,18 +111,18 @@ class Presses:
     """
 
     participant: NDArray[np.int64]
-    amplitude: Values  # µm
+    amplitude: Values  # µm, vibration amplitude
     soft: NDArray[np.bool_]
     friction: Values
-    force: Values  # N, at the peak
-    time_to_peak: Values  # s
-    duration: Values  # s
-    angle: Values  # rad, of the force from the normal
-    shift: Values  # (N, 2) mm, of the skin as a whole
-    divergence: Values  # median over the apparent contact since each point's onset, at the peak
+    force: Values  # N, peak normal force
+    time_to_peak: Values  # s, time to the peak
+    duration: Values  # s, time from first contact to the last frame
+    angle: Values  # rad, angle of the force from the normal
+    shift: Values  # (N, 2) mm, shift of the skin as a whole
+    divergence: Values  # median over the apparent contact at the peak, since each point's onset
     gross_contact_area: Values  # mm², at the peak
     real_contact_area: Values  # mm², at the peak
-    seed: NDArray[np.int64]  # of the camera
+    seed: NDArray[np.int64]  # seed of the camera
 
     def pairs(self) -> "tuple[Presses, Presses]":
         """Return the reference presses and the comparison presses, in the same order."""
@@ -159,7 +159,7 @@ def draw_presses(design: Design) -> Presses:
         force=force,
         time_to_peak=time,
         duration=np.clip(time + hold, *design.duration),
-        angle=np.minimum(angle, np.arctan(friction)),  # beyond, the finger would slide
+        angle=np.minimum(angle, np.arctan(friction)),  # with a larger angle the finger would slide
         shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
         divergence=divergence,
         gross_contact_area=area,

@@ -28,8 +28,8 @@ from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.trial_files import MEASURED
 
-_FIRST = "divergence"  # the metric that the others are compared with
-_LARGEST_AMPLITUDE = 2.0  # µm, up to which the paper asks whether the force rate changes answers
+_FIRST = "divergence"  # the metric with which the others are compared
+_LARGEST_AMPLITUDE = 2.0  # µm, largest amplitude at which the paper asks whether the force rate changes answers
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ _LEVEL = 0.95
 _CURVE_COLUMNS = [
     "metric", "unit", "condition", "normal_force_N", "mean", "low", "high", "participants", "trials", "without",
 ]  # fmt: skip
-_MOST_MISSING = 0.5  # of a condition's trials: if fewer reach a force, their mean would be that of a selection
+# Least share of a condition's trials that must reach a force: with fewer, their mean would be that of a selection.
+_MOST_MISSING = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def write_tables(manifest: Manifest) -> Tables:
         columns=["column", "unit", "definition"],
     )
     write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
-    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # keeps the heading of an empty table
+    # The column names keep the heading of an empty table.
+    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)
     write_atomically(paths.curves, lambda part: curves.map(quoted_cell).to_csv(part, index=False))
     return paths
 
@@ -121,7 +123,8 @@ def differences(frame: Any) -> dict[str, Any]:
     """
     if REFERENCE not in frame or not frame[REFERENCE].any():
         return {}
-    # A reference is the only trial of its number; no trial has an empty one, so trials without a reference find none.
+    # A reference must be the only trial of its number. No trial has an empty number, so trials without a reference find
+    # none.
     own = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
     places = list(zip(frame["participant"], frame[REFERENCE], strict=True))
     numbers = [name.removesuffix(DIFFERENCE) for name in DIFFERENCES]

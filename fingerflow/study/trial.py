@@ -100,7 +100,7 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
             with open_result(path) as result:
                 row, curves = measure(result)
         else:
-            # Overwrite: an existing file of this name may be damaged and not be recognised as a result.
+            # Overwrite, since an existing file of this name may be damaged and not be recognised as a result.
             yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(describe_file(path), path=path.name)
@@ -124,7 +124,7 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
     }
     try:
         write_row(folder, replace(trial, made=made))
-    except FingerflowError as error:  # without a row the trial is run again
+    except FingerflowError as error:  # the trial runs again, as it has no row
         return Outcome(entry.name, FAILED, str(error), True, cpu_seconds)
     return Outcome(entry.name, trial.status, trial.reason, trial.passing, cpu_seconds)
 

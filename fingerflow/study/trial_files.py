@@ -11,7 +11,8 @@ from fingerflow.recordings.digest import digest_of
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.study.cache_keys import InputFile, Keys, describe_file
 
-_DIGEST = "digest"  # of the rest of `row.json`: a number corrupted on disk must not get into the table
+# Key of the digest of the rest of `row.json`, so that a number corrupted on disk does not get into the table.
+_DIGEST = "digest"
 MEASURED, FAILED = "measured", "failed"
 Part = Literal["everything", "changed", "row"]
 

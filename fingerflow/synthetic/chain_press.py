@@ -19,11 +19,11 @@ from fingerflow.synthetic.grid_spline import cubic_weights
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 
-_TIMES = 257  # times of the chain during the rise
-_PATH_S = 1.5  # rise time of a path that several presses share: the printed mean time to the peak
-_KNOTS = 32  # intervals of the splines in time; they smooth the growth of contact by elements
-_RADII = 96  # intervals of the spline from the axis to the side of the finger
-_SIDE = 0.95  # of the finger's radius: beyond, skin is upright and not visible from below
+_TIMES = 257  # number of times at which the chain is simulated during the rise
+_PATH_S = 1.5  # s, rise time of a simulated path that several presses share: the printed mean time to the peak
+_KNOTS = 32  # number of intervals of the splines in time; they smooth the growth of contact by whole elements
+_RADII = 96  # number of intervals of the spline from the axis to the side of the finger
+_SIDE = 0.95  # share of the finger's radius beyond which skin is upright and not visible from below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,20 +207,20 @@ class RadialMotion:
     shift: tuple[float, float] = (0.0, 0.0)
     end: float = 1.0
 
-    # The contact grows faster than the skin spreads, so a point that is inside stays inside.
+    # The contact grows faster than the skin spreads, so a point inside it stays inside and enters only once.
     entry_steps = 1
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         shifted = self._shifted(progress)
         x, y = x - self.shift[0] * shifted, y - self.shift[1] * shifted
         right, down = x - self.centre[0], y - self.centre[1]
-        # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre finite.
+        # 1e-30 is below the rounding of any relevant position, and makes the gradient at the centre finite.
         radius = torch.sqrt(right.square() + down.square() + 1e-30)
         rows, columns = self.share.shape
         first, weights = _spline_weights(self._on_path(progress), rows - 3)
         table = self.share.to(x.dtype)
         start, across = _spline_weights(radius / self.side, columns - 3)
-        if progress.numel() == 1:  # an image: one row of coefficients for all pixels
+        if progress.numel() == 1:  # a whole image has one progress, so one row of coefficients serves all pixels
             four = torch.stack([weight.reshape(()) for weight in weights])
             spread = _spline_value(four @ table[int(first) : int(first) + 4], start, across)
         else:
@@ -274,7 +274,7 @@ def _spline_weights(share: Tensor, steps: int) -> tuple[Tensor, tuple[Tensor, ..
     index of the first of four coefficients at each position, and their four weights.
     """
     at = share.clamp(0, 1) * steps
-    first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights
+    first = at.detach().nan_to_num(0.0).floor().clamp(max=steps - 1)  # NaN propagates through the weights instead
     return first.long(), cubic_weights(at - first)[0]
 
 

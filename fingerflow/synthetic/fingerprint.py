@@ -12,7 +12,7 @@ from fingerflow.synthetic.ridge_pattern import Pattern, arch, loop, ridges, whor
 from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
 
 PATTERNS: dict[str, Callable[[], Pattern]] = {"loop": loop, "whorl": whorl, "arch": arch}
-#: Radius of curvature (mm) of the ridges across the fingertip.
+#: Radius of curvature, mm, of the ridges across the fingertip.
 BOW = 15.0
 
 

@@ -38,19 +38,19 @@ class MarkerGel:
     n_frames: int = 48
     frame_rate: float = 25.0
     frame_shape: tuple[int, int] = (240, 320)
-    spacing: float = 31.0  # of the markers
-    radius: float = 5.0  # of a marker
+    spacing: float = 31.0  # distance between markers of the lattice
+    radius: float = 5.0  # radius of a marker
     jitter: float = 0.6  # standard deviation of the markers' positions about the lattice
     contact: tuple[float, float] = (190.0, 120.0)  # centre of the object
     object_radius: float = 60.0
-    reach: float = 75.0  # of the displacement
-    shear: tuple[float, float] = (-34.0, 21.0)  # at the end of the drag
-    kept: float = 0.35  # share of it after gross slip
-    dilation: float = 0.12  # gradient of the spreading
-    lag: float = 0.35  # share of the shear that the rim of the contact has lost to partial slip
-    tilt: float = 0.3  # largest relative change of light by pressure
+    reach: float = 75.0  # standard deviation of the Gaussian by which the displacement falls with distance
+    shear: tuple[float, float] = (-34.0, 21.0)  # displacement at the end of the drag
+    kept: float = 0.35  # share of the shear that remains after gross slip
+    dilation: float = 0.12  # displacement gradient of the spreading
+    lag: float = 0.35  # share of the shear that the rim of the contact loses by partial slip
+    tilt: float = 0.3  # largest relative change of light due to pressure
     exposure: float = 0.85  # gain of the camera while the object touches
-    seed: int = 0  # of jitter
+    seed: int = 0  # seed of the random jitter
     camera: Camera = field(default_factory=lambda: Camera(noise=1.5, salt_and_pepper=0.0))
 
     @cached_property

@@ -69,7 +69,7 @@ class Ellipse:
 
 
 def _length(first: Tensor, second: Tensor) -> Tensor:
-    # 1e-30 is below the rounding of any relevant position; it makes the gradient at the centre 0, not NaN.
+    # 1e-30 is below the rounding of any relevant position, and makes the gradient at the centre 0 instead of NaN.
     return torch.sqrt(first.square() + second.square() + 1e-30)
 
 
@@ -96,7 +96,7 @@ class SkinMotion(Protocol):
     of the movement, which is 0 at its start.
     """
 
-    #: Number of progress intervals in the search for the onset, such that each contains one entry at most.
+    #: Number of intervals of the progress in the search for the onset; each contains one entry at most.
     entry_steps: int
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -134,7 +134,7 @@ class PressMotion:
     shift: tuple[float, float]
     bumps: tuple[Bump, ...]
 
-    # The contact grows faster than the skin spreads, so a point that is inside stays inside.
+    # The contact grows faster than the skin spreads, so a point inside it stays inside and enters only once.
     entry_steps = 1
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -174,7 +174,7 @@ class SlideMotion:
     travel: float
     full_slip: float
 
-    # Skin can enter and leave the contact: a stay shorter than 1/64 of the movement may be missed.
+    # Skin can enter and leave the contact. A stay shorter than 1/64 of the movement may be missed.
     entry_steps = 64
 
     def stuck_radius(self, progress: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ CONTACT_LOSS, VALLEY_LOSS = 0.5, 0.04
 #: Width (mm) of the logistic blur of an edge in focus, of the finger's outline and of the rim of the lit disc.
 #: In focus it is 0.35 px, close to a Gaussian of standard deviation 0.6 px.
 EDGE_WIDTH, OUTLINE_WIDTH, DISC_WIDTH = 0.0114, 0.4, 0.2
-#: Distance (mm) from the edge of the contact beyond which only glass is visible: its blur has fallen to 1e-15.
+#: Distance (mm) from the edge of the contact beyond which only glass is visible: there the edge's blur is 1e-15.
 GLASS_FROM = 0.4
 
 

@@ -13,8 +13,8 @@ from fingerflow.synthetic.motion import SlideMotion
 from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
-_STEEPEST = 1.5  # slope of `_smoothstep` at its steepest
-_MOST_STRETCH = 0.5  # largest stretch that jumps may add
+_STEEPEST = 1.5  # largest slope of `_smoothstep`
+_MOST_STRETCH = 0.5  # largest stretch that jumps may add to the skin
 _ROUNDED = 0.1  # relative radius over which the stretch builds up beside the stick region
 
 
@@ -135,7 +135,7 @@ class PartialSlipMotion(SlideMotion):
         if self.loaded < self.full_slip:
             left = (self.full_slip - progress.double()) / (self.full_slip - self.loaded)
             area = torch.where(left < 1, critical_stuck_area(*friction) * left.clamp(min=0), area)
-        # Near 0 the square root has no finite slope with which to differentiate the motion.
+        # Near 0 the square root has no finite slope, which differentiation of the motion needs.
         return torch.where(area > 1e-12, area.clamp(min=1e-12).sqrt(), 0.0).to(progress.dtype)
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -156,7 +156,7 @@ class PartialSlipMotion(SlideMotion):
         left = limit - float(self.travelled(at))
         if left <= 0:
             return 0.0
-        # The displacement grows outwards. Only within the contact: the skin around it moves rigidly.
+        # The displacement grows outwards, but only within the contact: the skin around it moves rigidly.
         stuck, jumped = self.stuck_radius(at), self.jumped(at)
 
         def beyond(radius: float) -> float:

@@ -19,16 +19,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-#: Ratio of the wave numbers of two waves that meet: about a fifth of the ridges ends on the line between them.
+#: Ratio of the wave numbers of two neighbouring waves: about a fifth of the ridges ends on the line where they meet.
 RATIO = 1.22
 #: Reach of a wave, in units of the distance between log wave numbers of successive waves; at most 1.5.
 REACH = 1.3
-#: Distance (mm) from a core below which the model's frequency, which is unbounded, is limited.
+#: Distance (mm) from a core within which the frequency of the model is limited, as it would be infinite at the core.
 CORE = 0.45
-#: Share of the full amplitude below which the sum's amplitude is no longer equalised: the size of a singularity.
+#: Share of the full amplitude below which the amplitude of the sum is not equalised: it sets the size of a singularity.
 FLOOR = 0.15
 
-#: Function from positions relative to the core (mm) to v (mm) and the density of its levels relative to far away.
+#: Function from positions relative to the core (mm) to the level v (mm) and the density of levels relative to far away.
 Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
@@ -58,7 +58,7 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
     even, odd, total = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
     for offset in (-1, 0, 1):
         number = nearest + offset
-        # Twice continuously differentiable, so that the end of a wave is not visible.
+        # The weight is twice continuously differentiable, so that the end of a wave is not visible.
         weight = (1 - ((wanted - number) / REACH).square()).clamp(min=0) ** 3
         k = torch.exp(number * spacing)
         if pattern.step:
@@ -110,7 +110,7 @@ def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
     far = math.hypot(across, down)
 
     def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        # The core is shifted by a millionth of a mm off every pixel, which avoids the logarithm of 0.
+        # Shift the core by a millionth of a mm off every pixel, which avoids the logarithm of 0.
         z = torch.complex(x + 1e-6, y + 1e-6)
         w = z - 1j * down
         root = torch.sqrt(w - across) * torch.sqrt(w + across)
@@ -122,7 +122,7 @@ def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
         level = level - far * torch.log(torch.abs(turn / z) / across)
         from_core = torch.sqrt(x.square() + y.square() + 1e-4)
         density = torch.sqrt(torch.abs(w - across) * torch.abs(w + across)) / from_core
-        # From the Gudermannian near the core to v itself far away, over the ring in which the deltas lie.
+        # Blend from the Gudermannian near the core to v itself far away, over the ring in which the deltas lie.
         inverse = (torch.sigmoid((0.65 * far - from_core) / (0.1 * far)) + 1e-3) / far
         share = level * inverse
         return 2 * torch.atan(torch.tanh(share / 2)) / inverse, density / torch.cosh(share.clamp(-60, 60))

@@ -22,15 +22,15 @@ Kind = TypeVar("Kind", bound=SyntheticScene)
 MM_PER_INCH = 25.4
 #: Resolution (dots per inch) of most fingerprint sensors.
 DPI = 500.0
-#: Possible ridge distances of skin (mm), from a child's finger to a broad thumb with a margin.
+#: Plausible ridge distances of skin (mm), from a child's finger to a broad thumb with a margin.
 RIDGE_DISTANCES = (0.25, 0.8)
-#: Blur (px) of the image, so that its pixels and their noise are not visible in a finer camera.
+#: Blur (px) of the image, so that its pixels and noise are not visible with a finer camera.
 BLUR = 0.7
 #: Width of the constant border around the image, in its pixels.
 SURROUND = 8
-#: A touching pixel is darker than the glass by at least this share of the contrast between glass and ridges.
+#: Least darkness of a touching pixel relative to the glass, as a share of the contrast between glass and ridges.
 LEAST = 0.35
-#: Slope of `Levels.touching` (1/mm) below which it no longer gives a distance.
+#: Slope of `Levels.touching` (1/mm) below which the level gives no distance from the edge of a ridge.
 LEAST_SLOPE = 1.0
 
 
@@ -118,7 +118,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     """
     texture = PictureTexture(Path(picture), dpi)
     plain = kind()
-    # The skin under the edge of the contact: at its start and, where it travels, as it enters at the front.
+    # Skin under the edge of the contact: at the start and, if the finger travels, where skin enters at the front.
     edges = [_skin_under_edge(plain, frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)]
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
@@ -175,7 +175,7 @@ def _levels(picture: Path, dpi: float) -> Levels:
     dark = np.quantile(plane, 0.03)
     contrast = np.maximum(glass - dark, 0.2 * (glass.max() - dark) + 1e-9)
     touching = (np.minimum(mean, glass - LEAST * contrast) - plane) / contrast
-    # A sine's amplitude is 1.4 times its standard deviation; the added constant attenuates noise in blank parts.
+    # The amplitude of a sine is 1.4 times its standard deviation; the added constant attenuates noise in blank parts.
     full = np.quantile(spread, 0.8)
     skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
     skin *= _edge_weights(plane.shape[0], period)[:, None] * _edge_weights(plane.shape[1], period)

@@ -43,7 +43,7 @@ class Slide(SyntheticScene):
 
     @cached_property
     def motion(self) -> SlideMotion:
-        # The travel is centred on the middle of the view, where the light is.
+        # Centre the travel on the middle of the view, where the light is.
         right, down = math.cos(self.direction), math.sin(self.direction)
         x, y = self.contact_centre
         start = x - self.travel / 2 * right, y - self.travel / 2 * down

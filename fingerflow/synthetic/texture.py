@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
 
-#: Largest relative change of the ridges' frequency by one of the three undulations.
+#: Largest relative change of the ridges' frequency due to one of the three undulations.
 UNDULATION = 0.09
 
 Mapping = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -72,7 +72,7 @@ class RidgeTexture:
         The gradient is therefore close to 2 pi / period.
         """
         across, along = x - self.centre[0], y - self.centre[1]
-        # An elliptic distance; the constant keeps it smooth at the core, where the innermost ridge is a small disc.
+        # Use an elliptic distance; the constant keeps it smooth at the core, where the innermost ridge is a small disc.
         distance = torch.sqrt(1.14 * across.square() + 0.86 * along.square() + 0.1)
         for wave_x, wave_y, offset in self._undulation:
             wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))

@@ -25,7 +25,7 @@ from fingerflow.synthetic.motion import Ellipse, SkinMotion
 
 Array = NDArray[np.float64]
 
-#: Newton's iterations end when no coordinate is off by more than this (mm); rounding at 20 mm is 4e-15 mm.
+#: Newton's iterations end when no coordinate is off by more than this (mm); at 20 mm rounding is 4e-15 mm.
 TOLERANCE = 1e-13
 
 
@@ -52,15 +52,15 @@ class Truth:
     """Exact position, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame."""
 
     motion: SkinMotion
-    progress: Array  # (frames,) of the movement, never falling
+    progress: Array  # (frames,) progress of the movement, which never decreases
     # Margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance (mm) from
     # the edge of the apparent contact, positive inside.
     ridge_margin: Callable[[Tensor, Tensor, Tensor], Tensor]
-    mm_per_px: float  # of the contact view
+    mm_per_px: float  # scale of the contact view
     contact_shape: tuple[int, int]  # rows and columns of the contact view
-    topography_to_contact: Array  # 2 x 3, from pixels of the topography view to pixels of the contact view
+    topography_to_contact: Array  # (2, 3) map from pixels of the topography view to pixels of the contact view
 
-    # Views
+    # Conversions between views
 
     def contact_pixels(self, positions: ArrayLike) -> Array:
         """Convert positions (..., 2) from mm on the glass to px of the contact view."""
@@ -76,7 +76,7 @@ class Truth:
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
         return (np.asarray(pixels, dtype=np.float64) @ matrix.T + offset) * self.mm_per_px
 
-    # Motion
+    # Motion of the skin
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
         """Return the material coordinates (mm) of the skin at positions (..., 2) on the glass in a frame."""
@@ -93,7 +93,7 @@ class Truth:
         material = self.material(self.topography_positions(topography_pixels), from_frame)
         return self.topography_pixels(self.positions(material, to_frame))
 
-    # Contact
+    # Contact areas
 
     def ellipse(self, frame: int) -> Ellipse | None:
         """Return the edge of the apparent contact in a frame, mm; None before contact."""
@@ -176,7 +176,7 @@ class Truth:
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return Medians(*(math.nan,) * 7)
-        # A small contact gets as many grid points as a large one.
+        # Choose the spacing so that a small contact gets as many grid points as a large one.
         x, y, _ = _grid_around(ellipse, min(spacing_mm, min(ellipse.semi_axes) / 8))
         material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
         points = _points(material)
@@ -223,7 +223,7 @@ class Truth:
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate
         onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
-        # Points inside at the start have their onset at progress 0, and so have their neighbours.
+        # Points inside at the start have their onset at progress 0, as do their neighbours.
         onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
         place_gradient = forward + velocity[..., None] * onset_gradient
         gradient = self._gradient_since(points, frame, onset, place_gradient)
@@ -274,7 +274,7 @@ class Truth:
             reached = torch.stack(self.motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
             missing = material - reached
             if not (missing.abs() > TOLERANCE).any():
-                # Points with NaN progress have a NaN residual: propagate it.
+                # Points with NaN progress have a NaN residual, which is propagated.
                 return positions + 0 * missing
             forward, _ = self._derivatives(positions, progress)
             positions = positions + (forward @ missing[..., None])[..., 0]

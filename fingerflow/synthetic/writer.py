@@ -29,7 +29,7 @@ from fingerflow.synthetic.skin_picture import PictureTexture
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
 
-#: Classes that may occur in the settings of a scene.
+#: Classes that may occur in the settings of a synthetic scene.
 KINDS = {
     kind.__name__: kind
     for kind in (
@@ -39,7 +39,7 @@ KINDS = {
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
-_REGION_FRAMES = 12  # frames whose contact determines the region
+_REGION_FRAMES = 12  # number of frames whose contacts determine the region
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
@@ -101,14 +101,15 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
     if hasattr(os, "posix_fallocate"):
-        # On a full disk, writing to mapped memory would kill the process by SIGBUS.
+        # Reserve the space first: on a full disk, writing to mapped memory would end the process by SIGBUS.
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
 
     def write(number: int) -> None:
         frames[number] = scene.render(number)
 
-    # One frame per thread: threads within each operation wait for each other, four times as long on a busy machine.
+    # Render one frame per thread: threads within an operation wait for each other, four times as long on a busy
+    # machine.
     threads = torch.get_num_threads()
     try:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
@@ -119,7 +120,7 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
                 ):
                     pass
             except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # an interrupt must not wait for all other frames
+                pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, do not wait for all other frames
                 raise
     finally:
         torch.set_num_threads(threads)

@@ -15,10 +15,11 @@ from fingerflow.kernels.library import is_present
 
 Array = NDArray[Any]
 
-# Blocks are wider than the period of ridges. Otherwise ridges that move by half a period a frame would seem to stand
-# still, or to jump and return. A tear, or lost lines, lie in a few rows of blocks.
+# Least side of a block (px) and largest number of blocks along a side. Blocks are wider than the period of ridges: in
+# narrower ones, ridges that move by half a period per frame would seem to stand still, or to jump and return. A tear,
+# or lost lines, lie in a few rows of blocks.
 _BLOCK_PX, _BLOCKS = 24, 16
-_SAMPLES = (128, 160)  # lines, and pixels of a line, that are read; up to twice as many
+_SAMPLES = (128, 160)  # least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read
 
 
 class BlockMeans(NamedTuple):

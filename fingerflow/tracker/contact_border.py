@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-# Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
-# Measured on the shipped press, where the border is known.
+# Standard deviation, mm, of the position of the contact's border, which runs between ridges that lie 0.4 to 0.5 mm
+# apart. It was measured on the shipped press, whose border is known.
 BORDER_MM = 0.06
 
 
 class Border(NamedTuple):
     """Border ellipses of the apparent (gross) contact, one a frame; NaN in frames without contact."""
 
-    center: Array  # (frames, 2) mm
-    semi_axes: Array  # (frames, 2) mm
-    angle: Array  # (frames,) rad, of the first semi-axis, from x towards y
+    center: Array  # (frames, 2) mm, centre of the ellipse
+    semi_axes: Array  # (frames, 2) mm, semi-axes
+    angle: Array  # (frames,) rad, angle of the first semi-axis from x towards y
 
     @classmethod
     def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
@@ -37,7 +37,7 @@ class Border(NamedTuple):
 
         It is accurate to first order, and exact on the border.
         """
-        # By components: NumPy takes several times as long for sums over an axis of two.
+        # Compute each component separately: NumPy takes several times as long for sums over an axis of two.
         (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
         right, down = places[..., 0] - center_x, places[..., 1] - center_y

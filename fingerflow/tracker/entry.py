@@ -25,10 +25,11 @@ Array = NDArray[Any]
 MOVED = 1 / 8
 #: Distance, in gauge lengths, within which points are neighbours.
 NEAR = 1 / 2
-# Area of onset positions over that of the skin, below which times of entry shape the displacement more than the skin.
+# Ratio of the area of onset positions to that of the skin, below which the times of entry shape the displacement more
+# than the skin does.
 LEAST_AREA = 0.5
-_VOTERS = 3  # neighbours that a point is compared with
-_FRAMES = 64  # read at a time
+_VOTERS = 3  # number of neighbours that decide on a point
+_FRAMES = 64  # frames read at a time
 
 
 class FrameValues(Protocol):
@@ -87,7 +88,8 @@ def _by_own_motion(
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames].take(here, axis=1)
-        way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))  # NumPy is slow over an axis of two
+        # Each component separately, as NumPy is slow over an axis of two.
+        way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))
         moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.at(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
@@ -126,8 +128,9 @@ class SinceEntry(NamedTuple):
     They are NaN before the entry and where too little is known.
     """
 
-    gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, with respect to positions at that time
-    covariance: Array  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
+    # (n, E, 2, 2) gradient of the displacement since a point's own entry, with respect to positions at that time.
+    gradient: Array
+    covariance: Array  # (n, E, 2, 2, 2, 2) covariance, to first order, as if the skin had not deformed before the entry
 
 
 class EntryGradients:
@@ -204,7 +207,7 @@ class Entries:
         entered: (N,) bool, points that have been advected into the contact.
     """
 
-    KEPT = 512  # frames of motion before an onset that are known
+    KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
 
     def __init__(self, engine: Engine, places: Array, gauge_mm: float) -> None:
         self._engine, self._places, self._gauge = engine, places, gauge_mm
@@ -213,7 +216,7 @@ class Entries:
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
         self._frames = 0  # number of frames so far
-        self._onset = np.full(len(places), -1)  # index of the frame
+        self._onset = np.full(len(places), -1)  # index of the frame in which the present touch began, -1 without one
         self._reference = np.full((len(places), 2), np.nan)
         self.entered = np.zeros(len(places), dtype=bool)
         self._at_entry = np.full((len(places), 2, 2), np.nan)
@@ -237,7 +240,7 @@ class Entries:
             kept[row] = new[0]
         self._onset[~touching], self.entered[~touching] = -1, False
         self._onset[begins], self._reference[begins] = self._frames, reference[begins]
-        self._at_entry[begins] = np.nan  # of an earlier touch
+        self._at_entry[begins] = np.nan  # forgets the gradient of an earlier touch
         if begins.any():
             self._mark_advected(begins)
         self._frames += 1

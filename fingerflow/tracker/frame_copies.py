@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-REPEATED_SHARE = 0.2  # of the frames, beyond which repetitions are normal for the camera and no fault
-_ALIKE = 1.25  # quotient of squared distances below which two copies fit their neighbours equally well
+REPEATED_SHARE = 0.2  # share of repeated frames above which repetitions are normal for the camera and no fault
+_ALIKE = 1.25  # ratio of squared distances below which both of two equal frames fit their neighbours equally well
 
 
 def key_of(blocks: Sequence[NDArray[Any]]) -> bytes:

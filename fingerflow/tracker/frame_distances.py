@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-#: Largest number of consecutive frames after which an image that returns counts as the one before.
+#: Largest number of consecutive frames in which an image may jump away; if it returns later, no jump is detected.
 LONGEST = 3
-# Single pixels, unlike means over blocks, show a motion of a tenth of a pixel: some 10,000 of them are compared.
-_LINES, _PIXELS = 64, 160  # lines, and pixels of a line, that are read; up to twice as many
-_BANDS = 8  # groups of lines that are compared apart: a tear, or lost lines, lie in a few of them
-# Units of distance, the least that counts: noise lies below the first; `illumination_gain` handles smaller changes.
+# Single pixels, unlike means over blocks, show a motion of a tenth of a pixel, so some 10,000 of them are compared.
+# Least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read.
+_LINES, _PIXELS = 64, 160
+_BANDS = 8  # number of groups of lines that are compared separately: a tear, or lost lines, lie in a few of them
+# Units of the distances of image pattern and log brightness: the least distances that count. Noise lies below the
+# first, and `illumination_gain` handles changes of light smaller than the second.
 _LEAST, _LEAST_LIGHT = 1e-2, 0.15
 _MOST = 0.3  # difference of a pixel, in units of the mean, beyond which it counts as this: salt and pepper
 _TINY = np.finfo(np.float32).tiny
@@ -93,7 +95,7 @@ def squared_distances_before(samples: PixelSamples, before: PixelSamples | None)
     count, earlier = len(samples.light), len(every.light) - len(samples.light)
     result: Array | None = None
     for gap in range(1, LONGEST + 2):
-        first = max(gap - earlier, 0)  # of `samples`
+        first = max(gap - earlier, 0)  # index in `samples` of the first frame with a frame this far before it
         later = slice(earlier + first, earlier + count)
         found = squared_distances(every.rows(later), every.rows(slice(later.start - gap, max(later.stop - gap, 0))))
         if result is None:

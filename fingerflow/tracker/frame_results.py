@@ -16,7 +16,7 @@ from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
 
-#: Names of the results of a frame, variables of the data set.
+#: Names of the results of a frame, which are variables of the data set.
 RESULTS = (
     *(
         "real_contact_area",
@@ -30,8 +30,9 @@ RESULTS = (
     *("divergence", "curl", "point_strain", "median_divergence", "median_divergence_std", "entered"),
     *("slip_residual", "slip_flag"),
 )
-_EVERY = 8  # frames between two evaluations of what gauge length and border do to the median
-#: Share of the points in contact that may have touched when they were seeded again; with more, no deviation is stated.
+_EVERY = 8  # frames between two evaluations of the median's variance due to gauge length and border
+#: Largest share of the points in contact whose onset is unknown, as they were seeded again on touching skin; with more,
+#: no deviation is stated.
 _WITHOUT_ONSET = 0.15
 
 
@@ -61,7 +62,7 @@ class FrameResults:
         self._engine, self._size = engine, mm_per_px
         matrix = topography_to_contact.astype(np.float64)
         self._to_contact = matrix.astype(np.float32)
-        self._to_glass = (matrix * mm_per_px).tolist()  # mm a px
+        self._to_glass = (matrix * mm_per_px).tolist()  # maps px of the topography view to mm
         self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
@@ -104,18 +105,18 @@ class FrameResults:
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding = seeding
-        # Points (N,) seeded again on skin that touched already: their onset is not known.
+        # (N,) points that were seeded again on skin already in contact: their onset is not known.
         self._seeded_in_contact = covered & (self._frames > 0)
         if seeding.before is not None:
             self._slip.follow_others(seeding.before, seeding.points)
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
-        self._of_smoothing = math.nan  # variance of the median by gauge length and border
+        self._of_smoothing = math.nan  # variance of the median due to gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
         """Convert positions (..., 2) in px of the topography view to mm on the glass."""
-        # By components: a matrix product with so small a matrix takes several times as long.
+        # Compute each component separately: a product with so small a matrix takes several times as long.
         x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
         result = np.empty(pixels.shape)
         for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
@@ -164,13 +165,13 @@ class FrameResults:
         moved = (position - touch.place).astype(np.float32)
         around = FrameEllipse(*(one.astype(np.float32) for one in ellipse))
         place = touch.place[0].astype(np.float32)
-        # The graphs of a bundle give no deviations, nor is that of advected points known.
+        # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
         covariance = None
         if entered is None and self._engine.name != "onnx":
             covariance = self._covariance(found.variance, touch)
         fields = self._engine.fields(place, moved, around, covariance, entered)
         deviation = math.nan
-        # What skin had gone through before points were seeded again on it is not known.
+        # The deformation of skin before points were seeded again on it is not known.
         without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
         if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2

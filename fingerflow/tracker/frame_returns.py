@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from fingerflow.tracker.frame_distances import LONGEST
 
-# Limits of the excess: noise alone gives 0.16 at most, a jump of 0.3 px gives 0.25 (`tests.silent.frames`). A distance
-# must be four times what is usual where light flickers or a finger vibrates.
+# Limits on squared distances. The least relative excess of a jump: noise alone gives at most 0.16, a jump of 0.3 px
+# gives 0.25 (`tests.silent.frames`). Where light flickers or a finger vibrates, a distance must be four times the usual
+# one, its square 16 times.
 _LEAST_EXCESS, _FAR = 0.25, 16.0
-NEARBY = 8  # steps before, and behind, from which it is known what is ordinary
-_JERK = 2.0  # more of an excess that moving skin may have: one step of 1.8 times the ordinary ones
-_USUAL, _SLOW = 0.9, 0.1  # quantiles: of the excess that is taken as usual, of the steps that are noise
-_BACK = 0.6  # share of the longer way, there or back, below which the rest between both ends is a return
-_LEAST_AT_END = 1.25  # of an excess in the first and last frames, behind which nothing is known
-_MOST = 0.1  # share of the frames: if more jump, the finger vibrates or the lamp flickers
+NEARBY = 8  # number of steps before and after a frame from which ordinary distances are estimated
+# Added to the limit of the excess for moving skin, which may jerk: a step may then be 1.8 times an ordinary one.
+_JERK = 2.0
+_USUAL, _SLOW = 0.9, 0.1  # quantile of the excesses that counts as usual; quantile of the steps that counts as noise
+_BACK = 0.6  # the image returns if both ends differ by less than this share of the longer way, there or back
+# Least limit of the excess in the first and last frames, where no frames beyond tell whether the image returns.
+_LEAST_AT_END = 1.25
+_MOST = 0.1  # largest share of frames with a jump: with more, the finger vibrates or the lamp flickers
 SquaredDistances = NDArray[Any]
 
 
@@ -149,7 +152,7 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     known = Ordinary.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
     found |= _far_at_end(distances, usable, steps.before, known)
     found |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], known)[::-1]
-    # Frames with which a jump may begin, by comparison with the frame right before them.
+    # Frames that may begin a jump, judged by their distance from the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
     good = iter(np.flatnonzero(usable & ~found).tolist())
@@ -190,7 +193,7 @@ def _length_of_jump(
     """Return for how many frames the image jumps away, from `frame` on, until the image of `last`, the usable frame
     before, is back; 0 if there is no such jump.
     """
-    latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump, longest step between its frames
+    latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump; longest step between its frames
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
@@ -250,14 +253,15 @@ def _far_at_end(
     Whether such a change stays is not known. `usual` (F, rows) are the steps before each frame.
     """
     result = np.zeros(len(distances), dtype=bool)
-    if len(distances) <= NEARBY:  # too few steps to know what is usual
+    if len(distances) <= NEARBY:  # too few steps to estimate usual ones
         return result
     last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
         limit = Ordinary(known.noise, np.fmax(known.limit, _LEAST_AT_END))
         for k, step in enumerate(steps):
-            behind = steps[k + 1 :].max(0, initial=0)  # a finger that has begun to move goes on
+            # Longest of the later steps: a finger that has begun to move moves on.
+            behind = steps[k + 1 :].max(0, initial=0)
             if is_far(step, np.maximum(usual[last[k]], behind), limit):
                 result[last[k + 1] :] = True
                 break

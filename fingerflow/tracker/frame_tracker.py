@@ -24,17 +24,19 @@ from fingerflow.tracker.upkeep import CONTACT, REKEY, ThresholdSearch, Upkeep
 Array = NDArray[Any]
 
 CONTACT_VIEW, TOPOGRAPHY_VIEW = "contact_view", "topography_view"
-PAGE = "page"  # cause of a reseeding that the user has requested
+PAGE = "page"  # cause of a reseeding that the user has requested on the live page
 _REKEY_SHARE = 0.8
-# Frames after which the threshold is learnt from a frame: by then its contact has been computed beside the next frames.
+# Number of frames after which a frame's contact serves to learn the threshold: it is computed in parallel with these
+# frames.
 _LEARNT_AFTER = 2
 _LOOK_EVERY = 2  # frames between two counts of the points in contact
-_LEAST_MM2 = 1.0  # of a contact whose points are counted
-# Spacing of points in gauge lengths: the largest with which fits have neighbours up to the border (medians of a stream
-# of the fast recipe are unknown in 24 % of the frames with 1/3, in 0.5 % with 0.3), and that of seeded points.
+_LEAST_MM2 = 1.0  # mm², least area of a contact whose points are counted
+# Spacings of points in gauge lengths. The first is the largest with which fits have neighbours up to the border: in a
+# stream of the fast recipe, medians are unknown in 24 % of the frames with 1/3 and in 0.5 % with 0.3. The second is
+# that of newly seeded points.
 _SPARSE, _DENSE = 0.3, 1 / 4
-_EVERYTHING = 0.98  # share of the pixels: a threshold that this many exceed is rejected
-_PIXELS = 20_000  # read to estimate this share
+_EVERYTHING = 0.98  # share of the pixels: a threshold is rejected if more of them exceed it
+_PIXELS = 20_000  # number of pixels read to estimate this share
 
 
 @dataclass(frozen=True)
@@ -227,11 +229,12 @@ class StreamTracker:
         self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _KnownMotion | None = None
-        self._known: dict[int, _KnownMotion | None] = {}  # motion after each of the last frames, by their index
+        # Motion of the points after each of the last frames, by frame index.
+        self._known: dict[int, _KnownMotion | None] = {}
         self._begun = self._finished = 0
         self._change: _Change | None = None
         self._asked = False
-        self._deferred: deque[Work] = deque()  # frames that later ones decide about
+        self._deferred: deque[Work] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
@@ -298,8 +301,8 @@ class StreamTracker:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
             found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
-            # An empty glass gives a threshold too, of noise or outside 0 to 1. In contact the valleys of the skin do
-            # not touch: one that nearly all pixels exceed is wrong.
+            # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
+            # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
@@ -310,7 +313,7 @@ class StreamTracker:
         """
         passed: list[Event | FrameOutcome] = []
         frame = work.frame
-        if self._points is None:  # no usable frame has come yet
+        if self._points is None:  # no usable frame has arrived yet
             passed.append(self._skipped(work, frame.status, work.index))
         else:
             assert frame.picture is not None
@@ -384,7 +387,7 @@ class StreamTracker:
         seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
         return float((seen - black < (1 - threshold) * (empty - black)).mean())
 
-    # Changes before a frame begins.
+    # Changes that are made before a frame begins.
 
     def _due_change(self) -> _Change | None:
         change = self._change
@@ -452,7 +455,7 @@ class StreamTracker:
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(known.sum())})
 
-    # Outcome of a frame.
+    # Outcome of a frame after its computation.
 
     def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Return the outcome of a frame that is not usable, which has no points and gives no contact threshold;
@@ -472,12 +475,13 @@ class StreamTracker:
         assert points is not None
         image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
         resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
-        # No later frame has begun if they begin one by one, which a deferral does not change.
+        # With a lag of 1 frames are processed one after the other, so updates count from this frame, also after a
+        # deferral.
         found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
         self._latest = _KnownMotion(points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
-            # The first threshold that is measured applies at once, as there is no other.
+            # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
@@ -502,7 +506,7 @@ class StreamTracker:
         The motion, and new templates, were not known when a frame began behind a deferred one: its points are tracked
         once more.
         """
-        assert work.guess is not None  # points are tracked in every frame that may count
+        assert work.guess is not None  # points are tracked in every frame that may be usable
         assert work.found is not None
         guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
         assert guess is not None
@@ -555,10 +559,11 @@ class StreamTracker:
         gauge = self._engine.settings.gauge_length_mm
         covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
         points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
-        # Nor are other points chosen where all of them would be too few.
+        # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
-        wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi  # product of the semi-axes, px
+        # px², product of the semi-axes of the seeding region.
+        wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
         major, minor = (float(one) for one in contact.semi_axes[0])
         more = (math.hypot(major - minor, 2 * math.sqrt(wanted)) - major - minor) / 2
         axes = np.array([major, minor])

@@ -11,7 +11,7 @@ from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[Any]
 
-#: Consecutive frames in which the contact must cover a point for a lasting touch.
+#: Number of consecutive frames in which the contact must cover a point for a lasting touch.
 LASTING = 3
 _NO_PAIR = complex(np.nan, np.nan)
 
@@ -43,7 +43,7 @@ class Touching(NamedTuple):
         same in every frame. It cancels in the difference of two positions, unless one of them is that of the key frame,
         which is exact.
         """
-        rest = np.square(1 - self.share)  # weight of the frame before the touch, squared
+        rest = np.square(1 - self.share)  # squared weight of the frame before the touch
         then, earlier = (np.where(one > 0, one, now) for one in (self.variance, self.earlier))
         since = now + np.square(self.share) * then
         result: Array = (np.where(self.begins, rest * now, since) + rest * earlier) / 2
@@ -76,7 +76,7 @@ class Touches:
         self.share, self.variance, self.earlier = np.full((3, points), np.nan, np.float32)
         self.first = np.full(points, -1)
         self.first_place = np.full((points, 2), np.nan)
-        # In the frame before.
+        # Positions, variances and border in the previous frame.
         self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
@@ -103,12 +103,12 @@ class Touches:
             np.repeat(np.where(goes_on, one, np.float32(np.nan))[None], steps, axis=0)
             for one in (self.share, self.variance, self.earlier)
         )
-        # Most points have a lasting touch, or are out of the contact in all of these frames.
+        # Skip the points with a lasting touch and those out of contact in all of these frames, which are most.
         some = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
         if not len(some):
             return Touching(place, share, spread, earlier, touching, begins)
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
-        # Frames since the last one without contact, of points that have no lasting touch yet.
+        # For points without a lasting touch: number of frames since the last one without contact.
         left = np.maximum.accumulate(np.where(covered[:, some], 0, number), axis=0)
         length = number - left + np.where(left == 0, self.length[some], 0)
         stays = np.logical_or.accumulate(length >= LASTING, axis=0)

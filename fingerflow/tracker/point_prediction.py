@@ -11,9 +11,9 @@ from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 Array = NDArray[Any]
 
-TRUSTED = int(SPEED_FRAMES)  # frames over which a speed is extrapolated at most
-_NEVER = 10**6  # frames missing, of a point that does not exist
-_AROUND = 8  # nearest points from which a new point takes its speed
+TRUSTED = int(SPEED_FRAMES)  # largest number of frames over which a speed is extrapolated
+_NEVER = 10**6  # number of missing frames of a point that does not exist
+_AROUND = 8  # number of nearest points from which a new point takes its speed
 
 
 class PointMotion(NamedTuple):
@@ -83,7 +83,8 @@ class PointMotion(NamedTuple):
                 points[told] = by_neighbours[told]
                 known[told] = True
         jolted = np.zeros_like(known) if jolted is None else jolted & known
-        # A point that is found again may lie beside its prediction. One jolt is not taken for motion; two in a row are.
+        # A point that is found again may lie off its prediction. One such jolt is not taken for motion; two in a row
+        # are.
         moved = known & self.known & (self.jolted | ~jolted)
         change = (points - self.place) / np.float32(frames) - self.speed
         change *= np.float32(SPEED_WEIGHT)

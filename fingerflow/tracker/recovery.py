@@ -13,14 +13,15 @@ from fingerflow.engines.together import Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
-#: Tracks rows (L,) near places (L, 2) px and returns them (1, L).
+#: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
 Look = Callable[[Array, Array], Steps[FoundPoints]]
-#: Returns places (L, 2) px of rows (L,) near guesses (L, 2), and whether they return to their start (L,).
+#: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
+#: there returns to the start (L,).
 Search = Callable[[Array, Array], tuple[Array, Array]]
 
-ROUNDS = 3  # searches of a frame, at most
-_YIELD = 0.25  # share of the points searched for that are found, below which no other round follows
-_NEARER = 0.5  # px from the guess, below which tracking again would find nothing else
+ROUNDS = 3  # largest number of searches in a frame
+_YIELD = 0.25  # share of the searched points that must be found for another round to follow
+_NEARER = 0.5  # px, distance from the guess below which tracking again would find the same
 
 
 class Recovered(NamedTuple):
@@ -84,7 +85,7 @@ def recover(
         if np.mean(found.status[0, some] == TrackStatus.TRACKED) < _YIELD:
             break
         places = yield from by_neighbours(found)
-        away = np.abs(places - guess).max(-1) > _NEARER  # False where nothing is known
+        away = np.abs(places - guess).max(-1) > _NEARER  # False where the position is unknown
         others = np.flatnonzero(wanted & lost_points(found.status[0]) & away)
         if len(others):
             found = replaced(found, others, (yield from look(places[others], others)))

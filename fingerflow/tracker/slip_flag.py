@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-_FEWEST = 12  # points in contact, for five coefficients
-_RAISED = 2.0  # times the noise of a point
-_NEAREST = 4  # old points from which a new one takes its displacement, weighted by distance
-_FRAMES = 3  # in a row, before the flag is raised or withdrawn
+_FEWEST = 12  # least number of points in contact for a fit of five coefficients
+_RAISED = 2.0  # factor on the noise of a point above which the flag is raised
+_NEAREST = 4  # number of previous points from which a new one takes its displacement, weighted by distance
+_FRAMES = 3  # number of consecutive frames before the flag is raised or withdrawn
 
 
 class SlipState(NamedTuple):
@@ -55,7 +55,7 @@ class SlipFlag:
     def __init__(self) -> None:
         self._touched: Array = np.empty((0, 2))
         self._run = 0
-        self._held = False  # True if the points that have shown slip are lost: the flag stays until the contact ends
+        self._held = False  # True if the points that showed slip are lost: the flag then stays until the contact ends
         self.slipping = False
 
     def follow_others(self, before: Array, points: Array) -> None:
@@ -86,7 +86,7 @@ class SlipFlag:
         """
         if not len(self._touched):
             self._touched = np.full(points.shape, np.nan)
-        # As complex numbers: over an axis of two NumPy takes several times as long.
+        # Use complex numbers, since NumPy takes several times as long over an axis of two.
         place, touched = (
             np.ascontiguousarray(points, np.float64).view(np.complex128)[:, 0],
             self._touched.view(np.complex128)[:, 0],
@@ -105,7 +105,7 @@ class SlipFlag:
             some = std[used].astype(np.float64)
             noise = _RAISED * math.sqrt(float(some @ some) / len(some))
         self._held &= bool(covered.any())
-        # Too few points in contact neither raise the flag nor withdraw it. Comparisons with NaN are false.
+        # Too few points in contact neither raise nor withdraw the flag: comparisons with NaN are False.
         unknown = self._held or (math.isnan(residual) and bool(covered.any()))
         stays = unknown or max(ahead, residual) > noise
         above = stays if self.slipping else ahead > max(noise, spread)
@@ -131,7 +131,8 @@ def rim_motion(before: Array, after: Array) -> tuple[float, float]:
     z, square = z / math.sqrt(scale), square / scale
     basis = np.stack((np.ones_like(z), z, z.conj(), square + 0j, square * z))
     normal = basis.conj() @ basis.T
-    normal += 1e-9 * len(z) * np.eye(len(normal))  # points in one line do not determine all coefficients
+    # Regularisation, as points on one line do not determine all coefficients.
+    normal += 1e-9 * len(z) * np.eye(len(normal))
     _, a, b, e, d = np.linalg.solve(normal, basis.conj() @ moved)
     mean = complex(moved.mean())
     ahead = (complex(e) * mean.conjugate()).real / abs(mean) if mean else 0.0

@@ -21,11 +21,11 @@ USABLE = FRAME_STATUS.index("usable")
 _DARK, _SATURATED, _REPEATED, _JUMPS = (
     FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns")
 )
-_STEPS = 64  # latest steps between usable frames, by which it is known what is ordinary
-_REMEMBERED = 512  # latest usable frames with which a frame is compared to tell whether it is a copy
-_RETURNS = 3  # jumps and returns in the last `_RECENT` frames, from which on the finger vibrates
-_KNOWN, _RECENT = 8, 16  # frames
-_LIT = 0.3  # of the mean light: lines of the empty glass with less are not checked
+_STEPS = 64  # number of latest steps between usable frames from which ordinary steps are estimated
+_REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy
+_RETURNS = 3  # number of jumps and returns in the last `_RECENT` frames from which on the finger counts as vibrating
+_KNOWN, _RECENT = 8, 16  # frames after which repetitions are judged, and frames over which they are counted
+_LIT = 0.3  # share of the mean light: lines of the empty glass with less are not checked
 
 
 class Picture(NamedTuple):
@@ -63,20 +63,20 @@ class FrameCheck:
         self._least = black + DARK_SHARE * (float(empty.mean()) - black)
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
-        self._last: _Seen | None = None  # usable frame
-        self._without_lines = 0  # frames so far, in a row
+        self._last: _Seen | None = None  # latest usable frame
+        self._without_lines = 0  # number of consecutive frames with dark lines
         self._deferred: list[_Seen] = []
         self._steps: deque[Array] = deque(maxlen=_STEPS)
-        self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames jumped and returned
+        self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames jumped and returned
         self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames equalled another one
+        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
     def look(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
         """Sample all views (1, 1, H, W), and determine the frame status from this frame alone.
 
         Any thread may call it.
         """
-        every = [views[name][0] for name in sorted(views)]  # the contact view is first
+        every = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
         (contact, lines), *others = (_blocks(view[0]) for view in every)
         picture = Picture(
             tuple(PixelSamples.of(view) for view in every), key_of([contact, *(one for one, _ in others)])
@@ -126,7 +126,7 @@ class FrameCheck:
         if frame.number - self._deferred[0].number < LONGEST:
             self._deferred.append(frame)
             return [], None
-        # The first of them has come to stay; those behind it are judged anew.
+        # The image does not return, so the first deferred frame is usable; the frames behind it are judged again.
         first, *others = self._deferred
         self._deferred = []
         self._count(first)
@@ -169,11 +169,11 @@ class FrameCheck:
     def _is_far(self, frame: _Seen) -> bool:
         if self._last is None or not self._steps or sum(self._returned) >= _RETURNS:
             return False
-        # The motion during frames that were dropped or did not count adds up.
+        # The steps of frames that were dropped or not usable add up.
         gap = min(frame.number - self._last.number, LONGEST + 1)
         usual = self._usual() * gap**2
         step = frame.squared_distance(self._last)
-        # What is known takes longer to compute, and few frames are as far as that.
+        # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
         return is_far(step, usual) and is_far(step, usual, self._known())
 
     def _comes_back(self, frame: _Seen) -> bool:

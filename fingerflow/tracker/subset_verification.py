@@ -16,13 +16,14 @@ from fingerflow.tracker.window_match import Centred, Shifted, correlation_of, de
 
 Array = NDArray[Any]
 
-STEP = 3  # px of a window's grid: 81 samples of a window of 25 px
-_ALIKE = 0.05  # 1 - correlation that is always allowed; ridges with a period of 15 px exceed it if shifted by 1.5 px
-_USUAL, _MOST = 4.0, 0.2  # times the median over all points, which is allowed if it is more, and its upper bound
-_NOISE = 3.0  # times the loss of correlation by the noise of two images
-_PEAK = 4.5  # times the usual residual of windows: a larger single one stands out
-# Distance from where most samples of a window match, px and in its deviations, and share of samples that do not match:
-# beyond these, something else holds the point.
+STEP = 3  # px, spacing of the samples of a window: 81 in a window of 25 px
+_ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a period of 15 px a shift by 1.5 px exceeds it
+# Multiple of the median 1 - correlation over all points that is allowed if it is more, and upper bound of this limit.
+_USUAL, _MOST = 4.0, 0.2
+_NOISE = 3.0  # allowed multiple of the loss of correlation due to the noise of two images
+_PEAK = 4.5  # multiple of the usual residual of windows above which a single residual stands out
+# Something else than skin holds a point beyond all three limits: its distance from the position at which most samples
+# of its window match, in px and in standard deviations, and the share of samples that do not match.
 _HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
 
 
@@ -90,20 +91,22 @@ class Verification:
         """
         frames = len(images)
         tracked = status == TrackStatus.TRACKED
-        last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)  # 0 for none
+        # Number of the last image with the point tracked, counted from 1; 0 if there is none.
+        last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
         now = yield from self._sampled(images, number, places, warp)
         apart = self._dissimilarity(now)
         noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
         with np.errstate(divide="ignore", invalid="ignore"):
-            noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which never fails
+            noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
         known = np.sort(apart[np.isfinite(apart)])
         usual = _USUAL * known[(len(known) - 1) // 2] if len(known) else 0.0
         limit = np.clip(usual, _ALIKE, _MOST) + _NOISE * noise_part
         suspect = np.flatnonzero(apart > limit)
         if len(suspect):
-            # Skin deforms unevenly near the border: a subset at its correct position may then exceed the limit.
+            # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
+            # limit.
             sample = partial(self._sampled, images)
             some = (number[suspect], places[suspect])
             better = yield from deformed_alike(
@@ -116,7 +119,7 @@ class Verification:
         away = np.square(shift.shift).sum(1)
         held = (away > _HELD_PX**2) & (shift.deviations > _HELD_DEVIATIONS) & (shift.excluded > _HELD_SHARE)
         self.correlation = (1 - apart).astype(np.float32)
-        # A point that cannot be checked keeps its result.
+        # A point that cannot be checked keeps its previous result.
         found = Verified(apart > limit, held, (away / 2).astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, found, strict=True)))
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))

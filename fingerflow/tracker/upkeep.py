@@ -22,8 +22,8 @@ class ThresholdSearch:
     def __init__(self, lag: int) -> None:
         self._lag = lag
         self._searching = True
-        self._area = math.nan  # contact area with which its growth is compared
-        self._asked: int | None = None  # frame in which the contact had grown
+        self._area = math.nan  # px, contact area with which later areas are compared
+        self._asked: int | None = None  # index of the frame in which the contact had grown
         self._found: tuple[int, float] | None = None
 
     def begin(self) -> None:
@@ -68,7 +68,7 @@ class ThresholdSearch:
 
 
 REKEY = "rekey"  # cause of a new key frame for the same points
-CONTACT = "contact"  # cause of a reseeding where the contact has come to lie
+CONTACT = "contact"  # cause of a reseeding at the place where the contact lies
 
 
 class Upkeep:
@@ -79,10 +79,11 @@ class Upkeep:
         frames: a new key frame is taken after so many frames.
     """
 
-    _IN_A_ROW = 4  # a single frame may be blurred or dark
-    _RESTART = 64  # frames between two seedings, each of which takes as long as ten frames
-    _LOOKS = 2  # evaluations of one contact that find too few points: a growing one passes the limit back and forth
-    _YOUNG = 16  # looks at a contact, until which points are seeded where it lies: then skin has deformed already
+    _IN_A_ROW = 4  # number of frames in a row: a single frame may be blurred or dark
+    _RESTART = 64  # least number of frames between two seedings, each of which takes as long as ten frames
+    # Number of evaluations with too few points before a reseeding, since a growing contact may pass the limit twice.
+    _LOOKS = 2
+    _YOUNG = 16  # number of evaluations of one contact after which it is not reseeded, as its skin has deformed already
 
     def __init__(self, share: float, frames: float) -> None:
         self._share, self._frames = share, frames

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fingerflow.engines.together import Steps
 
 Array = NDArray[Any]
-#: Returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps (N, 2, 2).
+#: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
+#: (N, 2, 2).
 Sampler = Callable[[Array, Array, Array], Steps[Array]]
 
 _LEAST_VARIANCE = 1e-12

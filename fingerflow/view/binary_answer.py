@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fingerflow.schema.json_value import json_value
 
-_KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}  # those with JavaScript typed arrays
+# Names of the types for which JavaScript has typed arrays.
+_KINDS = {"u1": "uint8", "i4": "int32", "f4": "float32", "f8": "float64"}
 
 
 def packed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:

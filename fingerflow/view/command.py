@@ -11,8 +11,8 @@ from typing import Any
 import fingerflow
 
 _COUNT = re.compile(r"(\w+):[^\r\n|]*\|[^\r\n|]*\|\s*(\d+)/(\d+)")
-_KEPT = 4000  # last characters of its output
-_READ = 256  # bytes a read
+_KEPT = 4000  # number of last characters of the output that are kept
+_READ = 256  # bytes read at a time
 
 
 class Command:
@@ -27,7 +27,7 @@ class Command:
         self._said = ""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "fingerflow", *map(str, arguments)],
-            cwd=Path(fingerflow.__file__).resolve().parents[1],  # runs this package, not another installed one
+            cwd=Path(fingerflow.__file__).resolve().parents[1],  # runs this package and no other installed one
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -5,8 +5,8 @@ import asyncio
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-_CONNECTIONS = 100  # at once; a browser opens six
-_REQUEST = 10.0  # s for a whole request, however slowly its bytes come
+_CONNECTIONS = 100  # largest number of simultaneous connections; a browser opens six
+_REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come
 
 
 class Connection(H11Protocol):

@@ -13,6 +13,7 @@ from fingerflow.recordings import Recording
 from fingerflow.results.atomic_write import spare, write_atomically
 from fingerflow.schema.scene import Scene, scene_of_text
 from fingerflow.schema.scene_check import MISSING, check_scene
+from fingerflow.schema.scene_file import toml_remedy
 from fingerflow.schema.scene_keys import SCENE
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_template import scene_text
@@ -251,4 +252,4 @@ def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)
     except TOMLKitError as error:
-        raise FingerflowError(f"{path}: is not valid TOML: {error}; correct it there") from None
+        raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None

@@ -68,7 +68,7 @@ def _input(kind: Type) -> dict[str, Any]:
         case Each(among=(1, -1)):
             return {"input": "signs"}
         case _:
-            return {"input": "toml"}  # a matrix or polygon, as TOML text
+            return {"input": "toml"}  # a matrix or polygon is entered as TOML text
 
 
 def _limits(number: NumberType) -> dict[str, float | None]:

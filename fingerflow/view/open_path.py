@@ -8,7 +8,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.results.result import is_result, scene_of
 from fingerflow.view.draft import Draft
 
-RESULT = "result.h5"  #: name that `fingerflow process` gives it, in the scene's folder
+RESULT = "result.h5"  #: file name that `fingerflow process` gives to a result, in the scene's folder
 
 
 class Opened(NamedTuple):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording
 
-_MOST_SIDE = 1400  # px; larger frames are subsampled
-_STEP = 4  # px between the pixels that set the contrast
-_DARKEST, _BRIGHTEST = 0.2, 99.9  # percentiles drawn black and white
+_MOST_SIDE = 1400  # px, longest side of an image; larger frames are subsampled
+_STEP = 4  # px, step between the pixels that set the contrast
+_DARKEST, _BRIGHTEST = 0.2, 99.9  # percentiles of the grey levels that are drawn black and white
 
 
 class Pictures:

@@ -63,7 +63,7 @@ class Previewer:
         )
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
-        # Forces are resampled once, as they do not depend on the views.
+        # Resample the forces only once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
         self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
         check = FrameCheckStage(self._trial)

@@ -14,7 +14,7 @@ def redirect_file(address: str) -> Iterator[Path]:
 
     Every user of a computer can list the command line of a browser, which holds what the browser was told to open.
     """
-    with TemporaryDirectory(prefix="fingerflow-") as folder:  # only its owner may enter
+    with TemporaryDirectory(prefix="fingerflow-") as folder:  # only its owner may read the folder
         path = Path(folder) / "open.html"
         path.write_text(redirect(address), encoding="utf-8")
         yield path

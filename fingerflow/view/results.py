@@ -14,10 +14,10 @@ from fingerflow.results.result import open_result
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
 
-_SAMPLED = 24  # frames that set the range of colours
-_RANGE = 0.96  # quantile of the values at its end
-_ARROW_PX = 40  # drawn length of the largest displacements
-_PLACES = ("position", "position_px")  # drawn as positions, not as colours
+_SAMPLED = 24  # number of frames that set the range of colours
+_RANGE = 0.96  # quantile of the values at the end of the range of colours
+_ARROW_PX = 40  # px, drawn length of the largest displacement
+_PLACES = ("position", "position_px")  # variables drawn as positions, not as colours
 Values = NDArray[np.floating]
 
 
@@ -32,7 +32,8 @@ class Results:
         """Open a result file; raise FingerflowError if the file is not a result."""
         self.path = path.resolve()
         self.data = open_result(self.path)
-        # Reading one frame takes 2 ms by xarray and h5netcdf, which look the variable up each time; directly 0.2 ms.
+        # Open the file directly, too: xarray and h5netcdf look a variable up at each access and take 2 ms for one
+        # frame, h5py takes 0.2 ms.
         self._file = open_hdf5(self.path)
         self._stored: dict[str, Any] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
@@ -197,7 +198,7 @@ class Results:
             if variable.dims[: len(dims)] != dims or name in _PLACES or any(dim not in LABELS for dim in rest):
                 continue
             parts = [""] if not rest else list(LABELS[str(rest[0])])
-            if rest == ("xy",) and name != "ellipse_center":  # a position has no length
+            if rest == ("xy",) and name != "ellipse_center":  # a vector, other than a position, also has a length
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
@@ -256,7 +257,7 @@ class Results:
 
 def median_of(values: Values) -> Values:
     """Return the median (F,) over K points of time series (F, K), ignoring NaN."""
-    # With it comes torch: not before the first picture.
+    # Import here, since this also imports torch, which the first image must not wait for.
     from fingerflow.pipeline.stages.preparation.series import nanmedian
 
     return nanmedian(values)

@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.results.store import MemoryStore
 from fingerflow.view.preview import PredictedPoints, Preview, Previewer, numbers_of
 
-_LOOKS = 32  # frames from which the gel's rest state is estimated
+_LOOKS = 32  # number of frames from which the gel's rest state is estimated
 
 
 class SensorPreviewer(Previewer):
@@ -27,12 +27,12 @@ class SensorPreviewer(Previewer):
     that of `process`.
     """
 
-    _still: MarkerContactStage  # begun with these few frames
-    _markers: MarkerStage  # begun with the whole recording: holds the appearance of its markers
+    _still: MarkerContactStage  # stage begun with these few frames
+    _markers: MarkerStage  # stage begun with the whole recording, which holds the appearance of its markers
 
     def _begin_contact(self, before: Previewer | None) -> None:
         self._found: dict[int, Seen] = {}
-        if isinstance(before, SensorPreviewer):  # markers do not depend on what differs
+        if isinstance(before, SensorPreviewer):  # reuse the markers, which do not depend on the settings that differ
             self._markers, self._found = before._markers, before._found
         else:
             self._markers = MarkerStage(self._trial)

@@ -65,7 +65,7 @@ class Served:
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise FingerflowError(f"port {port} of {_HOST} cannot be served ({error}); give another --port") from None
-        self._socket.listen()  # requests before it runs wait in the queue
+        self._socket.listen()  # requests that arrive before the server runs wait in the queue
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/?token={guard.token.text}"
@@ -136,7 +136,7 @@ def application(session: Session) -> Starlette:
 
     def report(_: Request) -> Response:
         page = session.report_page()
-        # Sandboxed: the report can send no requests and is not of this origin, whatever it contains.
+        # Sandbox the report: whatever it contains, it can send no requests and does not share the origin of this page.
         rules = {"Content-Security-Policy": _REPORT_MAY}
         return Response(status_code=404) if page is None else Response(page, media_type="text/html", headers=rules)
 

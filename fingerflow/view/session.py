@@ -81,6 +81,7 @@ class Session:
     def setup(self) -> Facts:
         """Return the draft of the scene file for the page: values, validation problems and recording properties."""
         with self._lock:
+            self.progress("process")  # a run may have ended while no page was open
             draft = self._draft
             if draft is None:
                 return {"draft": None, "result": self._result_path is not None}

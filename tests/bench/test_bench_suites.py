@@ -47,7 +47,9 @@ Picture = NDArray[Any]
 def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the timing of the suites, because times are not tested."""
 
-    def once(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
+    def once(
+        candidates: dict[str, Callable[[], object]], peer: str, rounds: int, clock: object = None
+    ) -> dict[str, timing.Timing]:
         assert peer in candidates
         assert rounds >= 2
         return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}

@@ -330,13 +330,15 @@ def test_a_condition_is_read_by_the_record_of_the_variable(text: str, name: str,
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit"),
+        ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit behind the number"),
         ("gross_contact_area > 20 cm2", "is measured in 'mm2' or 'mm²', not in 'cm2'"),
         ("slip_flag > 1 mm", "is measured in 'no unit', not in 'mm'"),
         ("area > 20 mm2", "'area' may be any of real_contact_area, gross_contact_area"),
         ("size > 20 mm2", "there is no live value 'size'; there are real_contact_area, "),
         ("gross_contact_area = 20 mm2", "is no condition such as"),
-        ("gross_contact_area > 2.0.1 mm2", "'2.0.1' is no number"),
+        ("gross_contact_area > 2.0.1 mm2", "a number has one decimal point"),
+        ("gross_contact_area > 20 mm2, margin", "is no condition such as"),
+        ("gross_contact_area > 20 mm2, margin -2", "is no condition such as"),
     ],
 )
 def test_another_condition_is_refused_in_a_sentence(text: str, said: str) -> None:
@@ -352,6 +354,22 @@ def test_a_condition_rises_once_and_an_unknown_value_changes_nothing() -> None:
     assert [condition.becomes_true({"gross_contact_area": one}) for one in given] == [
         *(False, True, False, False, False, False, False, True, False, False)
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "rises"),
+    [
+        ("gross_contact_area > 20 mm2, margin 2", [21, 19, 21, 18.1, 21, 18, 21, 19], [0, 6]),
+        ("median_divergence < -15 um/mm, margin 5", [-0.016, -0.014, -0.016, -0.009, -0.012, -0.016], [0, 5]),
+        ("median_divergence >= 1 um/mm, margin 0.5", [0.001, 0.0006, 0.001, 0.0004, 0.001], [0, 4]),
+    ],
+)
+def test_a_margin_keeps_noise_about_the_limit_from_triggering_again(
+    text: str, given: list[float], rises: list[int]
+) -> None:
+    condition = Condition(text, VALUES)
+    found = [condition.becomes_true({condition.name: value}) for value in given]
+    assert np.flatnonzero(found).tolist() == rises
 
 
 @pytest.mark.parametrize(

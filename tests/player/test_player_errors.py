@@ -197,7 +197,10 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     file.unlink()
     assert "track.onnx: cannot be read" in said()
     _rewritten(stream.bundle, graphs={})
-    assert "has no proper entry 'light'" in said()
+    assert "without the graphs light, contact, threshold," in said("--engine", "onnx")
+    assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
+    _rewritten(stream.bundle, graphs={"light": {}})
+    assert "has no proper entry 'sha256'" in said()
     _rewritten(stream.bundle, format=1)
     assert "its format is 1, this player reads 6; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").write_text("{")

@@ -163,6 +163,23 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         assert float(said) == pytest.approx(float(result["real_contact_area"][largest]), rel=1e-3)
 
 
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_tab_that_is_closed_during_processing_loses_nothing(browser: Any, press: Path, ended: bool) -> None:
+    """The run goes on, and the next tab shows its result, whether it is opened before the run has ended or after."""
+    with opened(browser, press / "scene.toml") as (page, served):
+        page.click("#process")
+        page.wait_for_selector("#progress progress")
+        again = page.context.new_page()
+        again.set_default_timeout(SLOW)
+        page.close()
+        while ended and served.session._runs["process"].state()["running"]:
+            again.wait_for_timeout(100)
+        again.goto(served.address)
+        again.wait_for_selector("#tab-results.on")
+        again.wait_for_selector("#map")
+    assert load_result(press / "result.h5").sizes["frame"] == 12
+
+
 def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> None:
     with opened(browser, press / "scene.toml", refused="409 (Conflict)") as (page, _):
         page.wait_for_selector("#picture[data-mask=true]")

@@ -183,7 +183,7 @@ def _follow(
             center_y = tl.floor(guess_y + 0.5)
             first_x = center_x - (WINDOW + 6) // 2
             first_y = center_y - (WINDOW + 6) // 2
-            # As far beyond the border as the portable form replicates it.
+            # Clamp to the same distance beyond the border to which the portable form replicates the border.
             first_x = tl.minimum(tl.maximum(first_x, 0.0 - border), 0.0 + width + border - (WINDOW + 6)).to(tl.int32)
             first_y = tl.minimum(tl.maximum(first_y, 0.0 - border), 0.0 + height + border - (WINDOW + 6)).to(tl.int32)
             at_x = tl.minimum(tl.maximum(first_x + column, 0), width - 1)
@@ -227,7 +227,7 @@ def _follow(
             ends = _within(found_x, found_y, height, width, WINDOW)
             within = key_inside & (ends | (begins & (converged == 0)))
             readable = tl.abs(m1 + level) < _INF
-            # From the last reason to the first, so that the first that applies remains.
+            # Set the reasons from the last to the first, so that the first that applies remains.
             reason = tl.where(off <= forward_backward_limit, 0, _BACKWARD)
             reason = tl.where(common * (1.0 - mismatch_limit) <= explained, reason, _MISMATCH)
             reason = tl.where(converged, reason, _NOT_CONVERGED)

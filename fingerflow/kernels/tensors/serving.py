@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fingerflow.kernels.library import is_present
 
-LARGEST_FUSED = 57  # px, side of a window; with its margin it fills a tile of 64 x 64
+LARGEST_FUSED = 57  # px, largest side of a window of the fused kernel; with its margin it fills a tile of 64 x 64
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

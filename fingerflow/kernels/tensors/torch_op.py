@@ -13,7 +13,7 @@ from fingerflow.kernels.library import shapes_only
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-_CPU = torch.device("cpu")  # device of all results, whatever the default device of torch is
+_CPU = torch.device("cpu")  # device of all results, whatever torch's default device is
 _OPS = torch.library.Library("fingerflow", "DEF")
 
 

@@ -16,14 +16,15 @@ from fingerflow.models.observer.estimate import UNKNOWN, Interval
 
 Values = NDArray[np.float64]
 Weights = tuple[Values, ...]
-# From the weights (R, n) of each sample to the statistic (R,).
+# Function from the weights (R, n) of each sample to the statistic (R,).
 Statistic = Callable[..., Values]
 Participants = tuple[ArrayLike, ArrayLike] | None  # participant of each correct and of each incorrect trial
 
-_AT_ONCE = 4_000_000  # weights in memory
+_AT_ONCE = 4_000_000  # largest number of weights in memory
 # Added to the seed: data simulated with the same seed must not share random numbers with the resampling.
 _STREAM = 0x0B007
-# More units than this are left out in groups: their acceleration is negligible, and one by one they cost n^2.
+# Above this number of resampling units the jackknife leaves them out in groups: their influence is small, and leaving
+# out one at a time costs n^2.
 _JACKKNIFED = 400
 FEWEST_CLUSTERS = 3
 
@@ -33,7 +34,7 @@ class Samples:
     """Resampling unit of each trial in a bootstrap: the participant of the trial, or else the trial by itself."""
 
     units: tuple[NDArray[np.intp], ...]
-    participants: int  # 0 where each trial is its own unit
+    participants: int  # number of participants, 0 where each trial is its own resampling unit
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -111,7 +112,7 @@ def bca_interval(
     shifted = bias + np.array([-reach, reach])
     quantiles = ndtr(bias + shifted / np.maximum(1 - acceleration * shifted, 1e-3))
     low, high = np.quantile(finite, quantiles)
-    # A quantile may pass the estimate slightly where the statistic takes few values.
+    # Where the statistic takes few values, a quantile may lie slightly on the wrong side of the estimate.
     return (float(min(low, estimate)), float(max(high, estimate))), reason
 
 
@@ -144,7 +145,7 @@ def _acceleration(statistic: Statistic, samples: Samples) -> float:
     out each resampling unit, participant or trial (Efron & Tibshirani 1993, 14.15).
     """
     every = range(len(samples.sizes))
-    # A participant is left out of all samples, a trial of its own one.
+    # A participant is left out of all samples, a trial only of its own sample.
     parts = [(every, samples.participants)] if samples.participants else [([k], samples.sizes[k]) for k in every]
     left = [_each(statistic, _without_one(samples, changed, units)) for changed, units in parts]
     influence = np.concatenate([np.nanmean(values) - values for values in left])

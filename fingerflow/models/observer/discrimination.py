@@ -179,7 +179,7 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
     place = share * (counts[:, -1] - 1)
     lower = np.floor(place)
     upper = np.minimum(lower + 1, counts[:, -1] - 1)
-    # The k-th of the drawn values is the first one whose count passes k.
+    # The k-th smallest of the resampled values is the first one whose cumulative count exceeds k.
     low, high = (ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, upper))
     return np.asarray(low + (place - lower) * (high - low))
 
@@ -197,7 +197,7 @@ def _auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Valu
         ranked = np.concatenate([first, second], axis=1)[:, order]
         hits = np.where(is_correct, ranked, 0)
         misses = ranked - hits
-        if starts.size < values.size:  # equal values are one step of the curve
+        if starts.size < values.size:  # equal values are a single step of the curve
             hits, misses = (np.add.reduceat(some, starts, axis=1) for some in (hits, misses))
         below = misses.cumsum(1) - misses / 2
         return np.asarray((hits * below).sum(1) / (hits.sum(1) * misses.sum(1)))
@@ -212,7 +212,7 @@ def _mean(values: Values, weights: Values) -> Values:
 
 def _deviation(values: Values, weights: Values) -> Values:
     """Return standard deviations (R,) of values (N,) under weights (R, N), with n - 1; NaN if no two values differ."""
-    # Centred on the whole sample's mean: sums of squares of values far from 0 would lose precision.
+    # Subtract the mean of the whole sample first: sums of squares of values far from 0 would lose precision.
     centred = values - values.mean()
     count = weights.sum(1)
     middle = weights @ centred / count

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 Values = NDArray[np.float64]
 
 _FEWEST = 6
-_STEPS = 100  # of expectation and maximisation
+_STEPS = 100  # iterations of expectation and maximisation
 _STREAM = 0x6A0  # added to the seed: data simulated with the same seed must not share random numbers
 
 
@@ -74,7 +74,7 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
         reason = f"{size} participants: {_FEWEST} are needed" if size < _FEWEST else "all participants are alike"
         pair, each = (nan, nan), np.full(every.shape, nan)
         return Groups(0, pair, nan, pair, each, nan, nan, nan, nan, nan, size, missing, resamples, seed, reason)
-    # In units of the sample's own spread, so that nothing depends on the unit.
+    # Divide by the sample's own standard deviation, so that nothing depends on the unit.
     origin, unit = float(found.mean()), float(found.std())
     scaled = (found - origin) / unit
     share, low, high, deviation, ratio = (values[0] for values in _two_groups(scaled[None]))
@@ -113,7 +113,8 @@ def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values
     Samples have mean 0 and variance 1. The fit is the best from three starts: higher groups of 1/4, 1/2 and 3/4.
     """
     border = np.quantile(samples, (0.75, 0.5, 0.25), axis=1)[..., None]
-    belongs = np.where(samples > border, 0.99, 0.01)  # (3, R, P)
+    # (3, R, P) initial probability of the higher group, for the three starts.
+    belongs = np.where(samples > border, 0.99, 0.01)
     smallest = ndtri(0.75) * 1e-3
     for _ in range(_STEPS):
         share = belongs.mean(-1, keepdims=True).clip(1e-6, 1 - 1e-6)
@@ -125,7 +126,7 @@ def _two_groups(samples: Values) -> tuple[Values, Values, Values, Values, Values
         lower = np.log1p(-share) - (samples - low) ** 2 / (2 * variance)
         total = np.logaddexp(upper, lower)
         belongs = np.exp(upper - total)
-    # One Gaussian of variance 1 has the log likelihood -1/2 per value, up to the constant.
+    # Log likelihood of one Gaussian of variance 1: -1/2 per value, up to the same constant.
     ratio = 2 * ((total - np.log(variance) / 2).sum(-1) + samples.shape[1] / 2)
     best = ratio.argmax(0)[None]
     share, low, high, variance = (np.take_along_axis(part[..., 0], best, 0)[0] for part in (share, low, high, variance))

@@ -10,7 +10,7 @@ from fingerflow.models.observer.bootstrap import Participants, samples_of
 
 # Added to the seed: data simulated with the same seed must not share random numbers with the permutations.
 _STREAM = 0x9E2A
-_AT_ONCE = 4_000_000  # labels in memory
+_AT_ONCE = 4_000_000  # largest number of permuted labels in memory
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def permutation_test(
         sums.append(is_correct[np.argsort(keys, axis=1)] @ ranks)
     areas = (np.concatenate(sums) - first.size * (first.size + 1) / 2) / (first.size * second.size)
     area = float((is_correct @ ranks - first.size * (first.size + 1) / 2) / (first.size * second.size))
-    # Within participants the expected area is not 1/2: those who answer better may have larger metrics.
+    # Within participants the expected area is not 1/2: participants who answer better may have larger metrics.
     share = np.bincount(blocks, is_correct) / np.bincount(blocks)
     expected = (float(share[blocks] @ ranks) - first.size * (first.size + 1) / 2) / (first.size * second.size)
     as_far = np.count_nonzero(np.abs(areas - expected) >= abs(area - expected) - 1e-12)

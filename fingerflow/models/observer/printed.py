@@ -10,8 +10,8 @@ from scipy.special import ndtri
 
 Values = NDArray[np.float64]
 
-BIN = 0.05  # of the normalised metric
-_STEP = 0.001  # of the criterion
+BIN = 0.05  # bin width of the normalised metric
+_STEP = 0.001  # step between tested criteria, in the normalised metric
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,6 @@ def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
 
     try:
         found, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
-    except RuntimeError:  # no convergence
+    except RuntimeError:  # the fit did not converge
         return NO_GAUSSIAN
     return Gaussian(float(found[0]), float(found[1]), abs(float(found[2])))

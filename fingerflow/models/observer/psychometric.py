@@ -16,20 +16,20 @@ from fingerflow.models.observer.jackknife import jackknife_interval
 
 Values = NDArray[np.float64]
 
-#: Guess rate by design of the experiment. Of two intervals that feel alike the right one is named every second time;
-#: the share of "yes" without a stimulus is the participant's own, and fitted.
+#: Guess rate by the design of the experiment. In a forced choice between two intervals a participant who feels no
+#: difference is right half of the time. The share of "yes" without a stimulus is the participant's own and is fitted.
 FORCED_CHOICE, YES_NO = "forced choice", "yes/no"
 GUESSES = {FORCED_CHOICE: 0.5, YES_NO: None}
 _FEWEST_STIMULI = 3
-_LARGEST_RATE = 0.5  # of lapses and of guesses that are fitted
-_RATE_PRIOR = (1.0, 10.0)  # Beta (Schuett et al. 2016): lapses and guesses are likely few
+_LARGEST_RATE = 0.5  # upper bound of the fitted lapse and guess rates
+_RATE_PRIOR = (1.0, 10.0)  # Beta distribution (Schuett et al. 2016), under which lapses and guesses are probably few
 # Overdispersion is integrated with a uniform prior on its square root, up to (0.8)^2: the Beta(1, 10) of the same
 # authors makes intervals of few blocks too short (measured: coverage 0.77 instead of 0.95, with 0.05 in the data).
 _SPREADS: Values = ((np.arange(24) + 0.5) / 30) ** 2
-# In ranges of the stimuli: a limit farther than the first counts as infinite; the second bounds the slope.
+# Bounds, in ranges of the stimuli: a threshold beyond the first counts as infinite; the second bounds the slope.
 _FURTHEST, _STEEPEST = 50.0, 200.0
-_STARTS = 4  # grid points from which the search starts
-_LOGIT = 15.0  # rates of 1e-7
+_STARTS = 4  # number of grid points from which the search starts
+_LOGIT = 15.0  # bound of the logits of the rates, which is a rate of 3e-7
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,8 @@ class _Posterior:
         (correlation of answers within a block) of the grid `_SPREADS`, up to a constant.
         """
         expected = self._expected(values)
-        # Beta-binomial with mean p and a + b = 1 / spread - 1; terms independent of the parameters are left out.
+        # Beta-binomial distribution with mean p and a + b = 1 / spread - 1; terms independent of the parameters are
+        # left out.
         total = 1 / _SPREADS[:, None] - 1
         first, second = expected * total, (1 - expected) * total
         likelihood = betaln(self.yes + first, self.number - self.yes + second) - betaln(first, second)

@@ -12,7 +12,7 @@ from fingerflow.errors import FingerflowError
 Values = NDArray[np.float64]
 
 COLUMNS = ("participant", "trial", "condition", "answer")
-# These measure the finger's sideways motion itself, so `leave_out_moved` keeps them.
+# Columns that measure the sideways motion of the finger itself, so `leave_out_moved` keeps them.
 OF_MOTION = ("global_displacement", "force_angle")
 
 
@@ -67,7 +67,7 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
                 f"column {name!r} has shape {column.shape}, participant {length}: give one value a trial"
             )
     answer = columns["answer"]
-    known = np.isin(answer, (0, 1))  # True and False among them
+    known = np.isin(answer, (0, 1))  # also accepts True and False
     if not known.all():
         raise FingerflowError(
             f"an answer is {answer[~known].tolist()[0]!r}: give True where it was correct, False where not"

@@ -8,18 +8,20 @@ from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
 
-_DEPTH = 0.3  # relative load below its largest; frames with less are left out
-_AFTER_S = 0.2  # s after the loss in which frames count
-_FEWEST = 8  # frames
-_STEP_S = 1 / 60  # s, shortest interval of frames; of faster recordings frames are left out
-_ENDS_S = np.arange(-0.1, 0.16, 0.01)  # s after the frame of the loss: candidate ends of the collapse
+_DEPTH = 0.3  # range of the relative load below its largest value; frames with less load are left out
+_AFTER_S = 0.2  # s after the loss of adhesion up to which frames are used
+_FEWEST = 8  # least number of frames
+_STEP_S = 1 / 60  # s, shortest interval between used frames; faster recordings are subsampled
+_ENDS_S = np.arange(-0.1, 0.16, 0.01)  # s after the frame in which adhesion is lost: candidate ends of the collapse
 _DURATIONS_S = np.arange(0, 1.001, 0.02)  # s, candidate durations of the collapse
-_BENDS = np.array([0, 0.01, 0.1, 1])[:, None]  # e, candidate shapes from a square root to a line
+# Candidates for e, the shape of the decay, from a square root (0) to a line.
+_BENDS = np.array([0, 0.01, 0.1, 1])[:, None]
 _RATE_S = 0.15  # s before the collapse over which the loading rate is measured
-_STEADY = 0.01  # relative deviation of T/N from a constant or a ramp
-_ABOVE = (0.0, 0.005, 0.01, 0.015)  # candidate relative loads above the last one, at which an area has faded
-_AREA_ERROR = 0.006  # least deviation of d^2 in a frame: of pictures that are measured without visible noise
-# RMS errors of area and duration on simulated and rendered trials, beyond what the fit shows.
+_STEADY = 0.01  # standard deviation of T/N from a constant or a ramp, relative
+# Candidate relative loads above the last one, at which a fading area would have vanished.
+_ABOVE = (0.0, 0.005, 0.01, 0.015)
+_AREA_ERROR = 0.006  # least standard deviation of d^2 in a frame, as measured on pictures without visible noise
+# RMS errors of area and duration on simulated and rendered trials that the fit's own deviations do not contain.
 _AREA_STD = 0.015
 _DURATION_STD = 0.01  # s
 
@@ -117,7 +119,7 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
         middle = float((weights * values).sum())
         return middle, math.sqrt(float((weights * (values - middle) ** 2).sum()))
 
-    # A collapse between two frames takes one interval at most.
+    # A collapse between two successive frames lasts at most the interval between them.
     lasting = np.maximum(duration[..., 0], step)
     (found, spread), (speed, speed_std) = mean(critical), mean(critical / lasting)
     return Collapse(

@@ -11,7 +11,7 @@ from fingerflow.models.partial_slip.fit import STUDENT_FREEDOM, fit_family, fram
 Values = NDArray[np.float64]
 
 COULOMB = "Coulomb"
-_CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
+_CANDIDATES = 401  # number of friction coefficients tried for Coulomb's curve
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _fit_coulomb(area: Values, load: Values, noise: tuple[float, float]) -> tupl
 
 
 def _aicc(squared: Values, coefficients: int) -> float:
-    parameters = coefficients + 1  # the scale
+    parameters = coefficients + 1  # the scale of the residuals is a parameter too
     frames = squared.size
     return _deviance(squared) + 2 * parameters + 2 * parameters * (parameters + 1) / (frames - parameters - 1)
 

@@ -47,6 +47,7 @@ TADA = CurveFamily(
     ("mu",),
     lambda s: 1 - np.maximum(s, 0)[..., None] ** 1.5,
     lambda s: -1.5 * np.sqrt(np.maximum(s, 0))[..., None],
-    # Infinite where the area vanishes; bounded by its value at 0.05, an area lost in noise anyway.
+    # The curvature is infinite where the area vanishes. It is bounded by its value at 0.05, where noise hides the area
+    # anyway.
     lambda s: -0.75 / np.sqrt(np.maximum(s, 0.05))[..., None],
 )

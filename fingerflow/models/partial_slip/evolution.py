@@ -8,7 +8,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-# Rounding error of the discriminant below for a load that was itself computed, relative to mu_s^2.
+# Rounding error, relative to mu_s^2, of the discriminant below for a computed load.
 _ROUNDING = 16 * torch.finfo(torch.float64).eps
 
 

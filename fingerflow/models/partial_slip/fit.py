@@ -11,13 +11,13 @@ from fingerflow.models.partial_slip.curve_families import PARTIAL_SLIP, CurveFam
 Values = NDArray[np.float64]
 Interval = tuple[float, float]
 
-STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t, the distribution of the errors
+STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t-distribution of the residuals
 
-_FEWEST = 10  # frames
-_ROUNDS = 15  # of reweighting
+_FEWEST = 10  # least number of frames
+_ROUNDS = 15  # iterations of reweighting
 _STREAM = 0xF17  # added to the seed: data simulated with the same seed must not share random numbers
-_EXACT = 1e-9  # noise below which numbers count as exact
-_WIDEST = 1.0  # widest informative interval of mu_k / mu_s
+_EXACT = 1e-9  # standard deviation below which values count as exact
+_WIDEST = 1.0  # widest interval of mu_k / mu_s that is informative
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,8 @@ def fit_family(
     Returns:
         The coefficients (R, P) and the squared distances (R, F), in units of the noise.
     """
-    # Noise of d^2 moves the mean of a curved function; without this the fit is biased towards less friction.
+    # Noise of d^2 shifts the mean of a curved function; without this correction the fit is biased towards less
+    # friction.
     basis = family.load(area) - family.curvature(area) * noise[0] ** 2 / 2
     count = basis.shape[1]
     robust = np.ones_like(weights)
@@ -205,7 +206,7 @@ def _is_shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDA
     partly = (area > 0.5) & (area < 1 - 5 * noise[0])
     if not partly.any():
         return partly
-    # T/N = 2 mu_s (1 - d^2) near d^2 = 1.
+    # Near d^2 = 1, T/N = 2 mu_s (1 - d^2).
     return load > 3 * noise[0] * np.median(load[partly] / (1 - area[partly]))
 
 

@@ -33,16 +33,17 @@ Values = NDArray[np.float64]
 #: Function that returns the measured (blurred) displacement, mm, of a ramp max(x, 0) at distances x in mm.
 RampResponse = Callable[[Values], Values]
 
-POWERS = np.arange(0.75, 2.01, 0.125)  # candidates for p
-ROUNDINGS = np.array([0, 0.25, 0.5, 0.75, 1, 1.25])  # candidates for a, half windows
-_KNOTS = np.linspace(0, 1, 81) ** 2  # of the ramps that make up g, as shares of the distances where it is needed
-_BLUR_MM = 1.0  # beyond a distance, within which displacement is seen there: more than a window
+POWERS = np.arange(0.75, 2.01, 0.125)  # candidates for the power p
+ROUNDINGS = np.array([0, 0.25, 0.5, 0.75, 1, 1.25])  # candidates for the rounding a, in half windows
+_KNOTS = np.linspace(0, 1, 81) ** 2  # starting points of the ramps that make up g, as shares of the range of distances
+# mm, added to the range of distances: more than a window, so that displacement which the blur spreads is included.
+_BLUR_MM = 1.0
 
-_SAMPLES = 24  # along each side of a window
-_PLACES = 96  # means of neighbouring samples, by their distance from the border
-_ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # between border and window, 0 to 45 degrees
-_FEWEST = 8  # distances with a displacement
-_FREE = 5  # power, rounding, position, growth and base
+_SAMPLES = 24  # samples along each side of a window
+_PLACES = 96  # number of offsets along the border's normal, each the mean of neighbouring samples
+_ANGLES = (np.arange(3) + 0.5) * np.pi / 12  # rad, angles between border and window, 0 to 45 degrees
+_FEWEST = 8  # least number of distances with a displacement
+_FREE = 5  # number of fitted parameters: power, rounding, position, growth and base
 
 
 class BorderFit(NamedTuple):
@@ -143,7 +144,7 @@ def fit_border(
     if not np.isfinite(least):
         return None
     likely = np.exp((least - squared) / 2 / max(1.0, least / (len(distance) - _FREE)))
-    likely[roundings > 0] /= len(ROUNDINGS) - 1  # as probable together as none
+    likely[roundings > 0] /= len(ROUNDINGS) - 1  # all roundings above 0 together are as probable as no rounding
     likely /= likely.sum()
     (power, power_std), (rounding, _), (offset, offset_std) = (
         _mean_and_deviation(values, likely.sum(axis)) for values, axis in ((powers, 1), (roundings, 1), (offsets, 0))
@@ -158,7 +159,8 @@ def _blurred(distance: Values, powers: Values, roundings: Values, seen: RampResp
     """Return the law g (L, K) of displacement growth for L powers and L roundings, blurred by the response `seen` of
     the measurement, at distances (K,) mm beyond the border.
     """
-    # Ramps from knots add up to g, linear in between; the first knots are close, where a small power bends most.
+    # Ramps that begin at the knots add up to g, linear in between. The first knots are close together, where a small
+    # power bends most.
     knots = (max(float(distance.max()), 0.0) + _BLUR_MM) * _KNOTS
     p, a = powers[:, None], roundings[:, None]
     law = (knots**2 + a**2) ** (p / 2) - a**p

@@ -16,21 +16,22 @@ Values = NDArray[np.float64]
 Outcome = Literal["vanishes abruptly", "diminishes", "inconclusive"]
 
 CORRIDOR = 0.05  # relative half-width of the corridor around T/N just before the complete loss of adhesion
-SMALLEST_AREA = 0.05  # d^2 above which a minimal adhesion area exists
-# d^2 of a fading area at the corridor's edge: (1 - T/(mu N))^(1/2) at T/(mu N) = 0.95 for mu_s = mu_k, and less for
-# mu_s < mu_k.
+SMALLEST_AREA = 0.05  # least d^2 at the collapse that counts as a minimal adhesion area
+# d^2 at the corridor's edge of an area that fades: (1 - T/(mu N))^(1/2) at T/(mu N) = 0.95 for mu_s = mu_k, and less
+# for mu_s < mu_k.
 FADING_AREA = math.sqrt(CORRIDOR)
 
-_SMOOTHED_S = 0.05  # s of the running medians, and five frames at least
-_REFERENCE_S = 0.05  # s before the complete loss within which T/N is known
-_FEWEST = 15  # frames with d^2 and T/N
-_LARGEST_FALL = CORRIDOR  # relative fall of T/N before the complete loss; with more the loading is not slow
-_LARGEST_NOISE = CORRIDOR / 2  # standard deviation of T/N from frame to frame
-_LARGEST_GAP_S = 0.1  # s without a measurement inside the corridor
-_LEAST_ZERO = 0.01  # d^2 that counts as 0 where no noise is seen
-_ZERO_STD = 4.0  # standard deviations of the smoothed d^2 that count as 0
+_SMOOTHED_S = 0.05  # s, window of the running medians, at least five frames
+_REFERENCE_S = 0.05  # s before the complete loss in which a T/N must be known
+_FEWEST = 15  # least number of frames with d^2 and T/N
+# Largest relative fall of T/N before the complete loss; a larger one means that the loading is not slow.
+_LARGEST_FALL = CORRIDOR
+_LARGEST_NOISE = CORRIDOR / 2  # largest standard deviation of T/N from frame to frame, relative
+_LARGEST_GAP_S = 0.1  # s, longest gap without a measurement inside the corridor
+_LEAST_ZERO = 0.01  # least d^2 that counts as 0, also without measured noise
+_ZERO_STD = 4.0  # d^2 up to this many standard deviations of its smoothed values counts as 0
 _LARGEST_STD = 2.0  # standard deviations by which the largest of several d^2 exceeds the true one
-_LEAST_EVIDENCE = 6.0  # chi^2 by which a collapse explains d^2 better than fading: 2.4 standard deviations
+_LEAST_EVIDENCE = 6.0  # least chi^2 by which a collapse must explain d^2 better than fading: 2.4 standard deviations
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def judge_trial(
     just_before = load[(when >= when[loss] - _REFERENCE_S) & (when < when[loss])]
     if not np.isfinite(just_before).any():
         return replace(found, reason=f"no T/N in the {_REFERENCE_S:g} s before the complete loss at {when[loss]:.3f} s")
-    # T/N may fall from the loss on.
+    # T/N may fall from the loss on, so the larger value is taken.
     reference = float(np.fmax(just_before[np.isfinite(just_before)][-1], load[loss]))
     found = replace(found, loss_load_ratio=reference)
     if reference <= 0:
@@ -258,7 +259,7 @@ def _area_noise(raw: Values, smoothed: Values, width: int) -> float:
     d^2, from the `raw` values in frames of partial slip; 0 if these are too few.
     """
     noise = frame_noise(raw[(smoothed > 0.05) & (smoothed < 0.95)])
-    # Of a median of independent values.
+    # Standard deviation of the median of `width` independent values.
     return math.sqrt(math.pi / 2 / width) * noise if math.isfinite(noise) else 0.0
 
 

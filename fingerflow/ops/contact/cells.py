@@ -16,12 +16,13 @@ def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32)
     """Compute the means of an image (B, 1, H, W) over cells of `cell` x `cell` px; the image is padded with zeros."""
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
-    # The lines of a mask are added as bytes, which hold 255: a sum of floats takes five times as long.
+    # Add the lines of a mask as bytes, which hold sums up to 255: adding floats takes five times as long.
     values = bytes_of(image) if image.dtype == torch.bool and cell <= 255 else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
     lines = values.unflatten(2, (-1, cell))
-    # Columns first, by adding whole lines. Torch adds slices faster than it reduces a short axis; ONNX runtimes reduce.
+    # Sum the columns first, by adding whole lines: torch adds slices faster than it reduces a short axis. ONNX runtimes
+    # reduce.
     down = sum_of(lines.unbind(3))
     columns = down.to(precision).unflatten(3, (-1, cell))
     return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
@@ -59,7 +60,8 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
     x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
     left, top = x.floor().clamp(0, max(width - 2, 0)), y.floor().clamp(0, max(height - 2, 0))
     first = (top * width + left)[:, None].to(torch.int64)
-    right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
+    # Index steps to the next cell, 0 if the grid has only one column or row.
+    right, down = min(1, width - 1), width * min(1, height - 1)
     corners = torch.cat((first, first + right, first + down, first + (down + right)), dim=1)
     values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
     across, along = (x - left)[:, None], (y - top)[:, None]
@@ -83,7 +85,7 @@ def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
         (B, N) bool; False beyond the cells and where x or y is not finite.
     """
     height, width = density_margin.shape[-2:]
-    # Positions that are not finite are moved outside the frame, where no region lies.
+    # Move positions that are not finite outside the frame, where no region lies.
     known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
     column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
     inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)

@@ -60,7 +60,7 @@ def largest_component(mask: Tensor) -> Tensor:
     part = _connected_part(runs, mask.shape, diagonal=True)
     count = len(part)
     area = torch.zeros_like(part).index_add(0, part, runs.last - runs.first + 1)
-    # One integer sorts by area, then by reading order: a component is labelled by its first run.
+    # Combine area and reading order in one integer for sorting. A component is labelled by its first run.
     score = area * count + (count - 1 - torch.arange(count, device=mask.device))
     frame = runs.first // (mask.shape[-2] * mask.shape[-1])
     best = score.new_zeros(len(mask)).scatter_reduce(0, frame, score, "amax")
@@ -85,15 +85,15 @@ def _paint(runs: _Runs, chosen: Tensor, like: Tensor) -> Tensor:
     """Paint the chosen runs of pixels as True into a new mask of the shape of `like`."""
     change = torch.zeros(like.numel() + 1, dtype=torch.int8, device=like.device)
     change[runs.first[chosen]] = 1
-    change[runs.last[chosen] + 1] -= 1  # a run may begin where, in the row above, another one ended
+    change[runs.last[chosen] + 1] -= 1  # subtracted, since a run may begin where a run of the row above has ended
     return change[:-1].cumsum(0, dtype=torch.int8).bool().reshape(like.shape)
 
 
 def _connected_part(runs: _Runs, shape: torch.Size, diagonal: bool) -> Tensor:
     """Label the runs of a mask: return, for each run, the index of the first run in the same connected component."""
     height, width = shape[-2:]
-    # The runs of the next row that touch run i are neighbours in the list: from the first that does not end before
-    # run i begins to the last that does not begin after it ends.
+    # The runs of the next row that touch run i are consecutive in the list: from the first that does not end before run
+    # i begins to the last that does not begin after run i ends.
     reach = int(diagonal)
     begin = (runs.first % width - reach).clamp(min=0)
     end = (runs.last % width + reach).clamp(max=width - 1)

@@ -16,8 +16,8 @@ from fingerflow.ops.filters.quantile import median_of_counts
 from fingerflow.ops.filters.strided_median import median_at
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
-# Contact reduces the light by at least a twentieth. The two classes must lie apart by _NOISE_RATIO deviations of the
-# lower one: the halves of a noise distribution lie closer together.
+# Contact reduces the light by at least a twentieth. The two classes must be separated by at least _NOISE_RATIO standard
+# deviations of the lower class, as the halves of a noise distribution are closer together.
 _LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _ROUNDS = 2
@@ -76,7 +76,7 @@ def _threshold(
     if frames.is_floating_point():
         lit = lit & (lost.abs() < torch.inf)
     levels = torch.where(lit, lost, -low * scale).clamp(0, _LEVELS - 1).round()
-    if not torch.compiler.is_exporting():  # some ONNX execution providers have no minimum of bytes
+    if not torch.compiler.is_exporting():  # some ONNX execution providers cannot compute a minimum of bytes
         levels = levels.to(torch.uint8)
     smooth = median_at(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
@@ -139,6 +139,7 @@ def _at_pixels(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor
     """Return the values, at every `step`-th pixel of every `step`-th line of a frame of `shape` (height, width), of the
     cells (B, 1, h, w) of `cell` px in which the pixels lie.
     """
-    for axis, side in ((3, shape[1]), (2, shape[0])):  # columns while there are few lines, then whole lines
+    # Select columns first, while there are few lines, then whole lines.
+    for axis, side in ((3, shape[1]), (2, shape[0])):
         cells = cells.index_select(axis, torch.arange(0, side, step, device=cells.device) // cell)
     return cells

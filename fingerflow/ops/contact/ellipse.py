@@ -46,7 +46,8 @@ def fit_ellipse(mask: Tensor) -> FittedEllipse:
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area
-    # Moments about the pixel nearest to the centre, in integers: a small mask far from the origin loses no digits.
+    # Compute moments about the pixel nearest to the centre, in integers: a small mask far from the origin then loses no
+    # digits.
     near_x, near_y = (center.nan_to_num(0.0).round().long() for center in (center_x, center_y))
     dx, dy = (x - number * near_x) / area, (y - number * near_y) / area
     xx = (xx - near_x * (2 * x - number * near_x)) / area - dx * dx

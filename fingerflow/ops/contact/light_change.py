@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from fingerflow.ops.markers.markers import blur
 
-_LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the surface
+_LEAST_SHARE = 0.1  # least share of the pixels around a cell that must show the surface and no marker
 
 
 def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale: float) -> Tensor:
@@ -34,7 +34,7 @@ def light_change(frames: Tensor, rest: Tensor, hidden: Tensor, cell: int, scale:
             f"frames {tuple(frames.shape)}, rest {tuple(rest.shape)} and hidden {tuple(hidden.shape)}: "
             "give (B, 1, H, W), (1, 1, H, W) and (B, 1, H, W)"
         )
-    # Half a grey level keeps black from being minus infinity.
+    # Half a grey level is added so that the logarithm of black is finite.
     change = torch.log((frames.to(torch.float32) + 0.5) / (rest.to(torch.float32) + 0.5))
     shown = (~hidden).to(torch.float32)
     share = blur(functional.avg_pool2d(shown, cell), scale / cell)

@@ -57,8 +57,8 @@ def histogram(
     index = _bin_index(frames, bins, low, high)
     if mask is not None:
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
-    # Not `bincount`: the host would wait for the device to learn the largest index. Not products of one-hot digits of
-    # every pixel: they take ONNX Runtime ten times as long.
+    # `bincount` is not used: the host would wait for the device to learn the largest index. Products of one-hot digits
+    # of every pixel are not used: they take ONNX Runtime ten times as long.
     counts = torch.zeros(len(frames), bins + 1, dtype=torch.int32, device=frames.device)
     return counts.scatter_add(1, index.long(), torch.ones_like(index))[:, :bins].long()
 
@@ -113,7 +113,7 @@ def otsu_classes(counts: Tensor) -> Classes:
     The variance between the classes is that of Otsu 1979, equation 18; of equally good thresholds the lowest is taken.
     Results have the dtype of the counts.
     """
-    centre = (_BINS - 1) / 2  # moments about the middle level, so that float32 represents them
+    centre = (_BINS - 1) / 2  # moments are taken about the middle level, so that float32 represents them
     level = torch.arange(_BINS, dtype=counts.dtype, device=counts.device) - centre
     share = counts / counts.sum(1, keepdim=True).clamp_min(1)
     below, moment = share.cumsum(1), (share * level).cumsum(1)
@@ -157,7 +157,7 @@ def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Ten
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
     """Return the histogram bin (B, H W) int32 of every pixel; pixels that are not finite get the index `bins`."""
     values = frames.flatten(1)
-    if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
+    if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer per bin
         if frames.dtype == torch.uint8 and low == -1 and bins == 256:
             return values.int()
         return (values.int() - (int(low) + 1)).clamp(0, bins - 1)

@@ -6,7 +6,8 @@ from torch import Tensor
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.scattered import working_dtype
 
-# In gauge lengths. For a node on the straight border of a uniform cloud the offset is 0.145.
+# Largest offset, in gauge lengths, of the points' centroid from a node. For a node on the straight border of a uniform
+# cloud it is 0.145.
 _MAXIMUM_CENTROID_OFFSET = 0.15
 
 

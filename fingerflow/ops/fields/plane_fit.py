@@ -13,7 +13,8 @@ from fingerflow.ops.branching import may_branch
 from fingerflow.ops.tensors import components_first, finite, products, sum_rows, symmetric
 
 _TINY = 1e-20
-_ONE = 2.0**-60  # stands for 1 in counts: less than any positive value here, so that clamping makes all equal
+# Unit of the counts of points: less than any positive value here, so that clamping makes all of these equal to it.
+_ONE = 2.0**-60
 
 
 class Support(NamedTuple):
@@ -36,13 +37,13 @@ class PlaneFit(NamedTuple):
     values may have a batch of 1 for all frames.
     """
 
-    known: Tensor  # (B, 1, Q) bool
-    value: Tensor  # (B, C, Q), the unit of the values
-    gradient: Tensor  # (B, 2 C, Q), du/dx, du/dy, dv/dx, ..., value unit per length unit
-    centroid: Tensor  # (B, 2, Q), weighted mean position of the points, from the common origin
-    inverse: Tensor  # (B, 3, Q), xx, xy, yy of the inverse of the points' second moments about it
-    mass: Tensor  # (B, 1, Q), sum of the weights
-    weights: Tensor  # of `Support`
+    known: Tensor  # (B, 1, Q) bool, whether the fit is determined
+    value: Tensor  # (B, C, Q) fitted values, in the unit of the values
+    gradient: Tensor  # (B, 2 C, Q) gradients du/dx, du/dy, dv/dx, ..., value unit per length unit
+    centroid: Tensor  # (B, 2, Q) weighted mean position of the points, from the common origin
+    inverse: Tensor  # (B, 3, Q) inverse of the points' second moments about the centroid, xx, xy, yy
+    mass: Tensor  # (B, 1, Q) sum of the weights
+    weights: Tensor  # weights of `Support`
 
 
 def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
@@ -103,11 +104,11 @@ def fit_planes(
     if len(places) == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
         usable = usable[:1]
     weight = usable.to(places.dtype)
-    # A constant does not change the slope: subtracting the mean saves its precision.
+    # A constant does not change the slope; subtracting the mean preserves its precision.
     values = torch.where(usable, values, 0.0)
     level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
     moved = weight * (values - level)
-    # 1, x, y, the products xx, xy, yy; and u, v, ..., ux, uy, vx, ...
+    # Moments of the positions: 1, x, y and the products xx, xy, yy; of the values: u, v, ..., ux, uy, vx, ...
     of_places = weight * torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
     of_values = torch.cat((moved, _mixed(moved, places)), dim=1)
     count = _product(weight, within) / _ONE
@@ -122,11 +123,11 @@ def fit_planes(
     spread, cross = square - squares(centroid), mixed - _mixed(motion, centroid)
     xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
     determinant = xx * yy - xy * xy
-    half = (xx + yy) / 2  # of the trace
+    half = (xx + yy) / 2  # half of the trace
     narrowest = half - (half * half - determinant).clamp_min(0).sqrt()
     known = known & (narrowest >= MINIMUM_SPREAD**2) & (determinant > _TINY)
     inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
-    by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of every component
+    by_x, by_y = cross[:, ::2], cross[:, 1::2]  # moments of every value with x and with y
     along_x, along_y = by_x * inverse[:, :1] + by_y * inverse[:, 1:2], by_x * inverse[:, 1:2] + by_y * inverse[:, 2:]
     beside = centroid - queries
     value = motion + level - along_x * beside[:, :1] - along_y * beside[:, 1:]

@@ -27,7 +27,7 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
     if displacement.shape[2] != 2:
         raise ValueError(f"displacement must have shape (B, N, 2), found {tuple(displacement.shape)}")
     dtype = working_dtype(points, displacement)
-    # Components in separate tensors: torch is several times as slow if the last axis is short.
+    # Use separate tensors for the components: torch is several times as slow if the last axis is short.
     (place_x, place_y), (moved_x, moved_y) = (one.to(dtype).unbind(-1) for one in (points, displacement))
     present = finite(place_x + place_y) & finite(moved_x + moved_y)
     place_x, place_y, moved_x, moved_y = (torch.where(present, one, 0) for one in (place_x, place_y, moved_x, moved_y))
@@ -38,19 +38,19 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
         check_batches(points=points, displacement=displacement, weights=weights)
         mass = mass * torch.where(torch.isfinite(weights), weights, 0).to(dtype)
 
-    # Centred twice: the first mean of coordinates far from the origin is itself rounded.
+    # Subtract the mean twice: the first mean of coordinates far from the origin is itself rounded.
     x, y = (_centred(_centred(one, mass), mass) for one in (place_x, place_y))
     change_x, change_y = (_centred(one, mass) for one in (moved_x, moved_y))
-    # Dot and cross product of the positions before and after; that of a position with itself is 0.
+    # Compute dot and cross product of the positions before and after; the cross product of a position with itself is 0.
     spread = _sum(mass * (x * x + y * y))
     along = spread + _sum(mass * (x * change_x + y * change_y))
     across = _sum(mass * (x * change_y - y * change_x))
 
-    # Points that differ by no more than the rounding of their coordinates are one point.
+    # Treat points that differ by no more than the rounding of their coordinates as one point.
     rounding = torch.finfo(dtype).eps * (place_x.abs() + place_y.abs())
     determined = (spread > _sum(mass * rounding.square())) & ((along != 0) | (across != 0))
     angle = torch.atan2(across, torch.where(determined, along, 1))
-    # R - I by the half angle: cos(angle) - 1 would lose the digits of a small rotation.
+    # Compute R - I from the half angle: cos(angle) - 1 would lose the digits of a small rotation.
     less, sine = -2 * torch.sin(angle / 2).square(), torch.sin(angle)
     left = torch.stack((change_x - (less * x - sine * y), change_y - (sine * x + less * y)), dim=-1)
     known = (present & determined)[..., None]

@@ -93,8 +93,9 @@ def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -
 class PrincipalStrains(NamedTuple):
     """Principal strains: the largest and the smallest normal strain over all directions."""
 
-    strains: Tensor  # (..., 2), the major and the minor one
-    angle: Tensor  # (...), rad in [-pi/2, pi/2], from the x axis to the major direction; NaN where the two are equal
+    strains: Tensor  # (..., 2) major and minor principal strain
+    # (...) angle from the x axis to the major direction, rad in [-pi/2, pi/2]; NaN where both strains are equal.
+    angle: Tensor
 
 
 def principal_strains(strain: Tensor) -> PrincipalStrains:
@@ -106,7 +107,7 @@ def principal_strains(strain: Tensor) -> PrincipalStrains:
     exx, eyy, exy = _components(strain)
     mean, half_difference = (exx + eyy) / 2, (exx - eyy) / 2
     equal = (half_difference == 0) & (exy == 0)
-    # Replaced beforehand, since hypot and atan2 have NaN derivatives at the origin.
+    # Replace the arguments beforehand, since hypot and atan2 have NaN derivatives at the origin.
     half_difference, exy = torch.where(equal, 1, half_difference), torch.where(equal, 0, exy)
     radius = torch.where(equal, 0, torch.hypot(half_difference, exy))
     angle = torch.where(equal, torch.nan, torch.atan2(exy, half_difference) / 2)

@@ -30,7 +30,7 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     none, one = torch.zeros_like(ux), torch.ones_like(ux)
-    # With F = I + gradient, the derivatives of e_ij = (F_ki F_kj - delta_ij) / 2; without the squares F is I.
+    # Derivatives of e_ij = (F_ki F_kj - delta_ij) / 2 with F = I + gradient; for infinitesimal strain F is I.
     identity, moved = (one, none, none, one), (1 + ux, uy, vx, 1 + vy)
     xx, xy, yx, yy = identity if measure == "infinitesimal" else moved
     divergence, curl = (one, none, none, one), (none, -one, one, none)

@@ -14,19 +14,19 @@ from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, tri
 class SharedErrors(NamedTuple):
     """Correlation between the position errors of neighbouring points."""
 
-    corners: Tensor  # (M, 3), between corners 0 and 1, 1 and 2, 2 and 0 of the triangles
-    pairs: Tensor  # (K, 2) int64, all pairs of points with correlated errors, each pair once
-    correlation: Tensor  # (K,) of the pairs
+    corners: Tensor  # (M, 3) correlation of the errors of corners 0 and 1, 1 and 2, 2 and 0 of each triangle
+    pairs: Tensor  # (K, 2) int64, indices of all pairs of points with correlated errors, each pair once
+    correlation: Tensor  # (K,) correlation of the errors of each pair
 
 
 class TriangleStrain(NamedTuple):
     """Strain of M triangles in B frames, and strain energy of each frame; NaN where unknown."""
 
-    strain: Tensor  # (B, M, 3) as (exx, eyy, exy)
-    strain_std: Tensor  # (B, M, 3)
-    density: Tensor  # (B, M) mJ/mm^3
-    energy: Tensor  # (B,) float64 mJ per mm of depth, without what the errors of the points add on average
-    energy_std: Tensor  # (B,) float64
+    strain: Tensor  # (B, M, 3) strain exx, eyy, exy
+    strain_std: Tensor  # (B, M, 3) standard deviation of the strain
+    density: Tensor  # (B, M) energy density, mJ/mm^3
+    energy: Tensor  # (B,) float64 energy, mJ per mm of depth, without the mean contribution of errors of the points
+    energy_std: Tensor  # (B,) float64 standard deviation of the energy
 
 
 def triangle_strain(
@@ -137,7 +137,7 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
     if shared is not None:
         forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
         correlation = shared.correlation.to(x.dtype)
-        # Without `device` torch takes the default device, not that of the tensors.
+        # `device` is given, as torch would otherwise use the default device and not that of the tensors.
         beside = torch.sparse_coo_tensor(
             shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
         )

@@ -48,10 +48,10 @@ def triangle_gradients(
     first_edge, second_edge = _edges(points.to(dtype), triangles)
     first_change, second_change = _edges(values.to(dtype), triangles)
     quality = _quality(first_edge, second_edge)
-    # Collinear points have quality 0, which a limit of 0 must not let through; NaN fails every comparison.
+    # Collinear points have quality 0 and must be excluded also with a limit of 0; NaN fails every comparison.
     usable = (quality >= minimum_quality) & (quality > 0)
     usable = usable & (torch.isfinite(first_change) & torch.isfinite(second_change)).all(-1)
-    # Replaced before the division: a NaN in the unused branch would still reach the derivative.
+    # Replace the values before the division: a NaN in the unused branch would still reach the derivative.
     first_edge, second_edge, first_change, second_change = (
         torch.where(usable[..., None], edge, 0) for edge in (first_edge, second_edge, first_change, second_change)
     )
@@ -108,7 +108,7 @@ def _edges(per_point: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor]:
         raise ValueError(f"triangles must have shape (M, 3), found {tuple(triangles.shape)}")
     if triangles.dtype.is_floating_point or triangles.dtype == torch.bool:
         raise TypeError(f"triangles must be integer indices, found {triangles.dtype}: convert with .long()")
-    # An extra NaN point stands for every index out of range, so that negative indices do not wrap around.
+    # Append a NaN point that takes the place of indices out of range, so that negative indices do not wrap around.
     count = per_point.shape[1]
     absent = per_point.new_full((per_point.shape[0], 1, per_point.shape[2]), torch.nan)
     indices = triangles.long()

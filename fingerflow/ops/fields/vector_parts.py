@@ -110,7 +110,7 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
     G is the Green function of the plane (`helmholtz_hodge`); each result is (2 H, 2 W). The order is that of a Fourier
     transform: negative distances follow the positive ones.
     """
-    # float64 keeps the precision of the differences of the antiderivative at all distances within a frame.
+    # float64 preserves the precision of differences of the antiderivative at all distances within a frame.
     x, y = (
         torch.fft.fftfreq(2 * size, 1 / (2 * size), device=like.device, dtype=torch.float64) for size in (width, height)
     )

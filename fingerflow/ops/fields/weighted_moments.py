@@ -5,7 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-# Elements of one (batch, queries, points) matrix; about ten of them live at a time. Small enough to stay in cache.
+# Number of elements of one (batch, queries, points) matrix. About ten such matrices exist at a time, small enough to
+# stay in the cache.
 _CHUNK_ELEMENTS = 2**18
 
 
@@ -17,12 +18,12 @@ class WeightedMoments(NamedTuple):
     values and the noise of the points.
     """
 
-    point_count: Tensor  # (B, Q), points within R
-    mass: Tensor  # (B, Q), sum w
-    first: Tensor  # (B, Q, 2), sum w d
-    second: Tensor  # (B, Q, 3), sum w dx dx, w dx dy, w dy dy
-    data: Tensor  # (B, Q, 3, C), sum w v, w dx v, w dy v
-    noise: Tensor | None  # (B, Q, 6, V), sum w^2 s times 1, dx, dy, dx dx, dx dy, dy dy
+    point_count: Tensor  # (B, Q) number of points within R
+    mass: Tensor  # (B, Q) sum of w
+    first: Tensor  # (B, Q, 2) sum of w d
+    second: Tensor  # (B, Q, 3) sums of w dx dx, w dx dy, w dy dy
+    data: Tensor  # (B, Q, 3, C) sums of w v, w dx v, w dy v
+    noise: Tensor | None  # (B, Q, 6, V) sums of w^2 s times 1, dx, dy, dx dx, dx dy, dy dy
 
 
 def weighted_moments(
@@ -48,13 +49,14 @@ def weighted_moments(
     components, noises = values.shape[2], 0 if noise is None else noise.shape[2]
     widths = [1] * 4 + [1 + components] * 3 + [noises] * 6
     batch = torch.broadcast_shapes((geometries,), values.shape[:1])[0]
-    # Written piece by piece into one tensor: small results kept between the large matrices would fragment the heap.
+    # Write pieces into one tensor: small results kept between the large matrices would fragment the heap.
     sums = values.new_empty(batch, queries.shape[1], sum(widths))
     for start in range(0, queries.shape[1], rows):
-        # Differences to the query, not raw moments: the latter lose the digits of points far from the origin.
+        # Use differences to the query instead of raw moments, which lose the digits of points far from the origin.
         dx = point_x - query_x[:, start : start + rows]
         dy = point_y - query_y[:, start : start + rows]
-        squared = torch.addcmul(dx * dx, dy, dy)  # exact for whole numbers: points on the rim are never within it
+        # Exact for whole numbers, so that points on the rim are never counted as within it.
+        squared = torch.addcmul(dx * dx, dy, dy)
         closeness = torch.add(one, squared, alpha=scale).clamp(min=0)
         weight = closeness * closeness
         weight_x, weight_y = weight * dx, weight * dy

@@ -9,8 +9,8 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.ops.filters.quantile import frame_quantile
 
-# Signal of level 0, and levels per unit of the signal up to 1, level 255. The range below 0 is for pixels brighter than
-# the empty glass.
+# Signal at grey level 0, and levels per unit of the signal; a signal of 1 has level 255. Negative signals are pixels
+# brighter than the empty glass.
 LOWEST_SIGNAL = -0.25
 LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
 
@@ -75,7 +75,7 @@ def normalize_illumination(
     passed = counts - black[0] if black else counts
 
     known = _exceeds(light, least) & torch.isfinite(passed)
-    # Both branches of `where` are differentiated, so the masked one must be finite too.
+    # Both branches of `where` are differentiated, so the values replaced must be finite too.
     quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
     valid = known & torch.isfinite(quotient)
     return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)

@@ -14,7 +14,7 @@ from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.checks import check_frames, check_window
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
-LARGEST_TRACED = 11  # px, largest window whose network a compiler traces
+LARGEST_TRACED = 11  # px, largest window whose comparator network is traced by the torch compiler
 
 _DTYPES = (
     torch.uint8,
@@ -61,7 +61,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         return frames.clone()
     if frames.dtype in kernels.MEDIAN_DTYPES and size <= kernels.LARGEST_MEDIAN and kernels.serve(frames):
         return kernels.median(frames, size)
-    if frames.dtype == torch.uint16:  # torch has no minimum of uint16
+    if frames.dtype == torch.uint16:  # the minimum of uint16 is not implemented in torch
         return median_filter(frames.to(torch.int32), size).to(torch.uint16)
     if frames.dtype not in _DTYPES:
         raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
@@ -180,15 +180,16 @@ def run_network(
     Returns:
         Planes of that shape; their values beyond the last window of a line or frame have no meaning.
     """
-    # A shift by whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
-    # only where no window begins. Planes are dropped after their last use to save memory.
+    # A shift by whole tiles is an offset in the flattened plane. Reading past the end of a line or frame gives a wrong
+    # value only where no window begins. Planes are dropped after their last use to save memory.
     cells = planes[0].shape[0]
     known = dict(enumerate(planes))
     lengths = dict.fromkeys(known, cells)
     pair, first, second, length = None, planes[0], planes[0], cells
     for operation, result, left, right, rows, shift, released in steps:
         offset = rows * columns + shift
-        if pair != (left, right, offset):  # mostly the maximum of the same two planes follows their minimum
+        # Computed once for minimum and maximum: mostly the maximum of two planes follows their minimum.
+        if pair != (left, right, offset):
             pair = (left, right, offset)
             first, second = known[left], known[right]
             if not views:

@@ -66,7 +66,7 @@ def _by_halving(values: Tensor, fraction: float) -> Tensor:
     wanted = (present.double() * fraction).ceil().clamp(min=1)
     lowest = torch.where(finite, values, torch.inf).amin(1, keepdim=True).double()
     high = torch.where(finite, values, -torch.inf).amax(1, keepdim=True).double()
-    # Non-finite pixels never count as lying below a limit.
+    # Replace non-finite pixels by infinity, so that they never count as below a limit.
     counted = values if whole else torch.where(finite, values, torch.inf)
 
     def enough(limit: Tensor) -> Tensor:

@@ -50,7 +50,7 @@ def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tu
     rest = 1 - fraction
     if order == 1:
         return (rest, fraction), (-torch.ones_like(fraction), torch.ones_like(fraction))
-    # The four pieces of the cubic B-spline (Unser 1999), from b3(1 + t) at one end to b3(2 - t) at the other.
+    # Evaluate the four pieces of the cubic B-spline (Unser 1999), from b3(1 + t) at one end to b3(2 - t) at the other.
     square, rest_square = fraction * fraction, rest * rest
     value = (
         rest_square * rest / 6,

@@ -9,8 +9,8 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import join_program
 from fingerflow.ops.filters.median import median_filter, plain, run_network
 
-# Step in px from which windows are computed independently: each then takes up to 7 times the operations of a window
-# that shares them with its neighbours.
+# Least step, px, from which windows are computed independently; each then takes up to 7 times the operations of a
+# window that shares them with its neighbours.
 _OWN_WINDOWS = 3
 
 
@@ -33,9 +33,9 @@ def median_at(frames: Tensor, size: int, step: int) -> Tensor:
     if size == 1 or step < _OWN_WINDOWS:
         return median_filter(frames, size)[..., ::step, ::step]
     rows, columns = (_window_places(side, size, step, frames.device) for side in (height, width))
-    # Columns become lines: whole lines are gathered in one piece each.
+    # Transpose columns to lines, so that each is gathered as one contiguous piece.
     lines = frames[:, 0].index_select(1, rows.flatten()).unflatten(1, rows.shape).transpose(2, 3)
-    # (B, size, size, w, h): pixel of a column, column of a window.
+    # Shape (B, size, size, w, h): row and column in the window, then column and row of the window.
     windows = lines.index_select(2, columns.flatten()).unflatten(2, columns.shape)
     (median,) = _merge_columns(_sort(list(windows.unbind(1)), size), size, size)
     return median.transpose(2, 3)
@@ -50,7 +50,7 @@ def _window_places(side: int, size: int, step: int, device: torch.device) -> Ten
 def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
     if len(pixels) == 1:
         return pixels
-    half = 1 << (len(pixels) - 1).bit_length() - 1  # the largest power of two that is smaller
+    half = 1 << (len(pixels) - 1).bit_length() - 1  # largest power of two below the number of pixels
     first, second = _sort(pixels[:half], size), _sort(pixels[half:], size)
     return _join(first, half, second, len(pixels) - half, size)
 

@@ -34,7 +34,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
         column = (corner[:, 0, None] + size).clamp(0, width + size)
         first = (row + image_index[:, None] * height) * wide.shape[3] + column
         return lines_of(wide, first, size)
-    # The gradient of the view in `lines_of` would be ``size`` times as large as the image.
+    # The gradient with respect to the view in `lines_of` would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
     return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
 
@@ -89,7 +89,7 @@ def _sample_warped(
     The positions of the samples of a warped window have no common fraction.
     """
     flat = coefficients.reshape(-1)
-    at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few, so that their weights stay in the cache
+    at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few points at a time, so that their weights stay in the cache
     pieces = zip(*(whole.split(at_once) for whole in (image_index, points, warp)), strict=True)
     sampled = [
         _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
@@ -105,14 +105,14 @@ def _sample_piece(
     height, width = shape[-2:]
     half = size // 2
     offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
-    # (P, size, size) positions relative to the pixel nearest to the point: absolute ones would lose two digits. The
-    # rows of a window are y, its columns x.
+    # (P, size, size) positions relative to the pixel nearest to the point, as absolute positions would lose two digits.
+    # Windows have rows along y and columns along x.
     center = points.detach().round()[..., None, None]
     (at_x, at_y), (pixel_x, pixel_y) = (points[..., None, None] - center).unbind(1), center.unbind(1)
     x = at_x + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
     y = at_y + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
     first, last = (1 - order) // 2, (order + 1) // 2
-    # Clamp to where all taps exist; a window that reaches beyond the frame is discarded anyway.
+    # Clamp to pixels for which all spline taps exist; a window that reaches beyond the frame is discarded anyway.
     whole_x = (x.detach().floor() + pixel_x).clamp(-first, width - 1 - last)
     whole_y = (y.detach().floor() + pixel_y).clamp(-first, height - 1 - last)
     # Beyond the frame, where a cubic would diverge, the border value is repeated.
@@ -159,5 +159,5 @@ def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
     """Return the elements of a flat tensor at the positions ``index`` + ``later``, in the shape of ``index``."""
     if torch.compiler.is_exporting():  # ONNX runtimes gather single elements four times as fast
         return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
-    # A shifted view needs no new index; `take` and indexing need four times as long.
+    # Offset by a view, which needs no new index; `take` and indexing need four times as long.
     return flat[later:].index_select(0, index.flatten()).reshape(index.shape)

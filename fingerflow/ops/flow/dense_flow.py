@@ -55,16 +55,18 @@ from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, halved_e
 from fingerflow.ops.flow.flow_penalty import FlowModel, Penalty, data_weights, mean_edge_weight, weighted_levels
 from fingerflow.ops.tensors import finite
 
-_CYCLES = 3  # of multigrid after the last warp
-_MARGIN = 2  # px at the border of an image, where its spline needs pixels beyond it
-_SMALLEST_SIDE = 32  # px, of a halved image
+_CYCLES = 3  # multigrid cycles after the last warp
+_MARGIN = 2  # px at the border of an image, where its spline would need pixels beyond the border
+_SMALLEST_SIDE = 32  # px, smallest side of a halved image
 _TINY = 1e-12
-# Windows, roughness and warps for scenes with motion boundaries: of photographs, discs that move before others, a jump.
+# Window side (px), roughness and number of warps for scenes with motion boundaries: photographs, discs that move one
+# after the other, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
-# A residual is unlike noise above so many times what noise leaves. Edges are looked for where more than this share of
-# the pixels have one: on skin that moves as a whole none has, at a jump of 0.5 px 6 %, on Dimetrodon 4 %. They are
-# taken if the share falls below so much of itself: at motion boundaries to 0.05 to 0.3; under dust to 0.4 or 0.5, in
-# light that changes from place to place to 0.8.
+# A pixel is unlike noise if its residual exceeds this multiple of what noise leaves. The model with motion boundaries
+# is tried if the share of such pixels exceeds the least share: it is 0 on skin that moves as a whole, 6 % at a jump of
+# 0.5 px, 4 % on Dimetrodon. Its result is taken if it reduces this share to less than 0.4 of its value: at motion
+# boundaries the share falls to 0.05 to 0.3 of its value, under dust to 0.4 or 0.5, and in light that changes from place
+# to place to 0.8.
 _UNLIKE_NOISE, _LEAST_SHARE, _BETTER = 2.0, 0.01, 0.4
 
 
@@ -91,17 +93,20 @@ class Flow(NamedTuple):
 class FlowTemplate(NamedTuple):
     """Precomputed data of a first image (B, 1, H, W), from which `find_flow` computes the flow to any later image."""
 
-    value: Tensor  # (C B, 1, H, W) splines of the constant quantities, at the pixels
-    gradient: Tensor  # (C B, 2, H, W), 0 outside the mask
+    value: Tensor  # (C B, 1, H, W) splines of the C constant quantities, at the pixels
+    gradient: Tensor  # (C B, 2, H, W) gradients of the splines, 0 outside the mask
     inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
     levels: list[Level]
-    products: Tensor  # (B, 3, h, w) of the slopes, xx, xy, yy: means over cells, J before integration over windows
-    variance: Tensor  # (B,) of the noise
+    # (B, 3, h, w) products of the slopes, xx, xy, yy: means over cells, J before integration over windows.
+    products: Tensor
+    variance: Tensor  # (B,) variance of the noise
     roughness: float
     constancy: Constancy
-    covariance: Tensor | None  # (B, 3, h, w) of `levels`, from `_covariance`; None for a halved image
-    weights: list[float]  # of the window, on cells
-    coarser: "FlowTemplate | None"  # of the halved image, for a cold start; None if too small or without texture
+    # (B, 3, h, w) covariance on the cells of `levels`, from `_covariance`; None for a halved image.
+    covariance: Tensor | None
+    weights: list[float]  # weights of the window on cells
+    # Template of the halved image, for a cold start; None if too small or without texture.
+    coarser: "FlowTemplate | None"
 
 
 def dense_flow(
@@ -266,7 +271,7 @@ def _template_of(
     lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * of_noise).all()
     coarser = None
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
-        # A mean of four has a fourth of the noise variance, and is unknown where one of the four is.
+        # A mean of four pixels has a fourth of the noise variance, and is unknown where one of the four is.
         all_known = (halved_image(inside) == 1).to(inside.dtype)
         coarser = _template_of(halved_image(first), all_known, variance / 4, box, roughness, constancy)
     levels = pyramid(tensor, alpha * right, alpha * down, known)
@@ -320,11 +325,11 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
         return kernels.flow_template(coefficients, mask, _MARGIN)
     usable = finite(coefficients)
-    # The spline at a pixel needs its neighbours' coefficients.
+    # The spline at a pixel uses the coefficients of its neighbours, so these must be known too.
     inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
     clean = torch.where(usable, coefficients, 0.0)
     still = clean.new_zeros(len(clean), 2, *clean.shape[-2:])
-    value = _sampled(clean, still)  # computed as in `find_flow`, so that zero motion leaves no residual
+    value = _sampled(clean, still)  # sampled as in `find_flow`, so that zero motion leaves no residual
     gradient = _slopes(clean) * _stays_inside(still, inside, _MARGIN)
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
@@ -370,7 +375,8 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor],
     """
     size = template.inside.shape[-2:]
     known = template.levels[0].inside
-    # Half of it is noise of the first image, half of the current one, which counts more at a lower gain.
+    # Half of the covariance is due to noise of the first image, half to the current one, whose part grows with falling
+    # gain.
     covariance = covariance * ((1 + 1 / (left.gain * left.gain)) / 2)
     squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
@@ -392,7 +398,7 @@ def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: 
         return template.value.new_zeros(batch, 2, height, width)
     half = halved_image(current)
     found, _, _ = _refined(coarser, half, _initial_flow(coarser, half, warps, penalty), warps, penalty)
-    # Pixels of the halved images are the cells of the full ones.
+    # Pixels of the halved images are cells of the full ones.
     wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
     return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
 
@@ -432,7 +438,7 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
     if count > 1:
         known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
     data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, known)
-    # Slopes are those of the first image. In the current one they scale with the gain, and J with its square.
+    # The slopes are those of the first image. In the current one they scale with the gain, and J with its square.
     return FlowResidual(
         _sum(data / gain, count),
         _sum(squares, count),
@@ -515,7 +521,7 @@ def _fit_gain_and_offset(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[T
     apart = seen * (value - mean)
     energy = (apart * apart).sum((1, 2, 3), keepdim=True)
     gain = (apart * (warped - mean_warped)).sum((1, 2, 3), keepdim=True) / energy.clamp_min(_TINY)
-    # An uncorrelated image could get a gain near 0 or below: it is compared with a gain of 1.
+    # An uncorrelated image could have a gain near 0 or below; such a gain is replaced by 1.
     gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
     return gain, mean_warped - gain * mean
 

@@ -18,8 +18,8 @@ from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 
-CELL = 2  # px
-_NARROW = 0.01  # least determinant of the moments in a plane fit, relative to the squared trace; 1/4 for a disc
+CELL = 2  # px, side of a cell
+_NARROW = 0.01  # least determinant of the second moments in a plane fit, relative to the squared trace; 1/4 for a disc
 _TINY = 1e-12
 
 
@@ -181,7 +181,7 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
     return fields
 
 
-COURSE_WINDOW = window(9)  # cells of 4 px
+COURSE_WINDOW = window(9)  # weights over cells of 4 px
 
 
 def trend(flow: Tensor, known: Tensor) -> Tensor:

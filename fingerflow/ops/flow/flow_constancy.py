@@ -15,11 +15,11 @@ from torch.nn import functional
 
 Constancy = Literal["brightness", "both"]
 
-_PERIOD = 15.0  # px, of ridges
-# Standard deviation of the residual for white noise in both images, after the low-pass of the spline, relative to that
-# of one image.
+_PERIOD = 15.0  # px, period of the ridges
+# Standard deviation of the residual, after the low-pass of the spline, with white noise in both images; relative to the
+# noise of one image.
 LEFT_BY_NOISE = {"brightness": 0.42, "both": 0.66}
-# Eigenvalues of J for noise alone, relative to those of brightness.
+# Eigenvalues of J for noise alone, relative to those with brightness constancy.
 NOISE_OF_TENSOR = {"brightness": 1.0, "both": 3.45}
 
 

@@ -44,7 +44,8 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
         density / (4 * math.pi * alpha) * _passed(rho_square * (one / alpha).clamp_min(_TINY))
         for one in (mean + apart, (mean - apart).clamp_min(0))
     )
-    # A function of a symmetric matrix: f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
+    # Apply a function f to a symmetric matrix J:
+    # f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
     slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
     textured = mean + apart > limits.TEXTURE_TO_NOISE * of_noise
     known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)

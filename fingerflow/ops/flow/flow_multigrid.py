@@ -26,20 +26,20 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.flow.flow_cells import COURSE_WINDOW, halved, spread, trend
 
-DAMPING = 0.8  # of a Jacobi step
-SWEEPS = 2  # before and after the coarser levels
+DAMPING = 0.8  # damping factor of a Jacobi step
+SWEEPS = 2  # Jacobi steps before and after the visit to the coarser levels
 COARSEST_SWEEPS = 20
 _REGULAR = 1e-6
-SMALLEST_SIDE = 4  # cells: a level with a side of this or fewer is the last
+SMALLEST_SIDE = 4  # cells: the first level with a side of this or fewer is the coarsest
 
 
 class Level(NamedTuple):
     """One multigrid level: the operator J + alpha L on cells, with structure tensor J and graph Laplacian L."""
 
     tensor: Tensor  # (B, 3, h, w), xx, xy, yy of J, 0 outside the mask
-    right: Tensor  # (B, 1, h, w - 1), weight of the edge to the next cell of the row, alpha included
-    down: Tensor  # (B, 1, h - 1, w)
-    inverse: Tensor  # (B, 3, h, w), of J + alpha degree; 0 where that is singular
+    right: Tensor  # (B, 1, h, w - 1), weights of the edges to the next cell of the row, alpha included
+    down: Tensor  # (B, 1, h - 1, w), weights of the edges to the next cell of the column, alpha included
+    inverse: Tensor  # (B, 3, h, w), inverse of J + alpha degree; 0 where it is singular
     inside: Tensor  # (B, 1, h, w), 1 where a cell holds a pixel of the mask, else 0
 
 

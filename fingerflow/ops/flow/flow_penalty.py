@@ -27,11 +27,11 @@ from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 Penalty = Literal["quadratic", "charbonnier"]
 FlowModel = Literal["auto", "quadratic", "charbonnier", "edges"]
 
-# c of the data, in standard deviations of the residual due to noise. At 1, the error is a fifth less at dust, and an
-# eighth more at a jump of 1.5 px.
+# Scale c of the penalty on the data, in standard deviations that noise leaves in the residual. With 1 the error is a
+# fifth smaller at dust and an eighth larger at a jump of 1.5 px.
 _DATA_SCALE = 2.0
-# c of the smoothing, in `roughness`. At 0.3, the error is half as large again at a jump of 1.5 px; at 0.03, a third
-# more on ridges.
+# Scale c of the penalty on the smoothing, in units of `roughness`. With 0.3 the error is half as large again at a jump
+# of 1.5 px; with 0.03 it is a third larger on ridges.
 _EDGE_SCALE = 0.1
 _TINY = 1e-12
 

@@ -5,19 +5,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_LABELS = 12  # candidates of a marker: the detections nearest to its expected position
+_LABELS = 12  # number of candidates of a marker: the detections nearest to its expected position
 _REACH = 1.3  # spacings, largest distance of a candidate from the expected position
-_NEIGHBOURS = 8  # nearest neighbours to which a marker is tied; ties count in both directions
-_RADIUS = 1.6  # spacings, length limit of a tie: it includes the diagonal neighbours of a square lattice
+_NEIGHBOURS = 8  # number of nearest neighbours to which a marker is tied; ties hold in both directions
+_RADIUS = 1.6  # spacings, largest length of a tie: it includes the diagonal neighbours of a square lattice
 _ROUNDS = 40
 _DAMPING = 0.3
-# Costs, in squares of (difference of two neighbours' displacements / their distance). That ratio is 0.5 in a strongly
-# sheared gel and 1 where a marker is mistaken for its neighbour.
-_TORN = 0.5  # truncation of the cost of a tie
-_APART = 0.15  # of a tie to a marker that is not seen
-_LOST = 0.6  # of not being seen
-_INERTIA = 0.15  # of a distance of one spacing from the expected position
-_NEVER = 1e6  # of an assignment that is excluded
+# Costs of an assignment, in the unit of (difference of two neighbours' displacements / their distance)^2. This ratio is
+# 0.5 in a strongly sheared gel and 1 where a marker is mistaken for its neighbour.
+_TORN = 0.5  # largest cost of a tie
+_APART = 0.15  # cost of a tie to a marker that is not seen
+_LOST = 0.6  # cost of a marker that is not seen
+_INERTIA = 0.15  # cost of a distance of one spacing from the expected position
+_NEVER = 1e6  # cost of an excluded assignment
 _SETTLED = 1e-3  # largest change of a message at convergence
 
 
@@ -82,10 +82,11 @@ def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor
     displacement = found[near.indices] - reference[:, None]
     change = displacement[ties.first][:, :, None] - displacement[ties.second][:, None]
     torn = (change.square().sum(-1) / ties.distance[:, None, None].square()).clamp_max(_TORN)
-    # Two markers cannot be the same detection.
+    # Two markers cannot be the same detection, so this has the cost of an excluded assignment.
     torn = torch.where(near.indices[ties.first][:, :, None] == near.indices[ties.second][:, None], _NEVER, torn)
-    cost = torch.nn.functional.pad(torn, (0, 1, 0, 1), value=_APART)  # (T, of the first, of the second)
-    message = torch.zeros_like(cost[:, 0])  # (T, labels + 1), to the second from the first
+    # (T, labels of the first marker, labels of the second).
+    cost = torch.nn.functional.pad(torn, (0, 1, 0, 1), value=_APART)
+    message = torch.zeros_like(cost[:, 0])  # (T, labels + 1), message from the first marker of a tie to the second
     for _ in range(_ROUNDS):
         belief = own.index_add(0, ties.second, message)
         told = (belief[ties.first] - message[ties.back])[:, :, None] + cost
@@ -102,7 +103,7 @@ def match_markers(reference: Tensor, ties: Ties, expected: Tensor, found: Tensor
     taken = torch.full((len(found),), -torch.inf, dtype=margin.dtype, device=margin.device)
     taken = taken.scatter_reduce(0, number[seen], margin[seen], "amax")
     claims = seen & (margin >= taken[number])
-    # Of two with equal margins, the first.
+    # Of two markers with equal margins, the first keeps the detection.
     order = torch.arange(count, device=number.device)
     first = torch.full_like(taken, count, dtype=torch.int64).scatter_reduce(0, number[claims], order[claims], "amin")
     return torch.where(claims & (order == first[number]), number, nobody)

@@ -11,17 +11,20 @@ from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.tracking.corners import choose_apart
 
-_SMALLEST = 1.5  # px, the finest scale: a disc of 4 px across
+_SMALLEST = 1.5  # px, finest scale: that of a disc 4 px in diameter
 _STEPS = 4  # scales per octave
-_COARSEST = 16  # shorter side of the image over the coarsest scale: larger blobs are shading, not markers
-_LOCAL = 2.0  # times the scale: Gaussian of the local brightness to which the contrast is related
+_COARSEST = 16  # ratio of the shorter side of the image to the coarsest scale: larger blobs are shading, not markers
+_LOCAL = 2.0  # scale of the Gaussian mean brightness to which the contrast is related, relative to the detection scale
 _REACH = 4.0  # standard deviations at which a Gaussian is truncated
-_FEWEST = 4  # markers that an image must show
-_ABOVE_NOISE = 8.0  # deviations of the noise in the response: its maximum over 100,000 positions is 4.5 deviations
+_FEWEST = 4  # least number of markers in an image
+# Least response of markers, in standard deviations of the noise in the response: noise alone reaches 4.5 of them in
+# 100,000 positions.
+_ABOVE_NOISE = 8.0
 #: Least share of the usual contrast at which a marker is detected: changing light, shear and blur reduce the contrast.
 LEAST_CONTRAST = 0.3
-_COARSER = 1.25  # times the scale, for the check of positions; at finer scales a disc appears as a ring
-_APART = 1.5  # scales, least distance between two markers: a disc has a radius of sqrt(2) scales
+# Ratio of the scale at which positions are checked to the detection scale; at finer scales a disc appears as a ring.
+_COARSER = 1.25
+_APART = 1.5  # least distance between two markers, in detection scales: a disc has a radius of sqrt(2) scales
 
 
 class MarkerLook(NamedTuple):
@@ -168,7 +171,8 @@ def _response(image: Tensor, scale: float, margin: int = 0) -> Tensor:
 
     It is positive for dark blobs. The result is larger than the image by `margin` pixels on each side.
     """
-    # The Laplacian needs one more pixel: padding after the blur would leave a kink that is detected as a blob.
+    # The Laplacian needs one more pixel on each side: padding after the blur would leave a kink that is detected as a
+    # blob.
     blurred = blur(image, scale, margin + 1)
     middle = blurred[..., 1:-1, 1:-1]
     sides = blurred[..., 1:-1, :-2] + blurred[..., 1:-1, 2:] + blurred[..., :-2, 1:-1] + blurred[..., 2:, 1:-1]

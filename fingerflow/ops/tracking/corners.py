@@ -14,10 +14,10 @@ from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
 
-_GRADIENT_SCALE = 8  # the integer Sobel gradient divided by the gradient per pixel
+_GRADIENT_SCALE = 8  # ratio of the integer Sobel gradient to the gradient per pixel
 # Variance of a gradient component for white noise of variance 1: the sum of the squared weights is (1 + 4 + 1) 2.
 _GRADIENT_NOISE = 12 / _GRADIENT_SCALE**2
-# Below this share of the larger eigenvalue the smaller one is a float32 rounding error of a difference.
+# Share of the larger eigenvalue below which the smaller one is a float32 rounding error of a difference.
 _ROUNDING = 1e-5
 
 
@@ -163,9 +163,10 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
     xx, xy, yy = tensor.split(1, 1)
     both, apart, twice = xx + yy, xx - yy, 2 * xy
     if whole:
-        # Exact integers up to here. From here on every operation rounds once, in the same order as the compiled kernel.
+        # Up to here integers are exact. From here on every operation rounds once, in the same order as the compiled
+        # kernel.
         both, apart, twice = both.float(), apart.float(), twice.float()
-        # Via float64: torch's float32 square root is not correctly rounded for all values.
+        # Compute the root in float64, since torch's float32 square root is not correctly rounded for all values.
         spread = (apart.square() + twice.square()).double().sqrt().float()
     else:
         spread = torch.hypot(apart, twice)
@@ -206,7 +207,7 @@ def _noise_deviation(frame: Tensor) -> Tensor:
         zeroed = torch.where(finite, values, 0.0)
         mean = zeroed.sum((1, 2, 3), keepdim=True) / finite.sum((1, 2, 3), keepdim=True).clamp(min=1)
         return estimate_noise(torch.where(finite, values, mean))
-    # Rounding turns noise below one grey level into few isolated steps, which a mean absolute value underestimates.
+    # Rounding turns noise below one grey level into a few isolated steps, which a mean absolute value underestimates.
     return (estimate_noise(frame).square() + 1 / 12).sqrt()
 
 
@@ -242,7 +243,7 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
     batch, _, height, width = response.shape
     frame, y, x = candidate[:, 0].nonzero().unbind(1)
     strength = response[:, 0][candidate[:, 0]]
-    # By frame, then by strength; both sorts are stable and keep the reading order of equals.
+    # Sort by frame, then by strength; both sorts are stable and keep the reading order of equal strengths.
     order = strength.sort(descending=True, stable=True).indices
     order = order[frame[order].sort(stable=True).indices]
     frame, y, x = frame[order], y[order], x[order]
@@ -275,12 +276,12 @@ def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int]
     offset = torch.arange(-around, around + 1, device=x.device)
     around_cell = (offset[:, None] * columns + offset).flatten()
 
-    none = len(x)  # stands for no candidate
+    none = len(x)  # index that means no candidate
     nobody = cell.new_full((shape[0] * rows * columns,), none)
-    far = x.new_full((1,), 1 << 30)  # position of the missing candidate
+    far = x.new_full((1,), 1 << 30)  # position of the missing candidate, far from all others
     x, y = torch.cat([x, far]), torch.cat([y, far])
     kept = torch.zeros_like(x[:-1], dtype=torch.bool)
-    index = torch.arange(none, device=x.device)  # undecided candidates
+    index = torch.arange(none, device=x.device)  # indices of undecided candidates
     while len(index):
         neighbours = cell[index, None] + around_cell
         first = nobody.scatter_reduce(0, cell[index], index, "amin")

@@ -68,7 +68,7 @@ def correct_points(
     """
     given = start, points, covariance, numbers, inverse_warp
     if kernels.serve(*given) and all(one.dtype == torch.float32 for one in given) and len(start):
-        count = len(points) if len(start) == 1 else 1  # frames per call: those that share a key frame
+        count = len(points) if len(start) == 1 else 1  # number of frames per call: those that share a key frame
         each = [
             kernels.correct_points(
                 *(start[k], points[k : k + count], covariance[k : k + count], numbers[k], inverse_warp[k]),
@@ -79,7 +79,7 @@ def correct_points(
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
     supports = supports or supports_of(start, gauge_px)
-    # Components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
+    # Put components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
     inverse, of = inverse_warp.flatten(2).mT.contiguous().unflatten(1, (2, 2)), numbers.mT.contiguous()
     lean = of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4))

@@ -11,8 +11,8 @@ from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 from fingerflow.ops.pieces import points_at_once
 
-_CHUNK = 128  # points per pass, so that the transforms stay in the cache
-_FAR = 2.0**30  # px: outside every image, and an integer
+_CHUNK = 128  # number of points per pass, so that the transforms stay in the cache
+_FAR = 2.0**30  # px, an integer position outside every image
 
 
 def search_windows(
@@ -100,7 +100,7 @@ def _search_coarse(
     start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
     center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
     cut_at, searched_at = (place.clamp(-_FAR, _FAR).long() - half for place in (start, center))
-    # float64: transforms round relative to the whole patch, and a window may have a thousandth of its contrast.
+    # Use float64: transforms round relative to the whole patch, and a window may have a thousandth of its contrast.
     template = cut_windows(templates, image_index, cut_at, size).double().nan_to_num(0.0, 0.0, 0.0)
     patch = cut_windows(images, image_index, searched_at - reach, size + span - 1)
     patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
@@ -127,7 +127,7 @@ def _search_coarse(
         dim=-1,
     )
     moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
-    # The displacement of the template's centre pixel, applied to the point itself.
+    # Apply the displacement of the template's centre pixel to the point itself.
     result = points + 2 * (center + moved - start)
     return torch.where((finite & (peak > 0))[:, None], result, guess)
 
@@ -144,7 +144,7 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
         stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
         return stacked
     shape = patch.shape[-2:]
-    # Not `conj`: torch 2.13 loses a lazy conjugation in an op that is called from compiled code.
+    # `conj` is not used: torch 2.13 loses a lazy conjugation in an op that is called from compiled code.
     spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
     sums_of_all: Tensor = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
     return sums_of_all

@@ -13,7 +13,7 @@ from torch.nn import functional
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.filters.windows import lines_of
 
-MARGIN = 3  # px of a patch around its window: two for the support of the spline, one for the smoothing
+MARGIN = 3  # px of a patch on each side of its window: two for the support of the spline, one for the smoothing
 TAPS = 5
 
 
@@ -25,16 +25,17 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     replicated border is moved inwards.
     """
     side = size + 2 * MARGIN
-    # uint8 is copied unconverted: a quarter of the memory.
+    # Copy uint8 without conversion, which takes a quarter of the memory.
     border = max(MARGIN + 2, side - min(view.shape[-2:]))  # a window that was found inside may need a pixel outside
     exporting = torch.compiler.is_exporting()
     few = not exporting or center.shape[2] * side * side < view.shape[2] * view.shape[3]
     plane = _bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
-    # Clamped as floats: ONNX runtimes need two nodes to clamp integers.
+    # Clamp as floats, since ONNX runtimes need two nodes to clamp integers.
     first = row.clamp(0.0, float(height - side)) * width + column.clamp(0.0, float(width - side))
-    # Index: one number per window plus one per pixel. Adding rows and columns takes ONNX runtimes three times as long.
+    # Add one index per window and one per pixel. Adding indices of rows and columns takes ONNX runtimes three times as
+    # long.
     whole = torch.int32 if exporting else torch.int64
     first = first.to(whole).transpose(1, 2)
     steps = torch.arange(side, dtype=whole, device=view.device)
@@ -79,7 +80,8 @@ def along_y(weights: Tensor, size: int) -> Tensor:
     `weights` (..., 5) are the taps of the y shift.
     """
     side = size + 2 * MARGIN
-    # Band lines one element longer than a matrix row: concatenated, each starts one column later in its row.
+    # Make each line of the band one element longer than a matrix row, so that the next one starts one column later in
+    # its row.
     line = functional.pad(_smoothed(weights), (0, side + 1 - TAPS - 2))
     bands = line[:, None].expand(TAPS, size, side + 1).flatten(1)[:, : size * side]
     result: Tensor = (weights @ bands).unflatten(-1, (size, side))

@@ -37,7 +37,7 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     steps = _steps(window, step, places)
     if min(height, width) < 4:
         return places.new_full((len(places), len(steps)), torch.nan)
-    # Relative to the pixel nearest to the centre: frame coordinates would lose two digits.
+    # Use positions relative to the pixel nearest to the centre: frame coordinates would lose two digits.
     center = places.round()
     (near_x, near_y), (pixel_x, pixel_y) = (one[..., None].unbind(1) for one in (places - center, center))
     right, down = steps.unbind(1)
@@ -51,11 +51,11 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
         whole = whole & ((edge >= 1) & (edge <= size - 2)).all(1, keepdim=True)
     first_x, weights_x = _taps(x, pixel_x, whole, width)
     first_y, weights_y = _taps(y, pixel_y, whole, height)
-    # torch does not index uint16.
+    # torch cannot index uint16.
     flat = (images.to(places.dtype) if images.dtype == torch.uint16 else images).reshape(-1)
     index = (number[:, None] * height + first_y) * width + first_x
     if torch.compiler.is_exporting():
-        # All sixteen pixels of a sample at once: separately they are a hundred small operations.
+        # Gather all sixteen pixels of a sample at once: separately they are a hundred small operations.
         beside = torch.arange(4, dtype=torch.int32, device=index.device)
         pixels = taken(flat, index.to(torch.int32) + (beside[:, None] * width + beside)[..., None, None])
         found = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)

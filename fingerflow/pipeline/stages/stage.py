@@ -13,7 +13,7 @@ from fingerflow.results.store import Store
 from fingerflow.schema.variable_record import Variable
 
 S = TypeVar("S", bound="Stage")
-_COPIED = 64  # frames at a time
+_COPIED = 64  # number of frames copied at a time
 
 
 @dataclass
@@ -45,7 +45,7 @@ class RunContext:
     inputs: Inputs
     results: Store
     planned: tuple[type["Stage"], ...]
-    asked: frozenset[str]  # variables requested by name, or read by a stage
+    asked: frozenset[str]  # variables that were requested by name, or that a stage reads
     stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
@@ -146,6 +146,7 @@ class Stage:
         for variable in self.gives:
             wanted = variable.unasked or variable.name in self.trial.asked
             if variable.formula is not None and wanted and all(name in self.results for name in variable.of):
-                with np.errstate(divide="ignore", invalid="ignore"):  # a quotient by nothing is NaN or infinite
+                # A quotient with the divisor 0 is NaN or infinite, without a warning.
+                with np.errstate(divide="ignore", invalid="ignore"):
                     values = variable.formula(*(self.results[name][:] for name in variable.of))
                 self.results.put(variable.name, values)

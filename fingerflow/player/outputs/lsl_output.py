@@ -10,7 +10,8 @@ from fingerflow.player.lsl_clock import load_lsl
 from fingerflow.player.outputs.output import FrameStamp, Output
 
 ADDRESS = "lsl:NAME"
-_STAMPS = {"frame": "", "written": "s"}  # channels before the values; the sample's own time stamp is the camera time
+# Name and unit of the channels before the values; the time stamp of a sample is the camera time.
+_STAMPS = {"frame": "", "written": "s"}
 log = logging.getLogger("fingerflow.player")
 
 
@@ -23,7 +24,7 @@ class LslOutlet:
 
     def __init__(self, name: str, units: Mapping[str, str]) -> None:
         lsl, offset = load_lsl()
-        self._shift = offset - EPOCH  # added to Unix time
+        self._shift = offset - EPOCH  # s, added to Unix time to get LSL time
         channels = _STAMPS | dict(units)
         kind = (len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"fingerflow-{name}")
         info = lsl.StreamInfo(name or "fingerflow", "contact", *kind)

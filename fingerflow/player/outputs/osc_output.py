@@ -9,7 +9,7 @@ from fingerflow.player.outputs.output import FrameStamp, Output
 from fingerflow.player.outputs.udp_output import Datagrams
 
 ADDRESS = "osc:HOST:PORT"
-_AT_ONCE = b"#bundle\0" + struct.pack(">Q", 1)  # the time tag 1 means immediately
+_AT_ONCE = b"#bundle\0" + struct.pack(">Q", 1)  # header of an OSC bundle; the time tag 1 means immediately
 
 
 class OscOverUdp:

@@ -9,7 +9,7 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.outputs.output import FrameStamp, Output, as_json
 
 ADDRESS = "zeromq:tcp://HOST:PORT"
-_LINGER = 500  # ms that a message at the end waits for its receiver
+_LINGER = 500  # ms for which queued messages wait for a receiver when the output is closed
 
 
 class ZeroMq:
@@ -30,7 +30,7 @@ class ZeroMq:
         self._context = self._zmq.Context()
         self._socket = self._context.socket(self._zmq.PUSH)
         self._socket.setsockopt(self._zmq.SNDHWM, 1)
-        self._socket.setsockopt(self._zmq.IMMEDIATE, 1)  # nothing waits for a receiver that is not there
+        self._socket.setsockopt(self._zmq.IMMEDIATE, 1)  # queues no message for a receiver that is not connected
         self._socket.setsockopt(self._zmq.LINGER, _LINGER)
         self._socket.connect(address)
 

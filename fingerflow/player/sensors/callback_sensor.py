@@ -10,7 +10,7 @@ from fingerflow.player.named_objects import load_callable
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
 
 ADDRESS = "callback:MODULE:FACTORY"
-_NONE_NOW = 0.001  # s
+_NONE_NOW = 0.001  # s to wait if the function has no sample
 
 
 class CallbackSensor:

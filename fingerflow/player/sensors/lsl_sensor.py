@@ -7,7 +7,7 @@ from fingerflow.player.lsl_clock import load_lsl
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
 
 ADDRESS = "lsl:NAME"
-_FINDING, _WAITING = 5.0, 0.2  # s
+_FINDING, _WAITING = 5.0, 0.2  # s to find the stream, and to wait for a sample
 
 
 class LslSensor:

@@ -29,7 +29,7 @@ class SerialSensor:
                 return None
             self._data += data
         line, _, self._data = self._data.partition(b"\n")
-        if not self._begun:  # the line that was being written when the port was opened
+        if not self._begun:  # discards the line during which the port was opened, which is incomplete
             self._begun = True
             return self.read()
         return sample_of(time.perf_counter(), [float(one) for one in line.replace(b",", b" ").split()])

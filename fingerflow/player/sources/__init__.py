@@ -15,7 +15,7 @@ from fingerflow.player.sources.video_source import open_video
 class Reader(Protocol):
     """Interface of a module that reads one kind of frame file or folder."""
 
-    READS: str  # the kind, in a word or two
+    READS: str  # kind of frames that the source reads, in a word or two
 
     def reads(self, asked: SourceRequest) -> bool:
         """Return whether this module reads the requested file, judged by file name and settings alone."""

@@ -12,7 +12,7 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Source
 
 ADDRESS = "genicam:PRODUCER.cti[,serial=NUMBER][,FEATURE=VALUE]..."
-_SILENT = 5.0  # s without a frame, after which the camera is opened again
+_SILENT = 5.0  # s without a frame after which the camera is opened again
 
 
 class GenICamCamera:
@@ -59,9 +59,9 @@ class GenICamCamera:
                 )
             try:
                 self.stamp = buffer.timestamp_ns / 1e9
-            except Exception:  # of the producer's own kind
+            except Exception:  # each producer has its own exception
                 self.stamp = math.nan
-            # The camera writes into the buffer again when it is given back.
+            # Copy the frame: the camera writes into the buffer again once it is given back.
             frame: Array = picture.data.reshape(picture.height, picture.width).copy()
             return frame
 

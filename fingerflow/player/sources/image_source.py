@@ -51,7 +51,7 @@ def _images(cv2: Any, paths: list[Path]) -> Iterator[Array]:
         wrong = impossible_picture(data)
         if wrong:
             raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
-        # OpenCV rejects an empty array.
+        # OpenCV raises an error for an empty array, so it is not called.
         picture: Array | None = None
         if data:
             picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

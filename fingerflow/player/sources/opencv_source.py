@@ -38,7 +38,7 @@ class OpenCvCamera:
         if not there:
             raise OSError("the camera gave no frame")
         stamp = self._capture.get(self._cv2.CAP_PROP_POS_MSEC) / 1e3
-        self.stamp = stamp if stamp > 0 else math.nan  # 0 and -1 stand for none
+        self.stamp = stamp if stamp > 0 else math.nan  # 0 and -1 mean that the camera has no stamp
         grey: Array = self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
         return grey
 

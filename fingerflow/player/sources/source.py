@@ -21,8 +21,8 @@ class Source(Protocol):
     After any error other than FingerflowError it is opened again.
     """
 
-    live: bool  # True if frames arrive whether or not a buffer is free
-    stamp: float  # time of the last frame by the clock of the camera, s; NaN if it gives none
+    live: bool  # True if frames arrive at the pace of a camera, whether or not a buffer is free
+    stamp: float  # s, time of the last frame by the clock of the camera; NaN if the camera gives none
 
     def read(self) -> Array | None:
         """Return the next frame (H, W); None after the last frame."""
@@ -31,7 +31,7 @@ class Source(Protocol):
         """Close the file or camera."""
 
 
-OpenSource = Callable[[int], Source]  # from the number of the next frame
+OpenSource = Callable[[int], Source]  # function from the number of the next frame to the opened source
 
 
 class SourceRequest(NamedTuple):

@@ -12,7 +12,8 @@ from fingerflow.player.sources.synthetic_truth import Pose, expected, median_div
 from fingerflow.player.stream_scene import StreamScene
 from fingerflow.schema.views import View
 
-_NOISES, _NOISE_STEP = 4099, 1009  # different cuts of the noise, and of two consecutive frames; primes
+# Number of different sections of the noise, and step between those of two consecutive frames; both are primes.
+_NOISES, _NOISE_STEP = 4099, 1009
 
 
 def side_by_side(height: int, width: int) -> StreamScene:
@@ -54,9 +55,11 @@ class Synthetic:
         self._ring = np.zeros((self.half_period, *shape), dtype)
         gain = 2.0 ** (bit_depth - 8)
         noise = np.random.default_rng(0).normal(0, gain, math.prod(shape) + _NOISES)
-        self._noise = np.round(noise).clip(-4 * gain, 4 * gain).astype(np.int64).astype(dtype)  # modulo its range
+        # Negative values wrap around, as the sum does.
+        self._noise = np.round(noise).clip(-4 * gain, 4 * gain).astype(np.int64).astype(dtype)
         self._expected: list[dict[str, float]] = []
-        self._growing: list[float] = []  # divergence in the first half period, and in those after it
+        # Expected divergence in the first half period, in which the contact grows; `_grown` holds the following ones.
+        self._growing: list[float] = []
         self._grown: list[float] = []
         for number, frame in enumerate(self._ring):
             progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
@@ -124,7 +127,7 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
         sparse=True,
     )
     moved_x, moved_y = x - shift_x, y - shift_y
-    # Initial position of the skin that is seen at a pixel.
+    # Position at the start of the skin that is visible at a pixel.
     u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread
     v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
     ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))

@@ -9,8 +9,9 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 
-_SKIN, _QUERIES = 500, 200  # smallest numbers of positions; twice as many change the median by less than 2e-3
-_IN_A_FIT, _MOST_SKIN = 20, 2000  # positions
+# Least number of skin positions and of queried positions; twice as many change the median by less than 2e-3.
+_SKIN, _QUERIES = 500, 200
+_IN_A_FIT, _MOST_SKIN = 20, 2000  # least number of skin positions in a local fit, and largest number overall
 _HALVINGS = 30
 
 

@@ -37,5 +37,5 @@ def _frames(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
     while (read := capture.read())[0]:
         frame, number = read[1], number + 1
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
-    if number < stated - 1:  # some containers state only their duration, from which OpenCV rounds
+    if number < stated - 1:  # some containers state only a duration, from which OpenCV rounds the number of frames
         log.warning("%s: ends after %d of %d frames, as it is damaged or cut; copy it again", path, number, stated)

@@ -35,7 +35,7 @@ def read_table(path: Path) -> ForceTable:
     heading = first.group()
     separator = separator_of(heading)
     if separator is None:
-        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit is not a separator
+        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # removes the blank before a unit, which is not a separator
     split = cells_of(heading, separator)
     sample: re.Match[str] | None = first
     if is_numeric(split):
@@ -48,7 +48,7 @@ def read_table(path: Path) -> ForceTable:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = text[sample.start() :]
     if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
-        # Programs end their last line: if the end is missing, the last number may be truncated.
+        # Programs end their last line: if its end is missing, the last number may be truncated.
         body = "\n".join(body.splitlines()[:-1])
         table.warnings.append(
             f"{path}: the last line has no line break, so its last number may be cut off: the line is left out. "
@@ -59,7 +59,8 @@ def read_table(path: Path) -> ForceTable:
     try:
         numbers = _numbers(body, separator, len(names))
     except ValueError:
-        # There may be comments among the samples; filtering lines takes as long as reading, so it is done only then.
+        # Remove comments among the samples. Filtering lines takes as long as reading, so it is done only if reading
+        # fails.
         try:
             numbers = _numbers("\n".join(filter(is_read, body.splitlines())), separator, len(names))
         except ValueError as error:

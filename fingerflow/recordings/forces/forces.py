@@ -74,7 +74,8 @@ class Forces:
         if rising.size == 0:
             raise FingerflowError(
                 f"{self.path}: trigger {self.trigger!r} never rises through {trigger_level:g}; it starts at "
-                f"{signal[0]:g} and lies between {np.nanmin(signal):g} and {np.nanmax(signal):g}"
+                f"{signal[0]:g} and lies between {np.nanmin(signal):g} and {np.nanmax(signal):g}; "
+                "correct [forces] trigger_level or trigger"
             )
         before = int(rising[0])
         part = (trigger_level - signal[before]) / (signal[before + 1] - signal[before])
@@ -99,7 +100,7 @@ class Forces:
                 f"{self.path}: frame times are one finite number a frame, in s; an array {wanted.shape} was given"
             )
         self._check_overlap(wanted)
-        # Samples that are not finite are missing; channels that lack the same samples are filtered together.
+        # Samples that are not finite count as missing; channels that lack the same samples are filtered together.
         lacking: dict[bytes, list[str]] = {}
         for name, values in self.channels.items():
             lacking.setdefault(np.isfinite(values).tobytes(), []).append(name)
@@ -119,7 +120,8 @@ class Forces:
         with NaN outside the record and in gaps between samples.
         """
         frame_rate, sample_rate = _rate(wanted), _rate(times)
-        # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
+        # A sample represents half a step on both sides, so the record covers half a step before its first and after its
+        # last sample.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate
         covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
         if not covered.all():

@@ -25,10 +25,11 @@ STOP_BAND_DB = 66.0
 PASS_BAND, STOP_BAND = 0.5, 1.0
 """Edges in units of the Nyquist frequency: below the first the gain is 1, beyond the second 0, each within 0.1 %."""
 
-_FRAMES_AT_ONCE = 16  # their weights fit into a processor's cache
-_WINDOW_DEGREE = 12  # of the window as a polynomial; its error is at the level of rounding
-_NEAR = 0.1  # rad; below it a sine from a difference of products has too few digits to be divided by its angle
-_ALIKE = 1e-9  # of a step between samples; times that differ by less are equal
+_FRAMES_AT_ONCE = 16  # number of frames whose weights fit into a processor's cache
+_WINDOW_DEGREE = 12  # degree of the polynomial that replaces the window; its error is at the level of rounding
+# rad, angle below which a sine computed as a difference of products has too few digits to be divided by the angle.
+_NEAR = 0.1
+_ALIKE = 1e-9  # share of a step between samples below which two times are equal
 
 Samples = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -45,10 +46,10 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
     last = np.searchsorted(times, wanted + half_width, side="right")
     interior = (wanted - half_width >= times[0]) & (wanted + half_width <= times[-1])
     width = int(np.max(last - first, initial=1))
-    begin = np.minimum(first, len(times) - width)  # rows of equal length; unused samples have weight 0
+    begin = np.minimum(first, len(times) - width)  # first sample of rows of equal length; unused samples have weight 0
     groups = _group_frames(times, wanted, first, last, interior)
-    rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff in the middle of the transition band
-    middle = (times[0] + times[-1]) / 2  # keeps angles and their rounding errors small
+    rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff frequency in the middle of the transition band
+    middle = (times[0] + times[-1]) / 2  # the origin in the middle keeps angles and their rounding errors small
     angles = rate * (times - middle)
     of_samples = np.stack((times, np.sin(angles), np.cos(angles), _sample_durations(times)))
     around_frames = sliding_window_view(of_samples, width, axis=1)
@@ -62,7 +63,7 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
         offset = near - wanted[one, None]
         window = polyval(1 - (offset / half_width) ** 2, _WINDOW)
         window *= (place >= first[one, None]) & (place < last[one, None])
-        # sin(a - b) from one sine and cosine for each sample and frame instead of one for each pair.
+        # Compute sin(a - b) from the sines and cosines of samples and frames, not from those of each pair.
         angle = rate * (wanted[one, None] - middle)
         sinc = _sinc(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
         weights = _exact_moments(sinc * window * stretches, window, offset, interior[one])
@@ -91,7 +92,7 @@ def _group_frames(
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
     even = np.abs(times - (times[0] + step * np.arange(len(times)))).max() <= _ALIKE * step
     if not even:
-        order = frames[np.argsort(wanted[frames])]  # neighbouring frames need the same samples
+        order = frames[np.argsort(wanted[frames])]  # sorted by time, since neighbouring frames need the same samples
         return alone + np.split(order, np.arange(1, len(order)))
     phase = wanted[frames] - times[first[frames]]
     count = last[frames] - first[frames]
@@ -149,7 +150,7 @@ def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior:
     `interior` if their kernel lies wholly inside the record.
     """
     weights = weights / weights.sum(1, keepdims=True)
-    # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
+    # The window times the offset from its own centre of mass: adding it changes the first moment and not the sum.
     centre = np.einsum("fj,fj->f", window, offset) / window.sum(1)
     moment = np.einsum("fj,fj->f", weights, offset)
     odd = window * (offset - centre[:, None])

@@ -10,8 +10,8 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
 
-_CORRECTION = 2.0  # largest factor that corrects a force which is in N already
-_CHANGES = 0.1  # N, tolerated change of a force within the tare
+_CORRECTION = 2.0  # largest plausible gain for a force that is in N already, which is then a correction
+_CHANGES = 0.1  # N, change of a force within the tare above which a warning is given
 
 
 @dataclass(frozen=True)

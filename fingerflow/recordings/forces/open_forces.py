@@ -30,7 +30,7 @@ READER_OF = {
     ".tdms": "tdms",
 }
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
-TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # standard gravity (CGPM 1901), exact
+TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
@@ -38,7 +38,7 @@ SAME_RATE = 0.01  # relative difference up to which two rates count as equal
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
 
-#: Name of a column, or its number from 1 in the order of the file, for files without a heading.
+#: Name of a column, or its number, from 1 in the order of the file, for files without a heading.
 Column = str | int
 
 
@@ -78,7 +78,7 @@ def open_forces(
         wanted[trigger] = trigger
     if not wanted:
         raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
-    if time_column is None:  # the rate is known, the length follows from the columns
+    if time_column is None:  # times follow from the sample rate and the number of samples
         count = len(table.columns[next(iter(wanted.values()))])
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
     values: dict[str, NDArray[np.float64]] = {}
@@ -242,7 +242,7 @@ def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool)
     unit = table.units.get(column)
     if unit is None and may_be_missing:
         return 1.0, ""
-    # A length is accepted only where one is expected, so that a position is not taken for a force.
+    # Accept a length only where one is expected, so that a position is not taken for a force.
     allowed = ((TO_METRE, "m"),) if is_length else ((TO_NEWTON, "N"), (TO_VOLT, "V"))
     for factors, canonical in allowed:
         if unit in factors:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fingerflow.errors import FingerflowError
 
 _END_OF_HEADER = "***End_of_Header***"
-_LOOKED_AT = 400  # lines in which the table must begin
+_LOOKED_AT = 400  # number of lines within which the table must begin
 _RUN = 3  # consecutive lines of numbers that identify a table
 
 
@@ -54,7 +54,7 @@ def without_preamble(path: Path, text: str) -> Content:
         return Content(text)
     above, higher = cells[first - 1], cells[first - 2]
     both = len(higher) == widths[first]
-    if len(above) != widths[first] or (both and first == 2):  # ambiguous, or names and units alone
+    if len(above) != widths[first] or (both and first == 2):  # ambiguous, or only names and units without a preamble
         return Content(text)
     is_units = both and all(len(cell) <= 4 or cell[:1] in "([" for cell in above)
     return Content(text[lines[first - 1 - is_units].start() :])

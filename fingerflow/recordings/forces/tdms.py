@@ -27,7 +27,7 @@ def read_table(path: Path) -> ForceTable:
             f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
         ) from None
     check_in_child_process(path, "TDMS")
-    # Opened, not read: the stated content is compared with the file's size first.
+    # Open the file without reading the data: the stated sizes are compared with the file's size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
         table, clocks = _columns(path, file)
         if file.file_status.incomplete_final_segment:
@@ -55,7 +55,7 @@ def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]
     for channel in channels:
         if len(channel) < 2 or channel.dtype is None or np.dtype(channel.dtype).kind not in "iuf":
             continue
-        if len(channel) > size:  # a sample takes a byte at least
+        if len(channel) > size:  # a sample has at least one byte
             raise FingerflowError(
                 f"{path}: channel {channel.name!r} should have {len(channel)} samples, which a file of {size} bytes "
                 "cannot hold; copy it again"

@@ -23,10 +23,10 @@ from fingerflow.recordings.frames.recording import Description, FileRecording, F
 CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
 TAG_HEADER = struct.Struct("<IHH")
-TIME_ONLY, EXPOSURE_ONLY = 1002, 1003  # tagged blocks between SETUP and the image offsets
-UNCOMPRESSED, PACKED_10, PACKED_12 = 0, 256, 1024  # biCompression
+TIME_ONLY, EXPOSURE_ONLY = 1002, 1003  # codes of tagged blocks between SETUP and the image offsets
+UNCOMPRESSED, PACKED_10, PACKED_12 = 0, 256, 1024  # values of biCompression
 
-# SETUP grew with each software version: a field exists only if it ends within SETUP.Length.
+# SETUP grew with each software version, so a field exists only if it ends within SETUP.Length.
 SETUP_FIELDS = {
     "FrameRate16": (0, "<H"),
     "Length": (142, "<H"),
@@ -74,7 +74,8 @@ def open_frames(path: Path) -> FileRecording:
     if whole == 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
 
-    behind = size - int(table[:whole].max()) - 8 - layout.image_bytes  # an annotation is shorter than a frame
+    # Bytes after the last frame; less than a frame may be an annotation.
+    behind = size - int(table[:whole].max()) - 8 - layout.image_bytes
     warnings = [
         f"{name} is set: a player would turn the picture; the frames here are as the sensor recorded them"
         for name in ("bFlipH", "bFlipV", "Rotate")
@@ -130,7 +131,7 @@ class _CineLayout:
     def pixels(self, data: NDArray[np.uint8]) -> Frames:
         height, width = self.shape
         if self.compression == PACKED_10:
-            # The 10 bits are companded, not linear: light is proportional to the 12-bit value in the table.
+            # The 10 bits are companded: light is proportional to the 12-bit values of the table, not to them.
             image = LINEAR_OF_COMPANDED[unpack(data, 10, self.shape)]
         elif self.compression == PACKED_12:
             image = unpack(data, 12, self.shape)
@@ -163,8 +164,8 @@ class _Setup:
 def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _CineLayout:
     _, width, signed_height, _, bits, packing, image_bytes, *_ = bitmap
     height = abs(signed_height)
-    # Compression states the kind of pixels, whatever the sensor's colour filter: 2 is uninterpolated colour, 1 is JPEG;
-    # 0 with 24 or 48 bits is interpolated colour, 0 with 8 or 16 bits is grey.
+    # biCompression states the kind of pixels, whatever the sensor's colour filter. 2 is uninterpolated colour, 1 is
+    # JPEG, 0 with 24 or 48 bits is interpolated colour, and 0 with 8 or 16 bits is grey.
     if compression == 2 or bits in (24, 48):
         kind = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
         raise FingerflowError(
@@ -196,8 +197,8 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup
         bit_depth=depth,
         compression=packing,
         image_bytes=image_bytes,
-        # An uncompressed image is a Windows bitmap: the last row comes first unless biHeight is negative. A packed
-        # image comes as the camera sends it, the first row first.
+        # An uncompressed image is a Windows bitmap, whose last row comes first unless biHeight is negative. A packed
+        # image has the order of the camera, with the first row first.
         bottom_up=packing == UNCOMPRESSED and signed_height > 0,
     )
 
@@ -264,7 +265,8 @@ def _times(
             f"{int(np.sum(~regular))} gaps in the time stamps, the first of {steps[gap] * measured - 1:.0f} frames "
             f"after frame {gap}"
         )
-    tolerance = 0.01 + 2e-6 / float(np.sum(steps[regular]))  # the clock ticks in microseconds
+    # Largest relative difference of the rates; the clock ticks in microseconds.
+    tolerance = 0.01 + 2e-6 / float(np.sum(steps[regular]))
     if rate is None or abs(measured / rate - 1) > tolerance:
         if rate is not None:
             warnings.append(

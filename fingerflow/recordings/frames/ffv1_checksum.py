@@ -22,7 +22,7 @@ def slices_are_whole(packet: bytes) -> bool:
     while end > _FOOTER:
         size = int.from_bytes(packet[end - _FOOTER : end - _FOOTER + 3], "big") + _FOOTER
         begin = end - size
-        # The CRC of FFV1 starts at 0 and is 0 for a valid slice; zlib inverts both.
+        # The CRC of FFV1 starts at 0 and is 0 for a valid slice; zlib inverts it at the start and at the end.
         if begin < 0 or zlib.crc32(packet[begin:end].translate(_REVERSED), _ONES) != _ONES:
             return False
         end = begin

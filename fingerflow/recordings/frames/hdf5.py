@@ -16,7 +16,7 @@ from fingerflow.recordings.frames.recording import Description, FileRecording, F
 from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5
 from fingerflow.recordings.guard.file_checks import reading
 
-CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
+CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often holds several frames and should be unpacked only once
 NEVER_WRITTEN = "was never written"
 
 
@@ -57,7 +57,7 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
     lacking = _incomplete_frames(path, frames)
-    count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last complete frame
+    count = len(lacking) - int(np.argmin(lacking[::-1]))  # number of frames up to the last complete one
     description = Description(
         path=path,
         count=count,
@@ -77,7 +77,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     file.visititems(lambda key, item: found.update({f"/{key}": item}) if isinstance(item, h5py.Dataset) else None)
     listing = ", ".join(f"{key} {item.shape} {item.dtype}" for key, item in found.items()) or "none"
     if name:
-        # `visititems` does not list the names of links.
+        # Look up the name directly, as `visititems` does not list the names of links.
         item = file.get("/" + name.strip("/"))
         if not isinstance(item, h5py.Dataset):
             raise FingerflowError(f"{path}: has no data set {name!r}; its data sets are {listing}")

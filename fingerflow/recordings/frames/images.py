@@ -81,7 +81,7 @@ def _read_image(path: Path) -> Frames:
                     raise DamagedFrame(f"{path}: {stack.unreadable[0]}")
                 pages = len(stack)
         else:
-            # Read through NumPy: cv2.imread fails silently for names outside the system's code page.
+            # Read the file with NumPy, since cv2.imread fails silently for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
         raise DamagedFrame(

@@ -23,7 +23,7 @@ from fingerflow.recordings.guard.file_checks import check_file
 HEADERS = (".cihx", ".cih")
 MOST_HEADER_BYTES = 1 << 24  # headers of cameras have 10 kB, or 1 MB with a preview image
 
-# Entries by their names in the text header, and their paths in the XML header.
+# Names of entries in the text header, and their paths in the XML header.
 XML_PLACES = {
     "Camera Type": "deviceInfo/deviceName",
     "Record Rate(fps)": "recordInfo/recordRate",
@@ -61,7 +61,7 @@ def open_frames(path: Path) -> FileRecording:
             f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; by {header_path.name} a frame has "
             f"{layout.frame_bytes} bytes and there are {count}"
         )
-    # One in "Save Step" recorded frames was kept, so the rate of the stored frames is "Record Rate" / "Save Step".
+    # Only one in "Save Step" recorded frames was saved, so the rate of the saved frames is "Record Rate" / "Save Step".
     if not header.text("Save Step", " ").strip():
         header.warnings += (
             f"{header_path.name} does not state 'Save Step': every recorded frame is taken to be stored",
@@ -172,20 +172,21 @@ class _Header:
 def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
     """Return all entries of a `.cih` header file, and whether the file ends with the line END."""
     entries: dict[str, str] = {}
-    # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
+    # Cameras write comments in their local encoding; latin-1 decodes any byte and leaves ASCII unchanged.
     lines = data.decode("latin-1").splitlines(keepends=True)
     whole = any(line.strip() == "END" for line in lines)
     if not whole and lines and not lines[-1].endswith(("\r", "\n")):
-        lines.pop()  # an incomplete line: "Depth : 1" may have been 12
+        lines.pop()  # drops an incomplete last line: "Depth : 1" may have been 12
     for line in lines:
         name, colon, value = line.partition(":")
         if colon:
-            entries.setdefault(name.strip(), value.strip())  # later sections belong to other programs
+            # The first section is kept; later sections belong to other programs.
+            entries.setdefault(name.strip(), value.strip())
     return entries, whole
 
 
 def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
-    # The XML stands between binary blocks of the camera's software.
+    # The XML part lies between binary blocks of the camera's software.
     start, end = data.find(b"<cih>"), data.find(b"</cih>")
     try:
         root = ElementTree.fromstring(data[start : end + len(b"</cih>")].decode("utf-8", "replace"))
@@ -199,7 +200,7 @@ def _layout(header: _Header) -> _MrawLayout:
     colour = header.text("Color Type", "Mono")
     bits = header.integer("Color Bit")
     if colour.lower() not in ("mono", "raw") or bits > 16 or "-C-" in header.text("Camera Type", ""):
-        # "Raw" is what the sensor delivers: grey for a monochrome camera, a colour mosaic for a type "...-C-...".
+        # "Raw" is the sensor's output: grey for a monochrome camera, a colour mosaic for a type "...-C-...".
         raise FingerflowError(
             f"{path}: a colour recording ({header.text('Camera Type', 'unknown')}, Color Type {colour}, {bits} bits). "
             "Convert it to grey in the camera's software first."
@@ -211,7 +212,7 @@ def _layout(header: _Header) -> _MrawLayout:
         )
     width, height = header.integer("Image Width"), header.integer("Image Height")
     if bits == 16:
-        # A wrong guess would scale the grey values by 16.
+        # The effective depth must be stated, since a wrong guess would scale the grey values by up to 16.
         for name in ("EffectiveBit Depth", "EffectiveBit Side") if header.warnings else ("EffectiveBit Depth",):
             if not header.text(name, "").strip():
                 raise FingerflowError(
@@ -223,8 +224,8 @@ def _layout(header: _Header) -> _MrawLayout:
     if depth < 1 or width < 1 or height < 1:
         raise FingerflowError(f"{path}: frames of {width} x {height} pixels with {depth} bits cannot be")
     side = header.text("EffectiveBit Side", "Lower").lower()
-    # With side "Higher", 12 bits in 16 are stored times 16; shifted down they are the sensor's grey values.
-    # An 8-bit file of a 12-bit sensor has lost the other four bits already.
+    # With side "Higher", the sensor's 12 bits are stored times 16 and are shifted down here. An 8-bit file of a 12-bit
+    # sensor has lost the other four bits already.
     shift = bits - depth if side == "higher" and bits == 16 else 0
     return _MrawLayout(
         shape=(height, width),

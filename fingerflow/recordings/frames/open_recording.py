@@ -11,7 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import FileRecording, Recording, possible_rate
 from fingerflow.recordings.guard.file_checks import check_file, reading
 
-# Readers are imported on first use: video and HDF5 libraries take a second to load.
+# File suffixes by reader. Readers are imported on first use, as video and HDF5 libraries take a second to load.
 READERS = {
     "cine": (".cine",),
     "mraw": (".mraw", ".cih", ".cihx"),
@@ -39,7 +39,7 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         raise FingerflowError(f"{path}: frame_rate={frame_rate} was given; it must lie between 1e-06 and 1e+09 Hz")
     file, _, inside = str(path).partition("::")
     location = Path(file)
-    if os.path.isdir(location):  # False, not an error, without permission
+    if os.path.isdir(location):  # returns False, without an error, if permission is missing
         reader = "images"
     elif location.suffix.lower() in _READER_OF:
         reader = _READER_OF[location.suffix.lower()]

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 
-# Lossy codecs, by the names of FFmpeg and tifffile, that compress each frame by itself (intra-frame).
+# Lossy codecs (names in FFmpeg and tifffile) that compress each frame independently of the others (intra-frame).
 EACH_FRAME_BY_ITSELF = frozenset(
     ("mjpeg", "jpeg", "ojpeg", "jpeg_lossy", "alt_jpeg", "webp", "jpeg2000", "dvvideo", "prores", "dnxhd", "cfhd")
 )
 
-_PLAYBACK_HZ = 60.0  # up to here a file may state the rate of its playback
+_PLAYBACK_HZ = 60.0  # Hz, highest stated rate that may be that of playback instead of recording
 _SAME_RATE = 0.01
 
 Frames = NDArray[Any]
@@ -208,7 +208,8 @@ class FileRecording(Recording):
         if self.dtype.kind == "f":
             self.bit_depth = None
         elif self.bit_depth is None:
-            self.bit_depth = 8 * self.dtype.itemsize  # a guess from the values would change with them
+            # The depth of the type, since a guess from the values would depend on them.
+            self.bit_depth = 8 * self.dtype.itemsize
         missing = description.stated_count - description.count
         if missing > 0:
             cut = f"truncated: {missing} of {description.stated_count} frames are missing at the end of the file"
@@ -265,7 +266,7 @@ class FileRecording(Recording):
             return np.asarray(self._frames(index), self.dtype)
         except FingerflowError:
             raise
-        except Exception as error:  # codecs and filters raise any exception for a damaged frame
+        except Exception as error:  # codecs and filters may raise any exception for a damaged frame
             raise DamagedFrame(f"cannot be decoded ({first_line(error)})") from error
 
     def _read_frame(self, index: int) -> Frames:
@@ -277,7 +278,7 @@ class FileRecording(Recording):
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
-        # Usable without a copy only if contiguous and in native byte order.
+        # A memory map can be used without a copy only if contiguous and in native byte order.
         frames = self._frames
         usable = isinstance(frames, np.ndarray) and frames.dtype == self.dtype and frames.flags.c_contiguous
         return np.asarray(frames) if usable else None
@@ -319,11 +320,11 @@ class _View(Recording):
         if stack is None or not len(indices):
             return None
         step, *others = _steps(indices) or {1}
-        # Tensors have no negative strides.
+        # Tensors cannot have negative strides.
         return stack[indices[0] : indices[-1] + 1 : step] if step > 0 and not others else None
 
     def _view(self, indices: Sequence[int]) -> Recording:
-        # A view of a view refers to the file directly, so that a chain of slices is as fast as one.
+        # A view of a view refers to the file directly, so that a chain of slices is as fast as a single slice.
         return _View(self._file, [self._indices[index] for index in indices])
 
     def close(self) -> None:
@@ -350,7 +351,7 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 def possible_rate(rate: float) -> bool:
     """Return whether a frame rate in Hz is possible: finite, positive, and with distinct frame times."""
-    return 1e-6 < rate < 1e9  # as of `recording.frame_rate` in scenes
+    return 1e-6 < rate < 1e9  # limits of `recording.frame_rate` in scenes
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:

@@ -19,7 +19,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype, surplus
 from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
-LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
+LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of lossy compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
@@ -86,7 +86,7 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
         tags = struct.unpack(layout.tagnoformat, handle.read(layout.tagnosize))[0]
         handle.seek(offset + layout.tagnosize + tags * layout.tagsize)
         following = handle.read(layout.offsetsize)
-        if len(following) < layout.offsetsize:  # the file ends, which tifffile reports
+        if len(following) < layout.offsetsize:  # the file ends here, which tifffile reports
             break
         offset = struct.unpack(layout.offsetformat, following)[0]
     return seen
@@ -113,7 +113,7 @@ def _describe(
         kind = f"{getattr(page.photometric, 'name', page.photometric)}, {page.samplesperpixel} samples a pixel"
         raise FingerflowError(f"{path}: a colour file ({kind}); convert it to grey first")
     *leading, height, width = stack.shape if len(stack.shape) > 1 else (0, 0)
-    # A program that writes page by page may make each page a series: the pages of all are the frames.
+    # A program that writes page by page may make each page a series; the frames are then the pages of all series.
     alone = len(series) == 1
     if sum(length > 1 for length in (*leading, *([] if alone else [len(series)]))) > 1 or (
         stack.axes[-2:] != "YX" or page.imagedepth > 1
@@ -127,7 +127,8 @@ def _describe(
     one_piece = alone and stack.dataoffset is not None
     frame_bytes = height * width * dtype.itemsize
     if count == 1 and one_piece:
-        # ImageJ stores contiguous pixels, then the list of pages; if only that is cut off, the count is still known.
+        # ImageJ stores contiguous pixels, then the list of pages; if only the list is cut off, the count is still
+        # known.
         count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
     frames: Sequence[Any] | Frames = []
@@ -200,10 +201,10 @@ def _damage(page: Any, size: int, frame_bytes: int) -> str:
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))
-    if len(pieces) != math.prod(page.chunked):  # tifffile reads as many as the header states
+    if len(pieces) != math.prod(page.chunked):  # tifffile reads as many pieces as the header lists, without an error
         return f"has {len(pieces)} of {math.prod(page.chunked)} pieces"
     if not all(offset > 0 and length > 0 for offset, length in pieces):
-        return "was never written"  # tifffile returns zeros there
+        return "was never written"  # tifffile would return zeros for them
     if not all(offset + length <= size for offset, length in pieces):
         return "ends beyond the file"
     if not plausible_size(frame_bytes, sum(length for _, length in pieces)):

@@ -31,8 +31,9 @@ from fingerflow.schema.claimed_sizes import MOST_PIXELS
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
-_REPORTS = threading.Lock()  # FFmpeg has one log for all decoders
-CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
+_REPORTS = threading.Lock()  # FFmpeg has a single log for all decoders
+# Without these flags a decoder fills damaged parts with old pixels.
+CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}
 
 
 def open_frames(path: Path) -> VideoRecording:
@@ -56,7 +57,7 @@ def open_frames(path: Path) -> VideoRecording:
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = []
-    # MKV states no number of frames, only their duration in ticks and the number of bytes.
+    # MKV states no number of frames, only the duration in ticks and the number of bytes.
     lasting = container_seconds * float(rate or 0)
     if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
         promised = round(lasting)
@@ -70,7 +71,8 @@ def open_frames(path: Path) -> VideoRecording:
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
-        # Containers round time stamps to a tick (MKV: 1 ms); stamps that are even within a tick count as even.
+        # Containers round time stamps to a tick (MKV: 1 ms), so stamps that are evenly spaced within a tick count as
+        # even.
         if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
             stamps = None
         else:
@@ -105,7 +107,7 @@ class VideoRecording(FileRecording):
         self._container: Any = None
         self._decoded: Iterator[tuple[int, Any]] = iter(())
         self._has_checksums = description.metadata["codec"] == "ffv1" and _has_checksums(description.path)
-        self._next = -1  # the next frame of the decoder; -1 for none
+        self._next = -1  # index of the frame that the decoder gives next; -1 if it is not open
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
@@ -123,7 +125,7 @@ class VideoRecording(FileRecording):
             self._start_at(keys[nearest])
         if self._run_to(wanted):
             return
-        self._start_at(0)  # if seeking misses the key frame, decode from the start
+        self._start_at(0)  # decode from the start, if seeking misses the key frame
         if not self._run_to(wanted):
             self._mark_damaged(wanted, "gives no picture")
 
@@ -200,7 +202,7 @@ class VideoRecording(FileRecording):
                         f"{self.path}: frame {count} cannot be decoded ({first_line(error)}), and without time stamps "
                         "those behind it have no number; copy the file again"
                     ) from error
-                if number is None:  # not an error of one packet: the rest of the file cannot be read
+                if number is None:  # the error is not that of one packet, so the rest of the file cannot be read
                     return
                 if number >= key:
                     self._mark_damaged(number, f"cannot be decoded ({first_line(error)})")
@@ -357,7 +359,7 @@ def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
         shape=(height, width),
         dtype=np.dtype(np.uint8 if bits[0] <= 8 else np.uint16),
         bits=8 if is_rgb else bits[0],
-        shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and similar ones use the upper bits
+        shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and similar formats use the upper bits
         stored=stored,
         is_rgb=is_rgb,
         is_luma=not is_rgb and len(bits) > 1,
@@ -372,9 +374,9 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
     else:
         packets = _packets(container, stream)
         while packets and packets[-1][2]:
-            packets.pop()  # incomplete at the end of the file
+            packets.pop()  # drop packets that are incomplete at the end of the file
     stamps = [stamp for stamp, *_ in packets]
-    # AVI has no display order: FFmpeg's stamps of reordered frames differ from those of the decoder.
+    # AVI has no display order: FFmpeg's stamps of reordered frames differ from the decoder's.
     unordered = container.format.name == "avi" and stream.codec_context.has_b_frames
     if unordered or None in stamps or len(set(stamps)) < len(stamps):
         return _Index(len(packets), None, [0], {}, {})

@@ -86,7 +86,7 @@ def _sources_there(values: h5py.Dataset, path: Path) -> None:
         name = source.file_name
         if name == ".":
             continue
-        # HDF5 searches the path as written, then beside the file; "%b" stands for the number of a block.
+        # HDF5 searches an external path as written, then beside the file; "%b" stands for the number of a block.
         pattern = name.replace("%b", "*")
         found = [place for place in (Path(pattern), path.parent / pattern, path.parent / Path(pattern).name)
                  if (place.exists() if "*" not in pattern else any(place.parent.glob(place.name)))]  # fmt: skip

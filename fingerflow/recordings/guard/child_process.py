@@ -22,7 +22,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard import child_reader
 from fingerflow.recordings.guard.idle import IdleLimit
 
-_MOST_IDLE_SECONDS = 120.0  # for disks that do not respond
+_MOST_IDLE_SECONDS = 120.0  # s without progress, which a disk that does not respond may cause
 
 
 def check_in_child_process(path: Path, kind: str) -> None:
@@ -85,7 +85,7 @@ class _ChildProcess:
                 return ""
             try:
                 answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
-            except BaseException:  # interrupted: its answer must not be taken for that of the next file
+            except BaseException:  # interrupted: otherwise the late answer would be taken for that of the next file
                 process.kill()
                 self._process = None
                 raise
@@ -96,7 +96,7 @@ class _ChildProcess:
         return f"the library {_end(status)} while its structure was gone through"
 
     def _running(self) -> subprocess.Popen[str] | None:
-        # A forked process shares the pipes of its parent and must not read its answers.
+        # A forked process shares the pipes of its parent, and must not read the parent's answers.
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
             return self._process
         if self._cannot_start:
@@ -111,7 +111,7 @@ class _ChildProcess:
             ready = self._answer(process, None) == "ready"
         except OSError:
             ready = False
-        if not ready:  # programs that embed Python may have no interpreter to start
+        if not ready:  # a program that embeds Python may have no interpreter to start
             self._cannot_start = True
             warnings.warn(
                 f"damaged files are not kept apart: {command[0]} does not start", RuntimeWarning, stacklevel=5
@@ -136,7 +136,7 @@ class _ChildProcess:
 
     def close(self) -> None:
         if self._process is not None and self._owner == os.getpid():
-            self._process.communicate()  # closes its input, at which it ends
+            self._process.communicate()  # closes the child's input, at which it ends
 
 
 def _end(status: int) -> str:

@@ -16,13 +16,14 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
-CPU_SECONDS = 10.0  # CPU time for one file; a thousand objects take 0.1 s
-MEMORY_BYTES = 1 << 27  # in addition to the libraries and to the unpacked content of the file
-VIDEO_BYTES = 3 << 28  # replaces MEMORY_BYTES for videos: decoders keep frames
-MOST_COMPRESSED = 1032  # as in `schema.claimed_sizes`, which this script does not import
+CPU_SECONDS = 10.0  # s of CPU time for one file; a thousand objects take 0.1 s
+MEMORY_BYTES = 1 << 27  # bytes of memory in addition to the libraries and the unpacked content of the file
+VIDEO_BYTES = 3 << 28  # bytes of memory for videos instead of MEMORY_BYTES, since decoders keep frames
+MOST_COMPRESSED = 1032  # same value as in `schema.claimed_sizes`, which this script does not import
 MOST_OBJECTS = 100_000
 MOST_ATTRIBUTE_BYTES = 1 << 26
-SHUFFLE, FLETCHER32, CHECKSUM_BYTES = 2, 3, 4  # numbers of HDF5's filters that keep the length, but for a checksum
+# Numbers of the HDF5 filters that keep the length of a chunk, except for a checksum; length of the checksum.
+SHUFFLE, FLETCHER32, CHECKSUM_BYTES = 2, 3, 4
 
 
 def main() -> None:
@@ -34,7 +35,8 @@ def main() -> None:
         path, kind = json.loads(line)
         through, libraries = READERS[kind]
         for library in libraries:
-            importlib.import_module(library)  # before the limit is set: their memory depends on the number of CPUs
+            # Imported before the limit is set, as the memory of libraries depends on the number of CPUs.
+            importlib.import_module(library)
         print(json.dumps(_run_with_limits(path, through)), flush=True)
 
 
@@ -111,7 +113,7 @@ def as_json(value: Any) -> Any:
         return value
     try:
         numbers = np.asarray(value)
-    except ValueError:  # cells with vectors of different lengths
+    except ValueError:  # a cell array with vectors of different lengths
         return None
     if numbers.dtype.kind not in "iuf":
         return None

@@ -10,7 +10,7 @@ from pathlib import Path
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.schema.claimed_sizes import MOST_COMPRESSED
 
-_ALWAYS = 1 << 20  # bytes that any file may unpack to, however small
+_ALWAYS = 1 << 20  # bytes to which any file may unpack, however small it is
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -35,7 +35,7 @@ def check_file(path: Path) -> int:
             return found.st_size
     except FileNotFoundError:
         raise FingerflowError(f"{path}: there is no such file (looked in {Path.cwd()})") from None
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+    except (OSError, ValueError) as error:  # ValueError: the name cannot be that of a file
         raise FingerflowError(
             f"{path}: cannot be opened ({first_line(error)}); make it readable, or copy it to a place where it is"
         ) from error

@@ -9,7 +9,7 @@ from typing import Self
 import psutil
 
 _LOOK_SECONDS = 1.0
-_AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # running, or waiting for a CPU
+_AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # states of a process that is running or waits for a CPU
 
 
 class IdleLimit:
@@ -45,7 +45,7 @@ class IdleLimit:
                     times = one.cpu_times()
                     now += times.user + times.system
                     at_work |= one.status() in _AT_WORK
-            except psutil.NoSuchProcess:  # it has ended, or one of its children just now
+            except psutil.NoSuchProcess:  # the process, or one of its children, has just ended
                 if not psutil.pid_exists(self._process):
                     return
                 continue

@@ -23,7 +23,8 @@ from fingerflow.results.atomic_write import is_marked, keep_others
 
 __all__ = ["FIGURES", "Sheet", "SheetPanel", "Sources", "Written", "write_supplement"]
 
-#: From their sources to figures; S2 is photographs of the setup, S3 frames of a recording being processed.
+#: Functions that draw the figures from their sources. S2 shows photographs of the setup and S3 frames of a recording,
+#: so neither is here.
 FIGURES: dict[str, Callable[[Sources], Sheet]] = {
     "S1": friction_and_area,
     "S4": half_sphere,

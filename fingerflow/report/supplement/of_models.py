@@ -13,7 +13,7 @@ from fingerflow.report.strains_at_depth import (
 from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import Sources
 
-_STACKED = 1.6  # relative height of a panel of several axes
+_STACKED = 1.6  # height of a panel with several axes relative to one with a single axis
 
 
 def half_sphere(_: Sources) -> Sheet:

@@ -27,7 +27,7 @@ from fingerflow.report.trial_metrics import (
     participant_medians,
 )
 
-#: Metrics of figure S11.
+#: Metrics shown in figure S11.
 OBSERVED = (
     "divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate",
     "real_contact_area",

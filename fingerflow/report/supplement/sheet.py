@@ -13,7 +13,7 @@ from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.panels import captions_of, letter_panel
 
 _COLUMNS = 3
-_WIDE_MM, _HIGH_MM = 55.0, 48.0  # least width and height of a panel, with which its text has room
+_WIDE_MM, _HIGH_MM = 55.0, 48.0  # mm, least width and height of a panel in which its text fits
 _FLATTEST = 0.5  # least height of a panel as a share of its width
 
 

@@ -25,7 +25,7 @@ class Sources:
 
     tribometer: TribometerTrace | None = None
     trials: Trials | None = None
-    design: str = FORCED_CHOICE  # a name in GUESSES
+    design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
 
     @cached_property
     def epochs(self) -> FrictionEpochs | None:

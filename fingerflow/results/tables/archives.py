@@ -13,7 +13,7 @@ from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import MARK
 from fingerflow.schema.unfinished import finish, remove, unfinished
 
-NWB_MODULE = "fingerflow"  # processing module that identifies an NWB file of ours
+NWB_MODULE = "fingerflow"  # name of the processing module that identifies an NWB file of fingerflow
 
 
 def save_nwb(result: xr.Dataset, path: Path) -> None:
@@ -55,7 +55,8 @@ def save_nwb(result: xr.Dataset, path: Path) -> None:
             said = {"unit": unit, "description": about, "comments": comments}
             series = TimeSeries(name=str(name), data=values.values, timestamps=timestamps, **said)
             module.add(series)
-            timestamps = series if not isinstance(timestamps, TimeSeries) else timestamps  # stored once
+            # Later series refer to the first one, so that times are stored only once.
+            timestamps = series if not isinstance(timestamps, TimeSeries) else timestamps
         else:
             column = VectorData(name=str(name), data=values.values, description=f"{about}; unit {unit}")
             tables.setdefault(first, []).append(column)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.results.tables.columns import Table
 from fingerflow.schema.variable_record import LABELS, ShownUnit
-from fingerflow.schema.variables import shown_unit
+from fingerflow.schema.variables import VARIABLES, shown_unit
 
-ORIGIN = "the first pixel is at"  # identifies a file of maps
-_MOST_CELLS = 4_000_000  # of a frame: with more, the step is probably a mistake
+ORIGIN = "the first pixel is at"  # phrase that identifies a file of maps
+_MOST_CELLS = 4_000_000  # largest number of grid positions per frame; with more, the step is probably a mistake
 
 
 class Maps(NamedTuple):
@@ -68,7 +68,10 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
     """
     if variable not in result or "position" not in result:
         missing = variable if variable not in result else "position"
-        raise FingerflowError(f"the result has no {missing}, which the map needs; compute it (process -v {missing})")
+        hint = "" if missing in VARIABLES else did_you_mean(missing, map(str, result))
+        raise FingerflowError(
+            f"the result has no {missing}, which the map needs; {hint or f'compute it (process -v {missing})'}"
+        )
     given = result[variable]
     dims = tuple(map(str, given.dims))
     of, parts = dims[:2], dims[2:]
@@ -129,7 +132,7 @@ def _interpolate_points(
         return found
     try:
         between = LinearNDInterpolator(Delaunay(points[usable]), values[usable].astype(np.float64))
-    except QhullError:  # all on one line
+    except QhullError:  # all points lie on one line
         return found
     near = cKDTree(points[usable]).query(places, distance_upper_bound=reach)[0] <= reach
     found[near] = between(places[near])

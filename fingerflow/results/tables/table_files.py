@@ -43,7 +43,8 @@ def export_table(
         FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
             without ``overwrite`` where the path is an existing file that is no table or map.
     """
-    if path.suffix == ".zarr" and path.exists() and not is_zarr_result(path):  # no folder is replaced by `overwrite`
+    # Not even `overwrite` replaces a folder of another kind.
+    if path.suffix == ".zarr" and path.exists() and not is_zarr_result(path):
         raise FingerflowError(f"{path} exists and is no result; give another name, or remove it")
     keep_others(path, is_table, overwrite)
     if rows not in ROWS:
@@ -99,7 +100,7 @@ def is_table(path: Path) -> bool:
             return is_nwb_result(path)
         with path.open("rb") as table:
             return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
-    except Exception:  # another kind of file may raise any exception
+    except Exception:  # a file of another kind may raise any exception
         return False
 
 

@@ -25,10 +25,10 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT
 
 _LEAST_LIGHT = 0.1
-_LOOKS = 32  # frames sampled to find the one with most contact, if forces are unknown
+_LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
 _STEP = 4  # px between sampled pixels
-_BRIGHTER = 1.2  # times the light of the empty glass, by which a frame is brighter
-_STEADY = 0.01  # change of illumination gain that does not change areas
+_BRIGHTER = 1.2  # ratio to the light of the empty glass above which a pixel counts as brighter
+_STEADY = 0.01  # change of the illumination gain below which areas do not change
 
 
 class ContactStage(Stage):
@@ -77,7 +77,7 @@ class ContactStage(Stage):
         self._usable = self.trial.stage(FrameCheckStage).usable
         glass, dark = self.inputs.reference(self._view)[0, 0].cpu().numpy(), self.inputs.dark(self._view)
         black = None if dark is None else dark[0, 0].cpu().numpy()
-        # Outside the scene's region the light is set to 0: no contact is detected there.
+        # Outside the scene's region the light is set to 0, so that no contact is detected there.
         self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
         first = int(np.argmax(self._usable))
         brighter = self._brighter(first, glass, black)

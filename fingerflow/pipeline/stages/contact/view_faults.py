@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 Picture = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-_UNLIT_BORDER = 0.03  # of the border of the contact, beyond which the contact reaches unlit glass
-_STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes of a region, and its length, that no fingertip has
-_SOLID = 0.12  # of the real contact in patches without a valley; ridges that merge have up to 0.08
-_ALL_SOLID = 0.8  # a contact without valleys is no contact of ridges
-_SHADOW = 0.04  # light lost by the glass within a ridge period around a contact
-_STEP = 0.3  # |log ratio| of the light of successive lines of the background
-_REACH_PX, _MOVED_PX = 12, 1.5  # largest shift of the glass that is found, least that is reported
-_EDGE, _EDGE_PX = 0.02, 200  # relative slope of the light (1/px) at edges of the glass; so many pixels tell a shift
-_BETTER = 0.5  # residual with the shift over that without one, below which the glass has moved
-_SIDE = 16  # px, side of the blocks by which uneven light is measured
-_UNEVEN = 0.05  # change of light across the view that is reported
+_UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
+_STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
+_SOLID = 0.12  # largest share of the real contact in patches wider than a ridge; merging ridges make up to 0.08
+_ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, and no warning is given
+_SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
+_STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
+_REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
+# Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
+_EDGE, _EDGE_PX = 0.02, 200
+_BETTER = 0.5  # ratio of the residuals with and without the shift, below which the glass has moved
+_SIDE = 16  # px, side of the blocks over which light is averaged
+_UNEVEN = 0.05  # least relative change of light that is reported
 
 
 def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
@@ -164,7 +165,7 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     values, keep = blocks[known], np.ones(known.sum(), dtype=bool)
     if len(values) < 16:
         return ""
-    for _ in range(4):  # dark objects leave the plane by far
+    for _ in range(4):  # refit without dark objects, which are outliers of the plane
         plane = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
         rest = values - terms @ plane
         keep = np.abs(rest) < max(3 * float(np.std(rest[keep])), 0.01)
@@ -212,7 +213,8 @@ def _shift_of_glass(
     lines = np.lib.stride_tricks.sliding_window_view(light.ravel(), side)
     residual, even = np.empty((side, side)), np.full(len(seen), 1 / len(seen), seen.dtype)
     for k in range(side):
-        # Pixels beside each of these, in one line; the last one is that of the largest shift to the left.
+        # Collect the background pixels of a line around each edge pixel; the last one is that of the largest shift to
+        # the left.
         given = lines[(y + _REACH_PX - k) * light.shape[1] + x - _REACH_PX]
         gain = seen @ given / np.maximum(np.einsum("nk,nk->k", given, given), 1e-9)
         residual[k] = (even @ np.abs(seen[:, None] - gain * given))[::-1]

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.results.store import Values
 
-_NEIGHBOURS = 8  # nearest points whose displacement is extrapolated to a new point
-_FRAMES = 64  # read at a time
+_NEIGHBOURS = 8  # nearest points from whose displacement that of a new point is extrapolated
+_FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
 
@@ -49,7 +49,8 @@ def common_frame(position: Values, status: Values, first: int, backward: bool) -
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
         now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (seeded == frame))
         earlier = np.flatnonzero(np.isfinite(places + now).all(1) & (seeded != frame))
-        if not len(earlier):  # all were lost, as when a finger is lifted: the skin there is related to no other
+        # All points were lost, as when a finger is lifted: new points then start without a displacement.
+        if not len(earlier):
             places[new] = now[new]
             continue
         distance, near = cKDTree(now[earlier]).query(now[new], k=np.arange(1, min(_NEIGHBOURS, len(earlier)) + 1))

@@ -22,9 +22,10 @@ from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 
-_ELLIPSE_MM = 0.035  # standard deviation of the border's ellipse; measured on presses at 40 to 300 frames/s
-_LONGEST_ONSET = 8  # frames to either side over which the speed at onset is measured, at most
-_FRAMES = 64  # read at a time
+# mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
+_ELLIPSE_MM = 0.035
+_LONGEST_ONSET = 8  # largest number of frames on either side over which the speed at onset is measured
+_FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
 
@@ -98,10 +99,10 @@ class DisplacementStage(Stage):
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
-        self.mm_per_px = self.inputs.topography_mm_per_px  # of the topographic view
+        self.mm_per_px = self.inputs.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
         self._vector = np.full((len(trial), 2), np.nan)
-        self._fixed: _Fixed | None = None  # points in the reference frame, None for onsets
+        self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
         self._attributes: dict[str, str | int] = {}
 
     def begin(self) -> None:
@@ -110,7 +111,7 @@ class DisplacementStage(Stage):
         self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
         self._attributes = self.since.attributes(first_frame)
         points = self.results["position"].shape[1]
-        # All points are known in the frame in which they are seeded, the first one that is tracked.
+        # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         self._common = common_frame(self.results["position"], self.results["status"], first, backward)
@@ -145,7 +146,7 @@ class DisplacementStage(Stage):
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)
         self._touch = Touches(points)
-        # (N,) mean square of a component
+        # (N,) mm^2, mean variance of a component of the position at onset
         self._of_onset = np.trace(self.of_onset, axis1=1, axis2=2).astype(np.float32) / 2
 
     def step(self, batch: Batch) -> Moved:
@@ -189,7 +190,7 @@ class DisplacementStage(Stage):
             count += known.sum(0)
             total += np.where(known, variance, 0).sum(0, dtype=np.float64)
         self.noise = total / np.maximum(count, 1)
-        # A touch in the last frame counts as lasting.
+        # A touch in the last frame counts as lasting, as later frames are unknown.
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
@@ -276,7 +277,7 @@ class DisplacementStage(Stage):
         With the previous frame as template, variances add up.
         """
         if self._template == "previous":
-            rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
+            rest = np.square(1 - touch.share)  # squared weight of the frame before the touch
             added: NDArray[np.float32] = abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
             return added
         return touch.displacement_variance(now)
@@ -318,7 +319,8 @@ class DisplacementStage(Stage):
         before, after = every
         step = place[1] - place[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
-        # The square of a measured speed is too large by the speed's variance, from those of the two positions.
+        # The square of a measured speed is too large by the variance of the speed, which follows from those of both
+        # positions.
         errors = self.mm_per_px * at_frames(self.results["position_std_px"], every % frames)
         noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
@@ -359,9 +361,9 @@ class _Fixed(NamedTuple):
     all points; NaN for points not tracked in it.
     """
 
-    place: Points  # (N, 2) mm
+    place: Points  # (N, 2) mm, positions
     place_px: Points
-    deviation_px: NDArray[np.float32]  # (N,)
+    deviation_px: NDArray[np.float32]  # (N,) px, standard deviations of the positions
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

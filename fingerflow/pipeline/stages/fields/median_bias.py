@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.displacement.displacement_stage import Displacem
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.tracker.contact_border import BORDER_MM
 
-EVERY = 8  # frames between evaluations, interpolated linearly: skin and contact change slowly
+EVERY = 8  # frames between two evaluations, interpolated linearly, as skin and contact change slowly
 
 
 class MedianBias:
@@ -43,9 +43,10 @@ class MedianBias:
     def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
         self._gauge, self._measure = gauge_mm, measure
         self._reference = torch.from_numpy(moved.reference)[None]
-        self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # evaluated frames
-        self._seen = np.full((len(self._looks), 5), np.nan)  # variance by gauge length and border
-        self._square = np.zeros((frames, 5))  # variance by unknown and advected skin
+        self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # indices of the evaluated frames
+        # Variance due to gauge length and border in the evaluated frames.
+        self._seen = np.full((len(self._looks), 5), np.nan)
+        self._square = np.zeros((frames, 5))  # variance due to unknown and advected skin
 
     def add(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
@@ -107,13 +108,12 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
     assert found.median is not None
     share, result = found.known_share.cpu().numpy().astype(np.float64), np.zeros((len(found.known_share), 5))
     came = np.zeros(len(share)) if entered is None else np.asarray(entered, dtype=np.float64)
-    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # otherwise both ranks are the same
+    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
     if not len(some):
         return result
     fields = _stack_components(found).cpu().numpy()[some]
     whole = np.isfinite(fields.sum(1, keepdims=True))
-    # Points are denser where skin has texture, so the median of points differs from that of the area: ranks are
-    # counted from the latter.
+    # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
     ordered = np.where(whole, fields, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
     count, frame, field = whole.sum(2), np.arange(len(some))[:, None], np.arange(5)

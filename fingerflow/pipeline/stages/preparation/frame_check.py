@@ -49,7 +49,7 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames of each view
+        self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._keys: list[bytes] = []
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
@@ -101,7 +101,7 @@ class FrameCheckStage(Stage):
             status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
         twice = copies(self._keys, distances, status == _USABLE)
-        # Free memory: more than the results of a frame without points.
+        # Free the memory: these lists are larger than the results of a frame without points.
         self._distances, self._keys, self._before = [], [], []
         share = float(twice.mean())
         if share <= REPEATED_SHARE:

@@ -19,7 +19,8 @@ from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View
 from fingerflow.tracker.points import RECORDING, Knowledge
 
-_REFERENCE_FRAMES = 64  # averaged background frames, at most: their noise is an eighth of that of one frame
+# Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
+_REFERENCE_FRAMES = 64
 
 
 @dataclass
@@ -40,7 +41,8 @@ class Inputs:
     warnings: list[str]
     engine: Engine
     knowledge: Knowledge = RECORDING
-    _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
+    # Mean background frames, read once for each file and view.
+    _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)
     gauge_length_mm: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -129,7 +131,7 @@ def read_frames(part: Recording) -> NDArray[Any]:
     """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
     try:
         return part.mapped()
-    except OSError as error:  # `written_atomically` would report it as an error of the output file
+    except OSError as error:  # reported here: `written_atomically` would report it as an error of the output file
         raise FingerflowError(
             f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording again, or to a local "
             f"disk"
@@ -158,6 +160,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
     if settings.last_frame is not None and settings.last_frame >= len(recording):
         warnings.append(
             f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"
+            ": leave it out, or copy the recording again"
         )
     end = len(recording) if settings.last_frame is None else min(settings.last_frame + 1, len(recording))
     if recording.times is None:

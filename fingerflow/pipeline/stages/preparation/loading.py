@@ -15,12 +15,14 @@ from fingerflow.recordings.forces.newtons import Sensor, to_newtons
 from fingerflow.schema.scene import ForceSettings
 from fingerflow.schema.variables import LOADING
 
-_LEAST_OFFSET = 0.2  # N, smallest offset of a sensor at rest that is reported
-_OFFSET_SHARE = 0.05  # of the largest force
-_LEAST_TANGENTIAL = 0.05  # N, below which a force has no direction
-_TANGENTIAL = ("tangential_force", "tangential_force_across")  # channels of one or two components
-_UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}  # as `open_forces` knows them
-_LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: below, T/N is dominated by noise
+_LEAST_OFFSET = 0.2  # N, smallest offset of an unloaded sensor that is reported
+_OFFSET_SHARE = 0.05  # smallest such offset as a share of the largest force
+_LEAST_TANGENTIAL = 0.05  # N, tangential force below which its direction is undefined
+# Names of the channels of a tangential force with one or two components.
+_TANGENTIAL = ("tangential_force", "tangential_force_across")
+# Units in the scene, and the names by which `open_forces` knows them.
+_UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}
+_LEAST_NORMAL = 0.05  # N, least normal force for T/N: ten times the noise of a sensor; below, noise dominates T/N
 Series = NDArray[np.float64]
 
 
@@ -84,7 +86,7 @@ class LoadingStage(Stage):
         self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
-            # Magnitude of filtered components: that of unfiltered ones is biased by noise where the force is near 0.
+            # Take the magnitude of filtered components: with unfiltered ones noise biases it where the force is near 0.
             self.tangential = np.hypot(x, y) if len(components) == 2 else x
             self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
 
@@ -162,7 +164,7 @@ def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bo
     normal = normal[np.isfinite(normal)]
     if not normal.size:
         return
-    # Quantiles: the outer hundredth at either end may be noise or a shock.
+    # Use quantiles, since the outer hundredth at either end may be noise or a shock.
     lowest, highest = np.quantile(normal, (0.01, 0.99))
     if -lowest > max(_LEAST_OFFSET, 3 * highest):
         raise FingerflowError(

@@ -5,25 +5,35 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
 
-_NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # width of a view of skin: from a few ridges to a hand
+_NARROWEST_MM, _WIDEST_MM = 1.0, 100.0  # mm, plausible width of a view of skin: from a few ridges to a hand
 _FEW_RIDGES_MM2 = 1.0
-_IMPULSES = 5e-4  # share of the pixels; with twice as many 0.3 % of the positions are off by four deviations
-_JUMP = 0.25  # share of the view's area: no contact grows by as much from one frame to the next
-_FEW_FOUND, _FEW_TRACKED = 0.9, 0.5  # shares of the points, below which a warning is given
+# Largest share of impulses among pixels; with twice as many 0.3 % of the positions are off by four deviations.
+_IMPULSES = 5e-4
+# Change of the contact area between successive frames, as a share of the view's area, that no contact reaches.
+_JUMP = 0.25
+# Shares of the requested points found, and of the points tracked, below which a warning is given.
+_FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
-# What is known of fingertips, with a margin for every hand and laboratory.
-_RIDGE_MM = (0.3, 0.7)  # ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
+# Plausible values for fingertips, with a margin for every hand and laboratory.
+_RIDGE_MM = (0.3, 0.7)  # mm, ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
 _MOST_FORCE = 100.0  # N, peak normal force of one finger: maximal pinch forces are 50 to 100 N
-_PRESSURE_KPA = (1.0, 300.0)  # normal force over gross area, at the peak: 5 to 100 kPa at 0.1 to 20 N
-_YOUNG_MPA = (0.005, 20.0)  # of skin and pulp in vivo 0.01 to 3 MPa, of gels from 0.005 MPa
-_FORCE_OF_NOTHING = (0.05, 0.01)  # N and share of the peak: largest force of a sensor where nothing touches
-_NOISE = 0.005  # N, of a force at the frame rate
-_AREA_BY_FORCE = 1 / 3  # gross area grows as the force to this power, or a higher one up to Hertz's 2/3
-_SAFE = 1.5  # factor on the area by that law
-_RISES, _FOLLOWS = 1.1, 0.05  # rise of the force over the last tenth; d ln(area) / d ln(force), 0.1 to 2/3 for skin
-_STARTS, _GROWS = 0.02, 1.1  # share of the largest area that is a contact; growth that makes a press
-_MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4  # step of the area over those of so many frames on either side; its share
-_BRIGHTER_SHARE = 0.005  # of the lit view, in which no background is darker than a frame
+_PRESSURE_KPA = (1.0, 300.0)  # kPa, normal force over gross area at the peak: 5 to 100 kPa at 0.1 to 20 N
+_YOUNG_MPA = (0.005, 20.0)  # MPa, Young's modulus: skin and pulp in vivo have 0.01 to 3 MPa, gels from 0.005 MPa
+# Largest force of a sensor where nothing touches, in N and as a share of the peak force.
+_FORCE_OF_NOTHING = (0.05, 0.01)
+_NOISE = 0.005  # N, noise of a force at the frame rate
+_AREA_BY_FORCE = 1 / 3  # exponent of the gross area as a power of the force: this or a higher one, up to Hertz's 2/3
+_SAFE = 1.5  # factor on the area expected by that law, above which a warning is given
+# Least ratio by which the force rises over the last tenth of the frames; least d ln(area) / d ln(force), 0.1 to 2/3 for
+# skin.
+_RISES, _FOLLOWS = 1.1, 0.05
+# Share of the largest area above which a recording begins in contact; ratio of growth that makes it a press.
+_STARTS, _GROWS = 0.02, 1.1
+# Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
+# neighbouring frames on either side.
+_MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
+# Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
+_BRIGHTER_SHARE = 0.005
 Series = NDArray[np.float64]
 
 
@@ -247,7 +257,7 @@ def of_points(found: int, asked: int, min_distance_px: float, region_px: int) ->
     """Return a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
     if found >= _FEW_FOUND * asked:
         return []
-    # Upper bound of the number of points: one in each square of side `min_distance_px`.
+    # Upper bound of the number of points: one for each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
     if room < asked:
         why = (

@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_SIDE_PX = 256  # longest side of the patch of skin that is analysed: a ridge then has some 10 px
-_MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are of light and pressure
-_SHORTEST_PX, _LONGEST_PX = 4.0, 40.0  # periods that a patch shows
-_BAND = 1.3  # ratio to the frequency of the peak, up to which power belongs to the ridges
-_LEAST_POWER = 0.45  # share of the power that lies in that band if the ridges are distinct
-_REACH_PX = 40  # of a patch: largest offset that is found
-_LEAST_CORRELATION = 0.3  # between the ridges in both views if both show them; by chance it stays below 0.15
-_WEAKER = 0.75  # correlation without an offset over the best one, below which the views are offset
+_SIDE_PX = 256  # longest side of the analysed patch of skin: a ridge then has some 10 px
+_MEAN_PX = 25  # side of the local mean that is subtracted: longer waves are due to light and pressure
+_SHORTEST_PX, _LONGEST_PX = 4.0, 40.0  # ridge periods that can be found in a patch
+_BAND = 1.3  # ratio of frequencies: power within this ratio of the peak frequency belongs to the ridges
+_LEAST_POWER = 0.45  # least share of the power within that band if ridges are distinct
+_REACH_PX = 40  # largest offset between the views that is searched
+# Least correlation of the ridges in two views that show the same skin; by chance it stays below 0.15.
+_LEAST_CORRELATION = 0.3
+_WEAKER = 0.75  # ratio of the correlation without an offset to the best one, below which the views are offset
 Picture = NDArray[np.float32]
 
 

@@ -8,12 +8,12 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the medians (F, ...) over N points of values (F, N, ...), ignoring NaN; NaN where no value is finite."""
     if values.shape[1] == 0:
         return np.full((len(values), *values.shape[2:]), np.nan)
-    # Contiguous along the sorted axis: sorting and counting are then twice as fast.
+    # Make the sorted axis contiguous: sorting and counting are then twice as fast.
     ordered = np.array(np.moveaxis(values, 1, -1), order="C")
     ordered.sort(axis=-1)  # NaN last
     known = (~np.isnan(ordered)).sum(-1)
     first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(known.shape), ordered.ravel()
-    last = len(flat) - 1  # where nothing is known, the rank may lie beyond it
+    last = len(flat) - 1  # upper bound of the index, which may lie beyond the end where all values are NaN
     low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
     result: NDArray[np.float64] = np.where(known > 0, (low + high) / 2, np.nan).astype(np.float64)
     return result

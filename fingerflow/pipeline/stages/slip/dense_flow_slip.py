@@ -18,10 +18,13 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.slip_stage import SlipStage
 from fingerflow.pipeline.stages.stage import Batch
 
-_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))  # of a vector whose two components have a standard deviation of 1
-_DISAGREE = 4.0  # standard deviations; smoothing, which they do not contain, makes up to 2 on the synthetic trials
-_LEAST = 0.5  # share of the skin in which the flow must be accepted in a frame
-_BESIDE_PX = 12  # margin of skin around the cells known by points, for the flow at their border
+# Median length of a vector whose two components have a standard deviation of 1.
+_MEDIAN_LENGTH = math.sqrt(2 * math.log(2))
+# Least difference of flow and points that gives a warning, in their standard deviations; smoothing, which these do not
+# contain, makes up to 2 on the synthetic trials.
+_DISAGREE = 4.0
+_LEAST = 0.5  # least share of the skin in which the flow must be accepted in a frame
+_BESIDE_PX = 12  # px, margin of skin around the cells with tracked points, for the flow at the border of these cells
 
 
 class DenseFlowSlipStage(SlipStage):
@@ -49,10 +52,12 @@ class DenseFlowSlipStage(SlipStage):
     instead = True
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
-    clear = 3.0  # argument of `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um
+    # Multiple of the noise for `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um.
+    clear = 3.0
 
     def begin(self) -> None:
-        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px  # (2, 2), px to mm
+        # (2, 2) matrix from px of the topographic view to mm.
+        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px
         self._usable = self.trial.stage(FrameCheckStage).usable
         self._flow: SkinFlow | None = None
         self._flow_deviation, self._median, self._most, self._apart = np.full((4, len(self.trial)), np.nan)
@@ -150,7 +155,7 @@ class DenseFlowSlipStage(SlipStage):
         self._median[frame], self._most[frame] = np.quantile(apart[known], (0.5, 0.95))
         variance = flow[known, 2] + self._variance_of_points(frame)[known]
         length = apart[known] / (np.sqrt(variance) * self.inputs.topography_mm_per_px)
-        if frame and np.isfinite(length).any():  # the first frame is compared with itself
+        if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
 
     def _variance_of_points(self, frame: int) -> NDArray[np.float64]:

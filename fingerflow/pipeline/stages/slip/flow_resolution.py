@@ -8,12 +8,12 @@ from torch import Tensor
 
 from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
 
-_INSIDE = 0.4  # share of the mask inside the simulated border
-_LARGEST_PX = 3.0  # simulated displacement at the end of the mask
-_REACH_PX = 32  # on either side of the border; the flow is not affected farther away
+_INSIDE = 0.4  # share of the mask that lies inside the simulated border
+_LARGEST_PX = 3.0  # px, simulated displacement at the end of the mask
+_REACH_PX = 32  # px on either side of the border; farther away the border does not affect the flow
 _STEP_PX = 0.5
-_ROUNDS = 20  # iterations of the inversion; the error falls with the power of the gradient
-_SHORTEST_PX = 4  # least distance from the border to the end of the mask
+_ROUNDS = 20  # iterations of the inversion; the error shrinks by the displacement gradient in each
+_SHORTEST_PX = 4  # px, least distance from the border to the end of the mask
 
 Field = NDArray[np.float32]
 
@@ -37,7 +37,7 @@ class FlowResponse:
     def __init__(self, template: FlowTemplate, image: Tensor, mask: NDArray[np.bool_], mm_per_px: float) -> None:
         depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
-        beyond = (border - depth).astype(np.float32)  # px beyond the border
+        beyond = (border - depth).astype(np.float32)  # px, distance beyond the border
         growth = _LARGEST_PX / border
         length = (growth * np.maximum(beyond, 0)).astype(np.float32)
         distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
@@ -72,7 +72,7 @@ def _blur(
     picture = image[0, 0].cpu().numpy().astype(np.float32)
     height, width = picture.shape
     pixel = [part.astype(np.float32) for part in np.meshgrid(np.arange(width), np.arange(height))]
-    x, y = pixel  # origin of the skin at a pixel: origin + length(origin) = pixel
+    x, y = pixel  # position at which the skin of a pixel was: position + length(position) = pixel
     for _ in range(_ROUNDS):
         gone = np.asarray(cv2.remap(length, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         x, y = (pixel[0] - gone, y) if axis == 0 else (x, pixel[1] - gone)

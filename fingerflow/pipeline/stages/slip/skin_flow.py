@@ -12,9 +12,10 @@ from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask
 
-ROUGHNESS = 0.2  # of `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
-_TEXTURE_PX = 17  # side of the window over which texture is measured: a period of ridges
-# Largest residual over the standard deviation of texture: an error of 0.8 px at a ridge; correct flow leaves 0.2.
+ROUGHNESS = 0.2  # roughness for `ops.dense_flow`: skin beside a stick region is stretched by 0.15 to 0.3
+_TEXTURE_PX = 17  # px, side of the window over which texture is measured: one period of the ridges
+# Largest residual as a share of the standard deviation of texture: an error of 0.8 px at a ridge has it; correct flow
+# leaves 0.2.
 _LEFT = 0.35
 _FEWEST = 0.5  # least `FlowMotion.explained`; below, another initial displacement is tried
 
@@ -60,13 +61,15 @@ class SkinFlow:
         self._apart = apart_px
         self.renewed = 0
         self._mask = mask
-        self._walked = np.zeros(mask.shape, np.float32)  # variance of the reference picture's own displacement
+        # Variance of the reference picture's displacement from the first frame.
+        self._walked = np.zeros(mask.shape, np.float32)
         self._noise: Tensor | None = None
         self._compare_with(image, mask)
         self._noise = self.template.variance.sqrt()
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
-        self._unsure = False  # True if skin in the last picture was lost: it starts from `expected`
+        # True if skin in the last picture was lost: `expected` then gives its initial displacement.
+        self._unsure = False
         self._known = FlowMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
@@ -93,7 +96,7 @@ class SkinFlow:
                 motion = _better(motion, self._found(image, start, 2, beside))
         here = _planes(motion.displacement, start)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
-        # After a jump the speed is set to 0.
+        # The speed is set to 0 after a jump.
         step = (here - self._last).nan_to_num(0.0)
         self._speed = step if float(step.norm(dim=1).max()) < self._apart else torch.zeros_like(step)
         self._last = here
@@ -116,7 +119,7 @@ class SkinFlow:
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
         of_noise = LEFT_BY_NOISE["brightness"] ** 2 * float(self.template.variance)
         left = np.sqrt(np.maximum(residual[..., 0] ** 2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
-        contradicted = np.linalg.norm(displacement - beside, axis=-1) > self._apart  # False where no point is
+        contradicted = np.linalg.norm(displacement - beside, axis=-1) > self._apart  # False where no point is tracked
         believed = np.isfinite(variance) & (left < 1) & ~contradicted
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
@@ -154,7 +157,7 @@ def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
     empty = np.ones(shape, np.uint8)
     column, row = np.clip(np.rint(places).astype(int), 0, np.array(shape)[::-1] - 1).T
     empty[row, column] = 0
-    # Labels number the zero pixels by rows; of points in one pixel, the last one is used.
+    # Zero pixels are labelled row by row; where points share a pixel, the last one is used.
     _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
     of_label = np.zeros((int(label.max()) + 1, 2), np.float32)
     of_label[label[row, column]] = moved

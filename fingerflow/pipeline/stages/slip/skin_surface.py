@@ -6,7 +6,7 @@ from scipy.linalg import cho_factor, cho_solve, null_space
 from scipy.spatial.distance import cdist
 
 Points = NDArray[np.float64]
-_FEWEST = 3  # points, for a plane
+_FEWEST = 3  # least number of points for a plane
 
 
 class SkinSurface:
@@ -28,7 +28,7 @@ class SkinSurface:
         if len(points) < _FEWEST:
             raise ValueError(f"{len(points)} points do not span an area: a displacement between them is not known")
         centre = points.mean(0)
-        # In units of the points' spread, for the conditioning of the matrices.
+        # Divide by the spread of the points, so that the matrices are well conditioned.
         scale = float(np.abs(points - centre).max()) or 1.0
         own, asked = (points - centre) / scale, (places - centre) / scale
         plane = np.concatenate((np.ones((len(own), 1)), own), 1)

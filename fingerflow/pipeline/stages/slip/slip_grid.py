@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_FINE = 4  # fine positions along a cell: an area is then known to a thousandth of the contact
+_FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
 
 
 class SlipGrid:

@@ -36,14 +36,17 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import SLIP
 
-LEAST_COVERAGE = 0.9  # share of the contact in which the displacement must be known
+LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
-_SPEED_S = 0.05  # s over which a speed is measured
-_FRAMES = 64  # in memory at a time
-_FEWEST_POINTS = 3  # slipping points for a direction
-_RATIO_NOISE = 0.006  # of d^2 in a frame, on rendered trials
-_CLEAR_OF_NOISE = 1 / 3  # of the contour along which displacements are averaged: noise must be half of that at most
-_LEAST_LIMIT = 2.0  # standard deviations of a displacement: below, one in twenty sticking points exceeds the limit
+_SPEED_S = 0.05  # s, time over which a speed is measured
+_FRAMES = 64  # frames in memory at a time
+_FEWEST_POINTS = 3  # least number of slipping points that define a direction
+_RATIO_NOISE = 0.006  # standard deviation of d^2 in a frame, measured on rendered trials
+# Ratio of the least slip limit to the displacement of the contour along which displacements are averaged: noise may be
+# half of it at most.
+_CLEAR_OF_NOISE = 1 / 3
+# Least slip limit in standard deviations of a displacement: below, one in twenty sticking points exceeds it.
+_LEAST_LIMIT = 2.0
 
 
 class SlipStage(Stage):
@@ -89,8 +92,9 @@ class SlipStage(Stage):
         *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
     )
-    # Argument of `StuckBorder`. A contour above the noise of points, moved inside, is no better: where slip begins as
-    # x^2, so that the level at the border is that noise, it left d^2 too large by 0.025 on rendered trials.
+    # Multiple of the noise for `StuckBorder`, 0 to follow the fitted level. A contour above the noise of points that is
+    # then moved inside is no better: where slip begins as x^2 and the level at the border equals the noise, it gave a
+    # d^2 that was too large by 0.025 on rendered trials.
     clear = 0.0
 
     def __init__(self, trial: RunContext) -> None:
@@ -98,10 +102,10 @@ class SlipStage(Stage):
         self._settings = self.inputs.scene.slip
         self._ratio, self._printed, self._coverage, self._direction, self._speed = np.full((5, len(trial)), np.nan)
         self._incipient = np.full((3, len(trial)), np.nan)
-        self._deviation = np.full(len(trial), np.nan)  # mm, of a component of a displacement
+        self._deviation = np.full(len(trial), np.nan)  # mm, standard deviation of a component of a displacement
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
         step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
-        self._beside = round(_MEDIAN_S / 2 / step)  # frames on either side
+        self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
         self._speed_step = max(1, round(_SPEED_S / 2 / step))
 
     def begin(self) -> None:
@@ -248,13 +252,13 @@ class SlipStage(Stage):
         printed = Length(grid, self._settings.stuck_mm, relative=False)
         stuck = np.zeros(regions.shape, dtype=bool)
         for k, frame in enumerate(range(first, end)):
-            # A contact at the edge of the view is only partly visible.
+            # Skip a contact at the edge of the view, which is only partly visible.
             if not self._coverage[frame] >= LEAST_COVERAGE or self._edge[frame]:
                 continue
-            # As many frames on either side, so that the median has no lag.
+            # Take as many frames on either side, so that the median has no lag.
             beside = min(self._beside, frame, len(self.trial) - 1 - frame)
             around = motion[frame - beside - start : frame + beside + 1 - start]
-            # A frame counts only with its mirror frame: where one side is lost, the other alone would give a lag.
+            # Use a frame only together with its mirror frame: where one side is lost, the other alone would give a lag.
             settled = nanmedian(np.where(np.isfinite(around[::-1]), around, np.nan)[None])[0]
             moved, displacement = self._at_points(settled, grid), self._over_cells(settled, grid)
             if not np.isfinite(displacement[grid.known]).all():

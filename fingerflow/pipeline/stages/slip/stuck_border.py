@@ -12,24 +12,28 @@ from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 
-_LARGEST_MM = 0.08  # level at the border, above which it is lost in the displacement beside it
-FOLLOWED_MM = 0.02  # displacement of the contour along which displacements are averaged: far above their noise
-_FEWEST_SLIPPED = 5  # slipping points of a frame for the direction of slip
-_HELD_SHARE = 0.25  # of the limit, below which points are held by the glass
-_FEWEST_HELD = 3  # points for the fit of a rigid motion
-_LEAST_INSIDE = 0.1  # share of the contact within the contour: leaves space for windows that do not reach it
+# mm, largest level at the border; a higher one is not distinguishable from the displacement beside the border.
+_LARGEST_MM = 0.08
+FOLLOWED_MM = 0.02  # mm, displacement of the contour along which displacements are averaged: far above their noise
+_FEWEST_SLIPPED = 5  # least number of slipping points of a frame for the direction of slip
+_HELD_SHARE = 0.25  # share of the slip limit below which points are taken to stick
+_FEWEST_HELD = 3  # least number of points for the fit of a rigid motion
+_LEAST_INSIDE = 0.1  # least share of the contact inside the contour, so that some windows do not reach the contour
 _BINS_A_WINDOW = 14
-_FROM, _TO = -2.0, 3.5  # range of the fit in half windows from the contour, negative outside
-_APART = 0.5  # half windows, least distance of points and contour from the rim, where windows show less than the law
+_FROM, _TO = -2.0, 3.5  # range of the fit in half windows from the contour, negative outside it
+# Half windows, least distance of points and contour from the rim, where windows show less displacement than the law.
+_APART = 0.5
 _SMOOTHED = 0.3  # half windows, standard deviation of the smoothing of the contour
-_PLACE_STD = 0.15  # half windows: error of the border on rendered trials of several laws, beyond what the fit shows
-_SHARED = 0.25  # of the noise of a point: error of displacement that the points along a border share
-_DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
-_LEAST_POINTS = 20  # in a bin
-_MOST_POINTS = 400  # largest count in the weight of a bin: points are not independent
+# Half windows, error of the border on rendered trials of several laws that the fit's deviation does not contain.
+_PLACE_STD = 0.15
+_SHARED = 0.25  # error of the displacement that the points along a border share, as a share of the noise of a point
+_DEEP = 1.75  # half windows, least depth inside the contour at which no window reaches slipping skin
+_LEAST_POINTS = 20  # least number of points in a bin
+_MOST_POINTS = 400  # largest count in the weight of a bin, since points are not independent
 _LEAST_SPREAD_MM = 1e-4
-_STEPS = np.linspace(0.15, 1, 18)  # shares of `level` that are tried: it grows with the width of a narrow annulus
-_WIDEST = 3.0  # half windows, above which the width of the annulus does not matter
+# Shares of `level` that are tried: the level grows with the width of a narrow annulus.
+_STEPS = np.linspace(0.15, 1, 18)
+_WIDEST = 3.0  # half windows, width of the annulus above which the level is constant
 
 
 class StuckBorder:
@@ -64,8 +68,8 @@ class StuckBorder:
         self.fit: BorderFit | None = None
         self.level, self.noise, self.reason = FOLLOWED_MM, np.nan, ""
         self._base = np.zeros(2)
-        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # of the annulus
-        self._of_width = np.zeros(200)  # level for each width
+        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # mm, widths of the annulus
+        self._of_width = np.zeros(200)  # mm, level for each width
 
     def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
         """Add the displacements in one frame to the fit of the stick region's border.
@@ -179,8 +183,8 @@ class StuckBorder:
         clear, beyond = self._clear(float(levels[first]), width)
         held = inside & (length < max(FOLLOWED_MM, self.followed))
         slow = held & (component < clear)
-        # The low levels are those of a narrow annulus at the rim. A hole that does not reach the rim is no annulus:
-        # below the level of a wide one it is noise.
+        # A low level applies to a narrow annulus at the rim. A hole that does not reach the rim is no annulus: below
+        # the level of a wide annulus it is noise.
         filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
         slow |= filled & held & (component < self.followed)
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
@@ -216,7 +220,7 @@ class Length:
 
     def __init__(self, grid: SlipGrid, limit_mm: float, relative: bool) -> None:
         self._grid, self._limit, self._relative = grid, limit_mm, relative
-        self._held: Mask | None = None  # (N,) points that stuck so far
+        self._held: Mask | None = None  # (N,) points that stuck in all frames so far
 
     def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
         """Return the stick region of one frame as a mask on the fine grid, given the displacements of points and cells
@@ -233,7 +237,7 @@ class Length:
         left = rigid_residual(torch.from_numpy(self._grid.points)[None], torch.from_numpy(moved)[None], weights)
         slipped = self._grid.displacement(left[0].numpy())
         length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
-        # Skin near the limit has slipped already and would bias the fitted motion of the glass.
+        # Leave out skin near the limit: some of it has slipped already and would bias the fitted motion of the glass.
         self._held = held & (self._grid.at_points(length) < _HELD_SHARE * self._limit)
         return np.asarray(contact & (length < self._limit))
 

@@ -18,16 +18,16 @@ from fingerflow.pipeline.stages.soft_sensor.sensor_markers import MarkerStage
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 
 CELL_PX = 4
-_LOOKS = 32  # sampled frames; the one with the largest change of light sets the threshold
-_REST_FRAMES = 16  # averaged frames at rest
-_HIDDEN = 2.2  # masked radius around a marker, in scales: its disc has 1.4, its blurred border the rest
-_LEAST_CHANGE = 0.03  # relative change of light; at rest it is 0.01 through noise and compression
-_LEAST_MOVED = 0.05  # spacings; a released gel creeps back by less
-# Under a uniform load on a circle the displacement at its border is 2/pi of that in its centre (Johnson 1985,
-# section 3.4), whatever the gel's stiffness.
+_LOOKS = 32  # number of sampled frames; the one with the largest change of light sets the threshold
+_REST_FRAMES = 16  # number of averaged frames at rest
+_HIDDEN = 2.2  # masked radius around a marker, in detection scales: its disc has 1.4, its blurred border the rest
+_LEAST_CHANGE = 0.03  # least relative change of light in contact; at rest noise and compression change it by 0.01
+_LEAST_MOVED = 0.05  # spacings, least displacement of the gel in contact; a released gel creeps back by less
+# Ratio of the displacement at the border of a uniformly loaded circle to that in its centre, whatever the gel's
+# stiffness (Johnson 1985, section 3.4).
 _AT_BORDER = 2 / math.pi
-_WIDTH = 0.5  # spacings over which displacements are averaged
-_LEAST_AREA = 0.25  # square spacings
+_WIDTH = 0.5  # spacings, standard deviation of the Gaussian over which displacements are averaged
+_LEAST_AREA = 0.25  # square spacings, least area of a contact
 
 
 class MarkerContactStage(ContactStage):

@@ -51,7 +51,7 @@ class MarkerTrackingStage(TrackingStage):
             "position": self.inputs.on_glass(pixels),
             "position_px": pixels,
             "position_std_px": np.sqrt(variance),
-            "subset_correlation": np.full(status.shape, np.nan),  # a marker has no window
+            "subset_correlation": np.full(status.shape, np.nan),  # NaN, since a marker has no window
             "forward_backward_error": np.full(status.shape, np.nan),
             "status": status,
             "in_contact": touches,
@@ -61,7 +61,7 @@ class MarkerTrackingStage(TrackingStage):
 
     def finish(self) -> None:
         self.results.put("tracked_share", self._share)
-        self.results.put("window_differs_share", np.zeros(len(self._share)))  # a marker has no window
+        self.results.put("window_differs_share", np.zeros(len(self._share)))  # 0, since a marker has no window
         self.results.put("forward_backward_median", np.full(len(self._share), np.nan))
 
 

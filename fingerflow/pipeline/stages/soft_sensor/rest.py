@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_LOOKS = 128  # sampled frames, compared with one another
-_STILL = 0.02  # spacings; largest distance of corresponding markers in alike frames
-_MOST_OFF = 0.95  # share of the markers that must correspond
-_FEWEST_SHARE = 0.1  # of the sampled frames; fewer are no lasting state
-_INNER = 0.3  # spacings between a marker and the centroid of its four neighbours: below, it has them on all sides
-_FLATTER = 0.8  # relative to the unevenness of the most frequent state: below, another state is taken for rest
+_LOOKS = 128  # number of sampled frames, all compared with one another
+_STILL = 0.02  # spacings, largest distance of corresponding markers in frames of one state
+_MOST_OFF = 0.95  # least share of the markers that must correspond
+_FEWEST_SHARE = 0.1  # least share of the sampled frames in a state; a state with fewer does not last
+_INNER = 0.3  # spacings, largest distance of a marker from the centroid of its four neighbours that surround it
+# Ratio of its unevenness to that of the most frequent state, below which another state is taken for rest.
+_FLATTER = 0.8
 
 Points = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from fingerflow.ops.markers.markers import MarkerLook, detect_markers, measure_m
 from fingerflow.pipeline.stages.soft_sensor.rest import find_rest
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 
-_LOOKS = 8  # sampled frames in which the appearance of the markers is measured
-_GAUGE_SPACINGS = 3.0  # diameter, in spacings, within which a marker of a square lattice has eight neighbours
-_STEEPEST = 0.6  # largest median displacement gradient to the neighbours; above, the match is another marker
-_SEEN_OFTEN = 3  # least frames in which a marker that is out of view at rest must be detected
-_SAME = 0.4  # spacings within which inferred rest positions belong to one marker
+_LOOKS = 8  # number of sampled frames in which the appearance of the markers is measured
+_GAUGE_SPACINGS = 3.0  # spacings, gauge length within which a marker of a square lattice has eight neighbours
+_STEEPEST = 0.6  # largest median displacement gradient to the neighbours; with a larger one the match is another marker
+_SEEN_OFTEN = 3  # least number of frames in which a marker that is out of view at rest must be detected
+_SAME = 0.4  # spacings, distance within which inferred rest positions belong to one marker
 
 
 class Seen(NamedTuple):
@@ -147,7 +147,7 @@ class MarkerStage(Stage):
                 seen = numbers[frame] >= 0
                 if seen.any():
                     moved[seen] = points[numbers[frame][seen]] - reference[seen]
-                    # An undetected marker moves with its nearest neighbour.
+                    # Assume that an undetected marker moves with its nearest neighbour.
                     nearest = torch.cdist(reference[~seen], reference[seen]).argmin(1)
                     moved[~seen] = moved[seen][nearest]
         return numbers
@@ -166,7 +166,7 @@ class MarkerStage(Stage):
             moved = seen.points[mine] - reference[number >= 0]
             nearest = torch.cdist(seen.points[free], seen.points[mine])
             place = seen.points[free] - moved[nearest.argmin(1)]
-            # Not close to a known marker: that would be a second detection of it.
+            # Leave out positions close to a known marker: these would be second detections of it.
             inferred.append(place[torch.cdist(place, reference).amin(1) > 2 * _SAME * spacing])
         places, kept = torch.cat(inferred) if inferred else reference[:0], []
         while len(places):

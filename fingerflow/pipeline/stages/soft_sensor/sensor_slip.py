@@ -12,11 +12,11 @@ from fingerflow.pipeline.stages.stage import RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.schema.variables import SENSOR_SLIP
 
-_FEWEST = 3  # markers for the fit of a rigid motion
+_FEWEST = 3  # least number of markers for the fit of a rigid motion
 _FITS = 4  # iterations of the reweighted fit
-_LET_GO = 1 / 3  # share of the mean displacement in contact lost in one frame
-_SHEARED = 0.1  # spacings; with a smaller mean displacement no loss is detected
-_TOGETHER = 0.75  # share of the markers in contact that move back
+_LET_GO = 1 / 3  # share of the mean displacement in contact that is lost in one frame at gross slip
+_SHEARED = 0.1  # spacings, mean displacement below which no such loss is detected
+_TOGETHER = 0.75  # least share of the markers in contact that move back at gross slip
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class SensorSlipStage(Stage):
         reference = torch.from_numpy(self.trial.stage(DisplacementStage).reference)[None]
         frames = len(moved)
         ratio, mean, gross = np.full(frames, np.nan), np.full((frames, 2), np.nan), np.zeros(frames, dtype=np.uint8)
-        start = np.full(moved.shape[1:], np.nan)  # displacement when the present touch began
+        start = np.full(moved.shape[1:], np.nan)  # mm, displacement at which the present touch of each marker began
         for frame in range(frames):
             start[~touches[frame]] = np.nan
             start = np.where(np.isnan(start) & touches[frame][:, None], moved[frame], start)

@@ -19,19 +19,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_DEGREE = 8  # of P_k
+_DEGREE = 8  # degree of the polynomials P_k
 _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this power of its degree
-_SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # t^2, mm^2; the first and the last one bound the search
-_PROBES = 21, 34  # Fibonacci numbers: first two of 55 steps between scales, at which the likelihood is compared
-_TOGETHER = 8  # frames, of whose points a processor's cache holds all powers
-_RADII, _ANGLES = 10, 24  # places of the quadrature, exact for the density of polynomials of this degree
+_SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # mm^2, candidates for t^2; the first and the last one bound the search
+# Fibonacci numbers: offsets of the first two of 55 steps between scales at which the likelihood is compared.
+_PROBES = 21, 34
+_TOGETHER = 8  # number of frames for whose points a processor's cache holds all powers
+# Numbers of radii and angles of the quadrature, which is exact for the energy density of polynomials of this degree.
+_RADII, _ANGLES = 10, 24
 
 
 class BorderFields(NamedTuple):
     """Coefficients of n displacement fields in the K polynomials of `BorderFunctions`: mean and covariance."""
 
-    coefficients: Array  # (n, K, 2) mean
-    covariance: Array  # (n, K, K) of each component
+    coefficients: Array  # (n, K, 2) mean of the coefficients
+    covariance: Array  # (n, K, K) covariance of the coefficients of each component
 
 
 class BorderFunctions:
@@ -47,7 +49,7 @@ class BorderFunctions:
     """
 
     def __init__(self) -> None:
-        nodes, shares = np.polynomial.legendre.leggauss(_RADII)  # in the square of the radius
+        nodes, shares = np.polynomial.legendre.leggauss(_RADII)  # nodes in the square of the radius
         turns = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
         places = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
         self.weights = np.repeat(shares / 2 / _ANGLES, _ANGLES)
@@ -56,7 +58,8 @@ class BorderFunctions:
         inside = (1 - x**2 - y**2)[0, :, None]
         x_powers, y_powers = (_powers(one, _DEGREE)[0].T for one in (x, y))
         each = x_powers[:, i] * y_powers[:, j]
-        # Ordered by degree, so that functions of a degree span the same space in every orientation.
+        # Orthogonalise in the order of the degrees, so that functions of a degree span the same space in every
+        # orientation.
         triangular = np.linalg.qr(inside * each * np.sqrt(self.weights)[:, None], mode="r")
         self._mixed = np.linalg.inv(triangular) * (i + j + 2.0) ** -_SMOOTHNESS
         by_x = i * x_powers[:, np.maximum(i - 1, 0)] * y_powers[:, j]
@@ -93,7 +96,7 @@ class BorderFunctions:
         inside = 1 - x[:, 2] - y[:, 2]
         pairs = (x * (weight * inside**2)[:, None]) @ y.mT
         of_pairs = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
-        # Each component times each power of x, by each power of y.
+        # Multiply each component by each power of x, and the result by each power of y.
         weighed = moved * weight[:, None]
         low = x[:, None, : _DEGREE + 1] * (weighed * inside[:, None])[:, :, None]
         of_moved = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
@@ -116,7 +119,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
     functions = normal.shape[1] - 2
     diagonal = np.einsum("nkk->nk", normal)
     sums = diagonal[:, :functions].copy()
-    diagonal[:, functions:] += numbers[:, None]  # so that rounding leaves it positive
+    diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
 
     def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices `scale`
@@ -126,7 +129,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
         root = np.linalg.cholesky(normal)
         rest = (root[:, functions:, functions:] ** 2).sum((1, 2)) / numbers - 2
         noise = np.maximum(rest, 1)
-        # Half of the logarithm of the determinant of 1 + t^2 times the sums.
+        # Half of the logarithm of the determinant of 1 + t^2 times the normal equations.
         half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + functions / 2 * np.log(_SCALES[scale])
         return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
 

@@ -42,7 +42,8 @@ class CountedSkin:
             plain, separate = plain[~apart], np.concatenate([plain[apart], separate])
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
-        self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)  # of the separate corners
+        # Corners of the separate triangles.
+        self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
         own = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
         self.corners = np.concatenate([plain, own])
         self.since = np.concatenate([stage.begins, since])
@@ -63,7 +64,7 @@ class CountedSkin:
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
-        # Skin that came later may have left since: the last frame does not show all of it.
+        # Skin that came later may have left again, so the last frame does not show all of it.
         places = stage.places if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
         triangles = _triangulate(np.where((stage.onset >= 0)[:, None], places, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
@@ -98,7 +99,7 @@ class CountedSkin:
             return moved.displacement, covariance
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
         own = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
-        # As for all points: half of a position's variance is its template's, the same in every frame.
+        # Half of a position's variance is noise of its template, the same in every frame, as for all points.
         noise = np.where(
             frames[:, None] == self._since, 0, (stage.tracked_variance(frames)[:, points] + self._variance) / 2
         )
@@ -113,5 +114,5 @@ def _triangulate(places: Points) -> NDArray[np.int32]:
         return np.zeros((0, 3), dtype=np.int32)
     try:
         return np.asarray(finite[Delaunay(places[finite]).simplices])
-    except QhullError:  # all on one line
+    except QhullError:  # all points lie on one line
         return np.zeros((0, 3), dtype=np.int32)

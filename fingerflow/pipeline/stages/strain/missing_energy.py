@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-_OF_A_POINT = 6  # triangles that are lost with a point
+_OF_A_POINT = 6  # number of triangles that are lost with a point
 
 
 class MissingEnergy:
@@ -20,7 +20,7 @@ class MissingEnergy:
     def __init__(self, areas: NDArray[np.floating]) -> None:
         """Store the areas (M,) mm^2 of the triangles in the reference configuration."""
         self._area = areas
-        self._last = np.zeros(len(areas))  # last known energy of each per depth
+        self._last = np.zeros(len(areas))  # last known energy per depth of each triangle
 
     def add_frames(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return the errors (n,) mJ/mm of the strain energy in the next n frames due to triangles in contact of unknown
@@ -31,9 +31,9 @@ class MissingEnergy:
         result, energies = np.zeros(len(density)), density * self._area
         known = np.isfinite(energies)
         seen, lost = in_contact & known, in_contact & ~known
-        some = np.flatnonzero(lost.any(0))  # triangles that are lost in a frame
+        some = np.flatnonzero(lost.any(0))  # triangles that are lost in any of these frames
         if len(some):
-            # Row of `energies`, counted from 1, in which each was known last.
+            # Row of `energies`, counted from 1, in which the energy of each triangle was known last.
             number = np.arange(1, len(density) + 1)[:, None]
             when = np.maximum.accumulate(np.where(known[:, some], number, 0), axis=0)
             last = np.where(when > 0, energies[when - 1, some], self._last[some])

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fingerflow.tracker.contact_border import Border
 
-_NEAR_MM = 0.3  # unit of distance between borders: a ridge period of 0.45 mm has a third of the weight
-_SECONDS, _FRAMES = 0.1, 64  # before and behind a frame that are taken together, at most
-_DEGREE = 2  # of the polynomials in time
+# mm, unit of the distance between borders: a border at a ridge period of 0.45 mm has a third of the weight.
+_NEAR_MM = 0.3
+_SECONDS, _FRAMES = 0.1, 64  # largest time (s) and number of frames before and after a frame that are fitted together
+_DEGREE = 2  # degree of the polynomials in time
 
 
 def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
@@ -56,6 +57,6 @@ def _fit_over_time(
     near = inside & np.isfinite(apart) & (abs(since) < 1)
     powers = since[..., None] ** np.arange(_DEGREE + 1)
     weighed = np.where(near, np.exp(-np.nan_to_num(apart) / 2), 0.0)[..., None] * powers
-    # Of fewer frames than coefficients, the solution of the least norm is that of the frame itself.
+    # With fewer frames than coefficients, the solution of least norm is that of the frame itself.
     found = np.linalg.pinv(weighed.mT @ powers, hermitian=True) @ (weighed.mT @ np.nan_to_num(values)[frames])
     return np.where(np.isfinite(values), found[:, 0], np.nan)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 _STEP = 2  # cells between sampled positions
-_AHEAD = 2.0  # prediction, in displacements since the last call: until the next call but one
-_LEFT = 0.1  # share of the points, below which the skin that they were on has gone
-_STRIDE = 0.25  # windows between samples upstream of the contact
+_AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
+_LEFT = 0.1  # share of tracked points below which their skin counts as gone
+_STRIDE = 0.25  # windows, distance between samples upstream of the contact
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
@@ -51,7 +51,7 @@ class NewSkin:
         self._inverse = cv2.invertAffineTransform(topography_to_contact)
         self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px per topographic px
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
-        self._before: tuple[Points, Points] | None = None  # positions (N, 2) and centre of contact, at the last call
+        self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
     def begin(self, contact: NDArray[np.floating], place: Points) -> None:
         """Store the positions `place` (N, 2), px of the topographic view, at which the first points were seeded, as
@@ -84,10 +84,10 @@ class NewSkin:
         if known.tracked.sum() < _LEFT * len(known.tracked):
             self._before = None
             return self._around(touching) & ~self._near_points(known.place[known.tracked])
-        place = self._on_contact(known.place)  # px of the contact view from here on
+        place = self._on_contact(known.place)  # from here on in px of the contact view
         middle = self._middle(touching)
         before, self._before = self._before, (place, middle)
-        way = np.zeros_like(place)  # displacement of points relative to the contact
+        way = np.zeros_like(place)  # px, displacement of points relative to the contact
         if before is not None:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
@@ -138,7 +138,7 @@ class NewSkin:
         reach = int(_AHEAD * np.nanmax(np.abs(way), initial=0.0) / side) + 1
         window = np.ones((2 * min(reach, max(touching.shape)) + 1,) * 2, np.uint8)
         empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-        # Cells around each point whose sampled position may lie within this distance of it.
+        # Cells around each point whose sampled position may lie within the distance `far` of the point.
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
         cell = np.floor((place + 0.5) / side).astype(int)
         column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
@@ -158,7 +158,7 @@ class NewSkin:
         return result
 
     def _middle(self, touching: Mask) -> Points:
-        lines = touching.sum(0), touching.sum(1)  # of columns, of rows
+        lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
         total = lines[0].sum()
         result: Points = np.array([one @ np.arange(len(one)) / total for one in lines]) * self._cell * _STEP
         return result

@@ -27,10 +27,11 @@ from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
 from fingerflow.tracker.points import Points, beside
 
-_SHARPEN_PX = 1.0  # radius of the unsharp mask, that of the function in the lab's code
-_IMPULSE, _BEYOND_NOISE = 0.2, 8.0  # of the range, and standard deviations of noise, by which a pixel stands out
-_FEWEST = 3  # points of a gradient
-MOST_SEEDED = 3  # times `tracking.points`: largest number of points seeded in a recording
+_SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
+# Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
+_IMPULSE, _BEYOND_NOISE = 0.2, 8.0
+_FEWEST = 3  # least number of points for a gradient
+MOST_SEEDED = 3  # largest number of points seeded in a recording, as a multiple of `tracking.points`
 
 
 class TrackingStage(Stage):
@@ -65,12 +66,13 @@ class TrackingStage(Stage):
         self._engine = inputs.engine
         self._matrix = inputs.topography_to_contact.astype(np.float32)
         self._seeded: list[Points] = []
-        self._around: list[NDArray[np.intp]] = []  # of each set: indices (A,) of earlier points that guide it
+        # For each set of points: indices (A,) of earlier points that guide it.
+        self._around: list[NDArray[np.intp]] = []
         self._density = 0.0  # points per px of the first seeding region
         self._new_skin: NewSkin | None = None
         self._full = False  # True if no more points may be seeded
         self._skipped: list[int] = []  # unusable frames before the first seeding
-        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: seeding region
+        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view, seeding region
         self._share, self._error, self._differs, self._held = np.full((4, len(trial)), np.nan)
 
     @classmethod
@@ -182,7 +184,7 @@ class TrackingStage(Stage):
         where, asked = self._seeding_region(), self._settings.points
         points = self._engine.detect(self._view_for_seeding(image), where, asked)
         if len(points) < _FEWEST:
-            # The largest contact may be a later one, at another place than the skin in this frame.
+            # The frame with the largest contact may be later, and show it elsewhere than this frame.
             self._region = self.trial.stage(ContactStage).touched()[0, 0].cpu().numpy()
             where = self._seeding_region()
             points = self._engine.detect(self._view_for_seeding(image), where, asked)
@@ -282,7 +284,7 @@ class TrackingStage(Stage):
         It makes little difference: on the shipped press, points seeded in it are 0.0274 px off in the last frame,
         others 0.0282, and as many lie on dust.
         """
-        # Imported here: loading kornia takes a third of a second.
+        # Import here, since loading kornia takes a third of a second.
         from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
 
         recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
