@@ -1,7 +1,6 @@
 """Presses and slides with the skin of real prints, whose stated standard deviations are compared with true errors.
 
-They differ in print, noise, frame rate, deformation, size of the contact and way. No term of a deviation was measured
-on them.
+They differ in print, noise, frame rate, deformation, size of the contact and way.
 """
 
 from collections.abc import Iterator
