@@ -20,7 +20,7 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="A small study of presses, in minutes.")] = False,
 ) -> None:
     """Simulate the experiments of both papers, measure them, and compare every published number with its result."""
-    os.environ.pop(IN_PERCENT, None)  # removed before the units of the rows are read, as the papers print µm/mm
+    os.environ.pop(IN_PERCENT, None)  # removed before the units of the rows are read, as the papers print divergence in length ratios, not in percent
     from fingerflow.reproduce.both_papers import reproduce
     from fingerflow.reproduce.paper_page import TITLES
 

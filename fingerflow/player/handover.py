@@ -13,7 +13,7 @@ from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.stream_scene import StreamScene
-from fingerflow.schema.views import View
+from fingerflow.schema.views import View, negative
 from fingerflow.tracker.frame_tracker import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
@@ -171,6 +171,9 @@ class Slot(Frame):
                     f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
                     "bundle; export one with the camera's bit_depth"
                 )
+        if scene.bright_contact:
+            seen = self.views[CONTACT_VIEW]
+            np.copyto(seen, negative(seen, bundle.bit_depth))
 
 
 def _views(scene: StreamScene) -> dict[str, View]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from fingerflow.player.sources.camera_source import open_camera
 from fingerflow.player.sources.source import OpenSource
 from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
 from fingerflow.player.stream_scene import StreamScene, check_scene, load_scene
-from fingerflow.schema.views import View
+from fingerflow.schema.views import View, negative
 
 _STILLS = 64  # number of averaged frames of the empty glass: the noise is an eighth of that of one frame
 
@@ -56,6 +57,7 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
         gauge = bundle.engine_settings.gauge_length_mm if path is None else None
+        scene = replace(scene, bright_contact=False)  # it draws dark contact
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
         glass = scene.contact.crop(drawn.background)
         # The true values hold for the scene of the synthetic source only, not for the views of a scene file.
@@ -76,6 +78,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         black if file is None else mean_view(file, scene.contact, bundle, shape, options.dtype)
         for file in (scene.background, scene.dark)
     )
+    if scene.bright_contact:
+        glass = negative(glass, bundle.bit_depth)
     if options.camera:
         camera = options.camera
         name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")

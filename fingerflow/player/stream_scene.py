@@ -22,17 +22,19 @@ from fingerflow.tracker.frame_tracker import TrackerSettings
 class StreamScene:
     """Experiment settings of a stream: views, scale in mm per px, and background files.
 
-    Frames are played from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, "reference_frame"
-    or "per_frame". ``region`` is the rectangle of the topography view in which points are seeded, None for the whole
-    view. ``drawn`` is a region of another shape, as `schema.region` takes it. ``has_forces`` tells whether the scene
-    names a file of forces; the package reads it for the page. ``asked`` holds by dotted key the settings [contact],
-    [tracking] and [fields] that the scene file states, for comparison with the recipe.
+    ``bright_contact`` tells whether skin in contact appears bright: the stream then takes the negative of the contact
+    view. Frames are played from `first_frame` to `last_frame` of the recording. ``threshold`` is a number,
+    "reference_frame" or "per_frame". ``region`` is the rectangle of the topography view in which points are seeded,
+    None for the whole view. ``drawn`` is a region of another shape, as `schema.region` takes it. ``has_forces`` tells
+    whether the scene names a file of forces; the package reads it for the page. ``asked`` holds by dotted key the
+    settings [contact], [tracking] and [fields] that the scene file states, for comparison with the recipe.
     """
 
     contact: View
     topography: View
     mm_per_px: float
     topography_to_contact: Array
+    bright_contact: bool = False
     threshold: float | str = "reference_frame"
     background: Path | None = None
     dark: Path | None = None
@@ -105,9 +107,11 @@ def load_scene(path: Path) -> StreamScene:
         topography=View(views["topography"]["rows"], views["topography"]["columns"]),
         mm_per_px=found["calibration"]["mm_per_px"],
         topography_to_contact=np.array(found["calibration"]["topography_to_contact"]),
+        bright_contact=found["contact"]["appears"] == "bright",
         threshold=found["contact"]["threshold"],
         background=background["frames"],
-        dark=background["dark"],
+        # In the difference of two negatives the dark level cancels.
+        dark=None if found["contact"]["appears"] == "bright" else background["dark"],
         frames=recording["frames"],
         frame_rate=recording["frame_rate"],
         first_frame=recording["first_frame"],

@@ -117,7 +117,8 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
     with torch.inference_mode():
         light, black, _ = LightGraph()(inputs.reference(view), inputs.dark(view), torch.full((1,), torch.nan))
         limit = 1 - torch.full((1,), threshold, dtype=light.dtype)
-        found: NDArray[np.bool_] = graph(inputs.view(counts, view), light, black, limit).real_contact_mask[0, 0].numpy()
+        contact = graph(inputs.contact_view(counts), light, black, limit)
+    found: NDArray[np.bool_] = contact.real_contact_mask[0, 0].numpy()
     return found
 
 

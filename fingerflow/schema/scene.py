@@ -53,7 +53,7 @@ class Views(Mapping[str, View]):
 
     @property
     def contact(self) -> View:
-        """Return the contact view, in which skin in contact with the glass appears dark."""
+        """Return the contact view, in which skin in contact appears as `contact.appears` says, dark or bright."""
         return self["contact"]
 
     @property
@@ -139,10 +139,11 @@ class RigSettings:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """Settings in the table [contact] of a scene file: segmentation of the real and of the apparent (gross) contact
-    area.
+    """Settings in the table [contact] of a scene file: whether contact appears dark or bright, and the segmentation of
+    the real and of the apparent (gross) contact area.
     """
 
+    appears: Literal["dark", "bright"]
     median_px: int
     threshold: float | Literal["reference_frame", "per_frame"]
     gross_radius_px: int

@@ -273,6 +273,10 @@ SCENE: dict[str, SceneKey | SceneTable] = {
     ),
     "contact": SceneTable(
         {
+            "appears": SceneKey(Choice(("dark", "bright")), "as skin in contact does beside the empty glass; bright "
+                "where light leaves the glass through skin alone (frustrated total internal reflection). Areas are "
+                "then those of the picture's negative, in which background.dark has no part",
+                default="dark"),
             "median_px": SceneKey(Whole(least=3, most=15, odd=True),
                 "side of the median filter, narrower than a ridge; the paper has 9, which rounds the ends of ridges",
                 default=3),
@@ -373,7 +377,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
 
 
 VIEW_HELP = {
-    "contact": "view in which contact darkens the picture",
+    "contact": "view in which contact darkens the picture, or brightens it (contact.appears)",
     "topography": "view of the ridges; leave it out where there is none: areas only",
     "camera": "the only view",
 }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_bundle
+from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_bundle, write_scene
 
 from fingerflow import player
 from fingerflow.engines.native import NativeEngine
@@ -39,6 +39,23 @@ def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
     units = {field["name"]: field["unit"] for field in header["fields"]}
     assert (units["real_contact_area"], units["forward_backward_error"]) == ("mm2", "px")
     assert [event["event"] for event in events] == ["restart"]
+
+
+def test_bright_contact_is_measured_in_the_negative_of_its_view(stream: Stream) -> None:
+    """Its areas are exactly those of dark contact in the negative picture, and points are tracked as before."""
+
+    def negative(picture: Any) -> Any:
+        picture = np.array(picture)
+        picture[..., WIDTH:] = 255 - picture[..., WIDTH:]
+        return picture
+
+    write_scene(stream.scene, 'appears = "bright"')
+    np.save(stream.bundle / "empty.npy", negative(np.load(stream.bundle / "empty.npy")))
+    file = stream.folder / "frames.npy"
+    np.save(file, np.stack([negative(frame(contact_px=10 * number)) for number in range(6)]))
+    records = stream.run("--source", str(file)).results.records
+    np.testing.assert_array_equal(records["real_contact_area"], np.arange(6) * 10 * 0.5**2)
+    np.testing.assert_array_equal(records["position_px"], np.broadcast_to(PLACES, (6, POINTS, 2)))
 
 
 def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:

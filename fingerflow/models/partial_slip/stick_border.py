@@ -8,7 +8,7 @@ On an elastic half-space, whose tractions begin with a square root, p is 3/2 and
 1949). Skin on an elastic bed with bounded tractions has p = 2. Where friction jumps at the border (mu_s > mu_k), the
 half-space has x ln(1/x), close to x^0.85 over the distances of the fit. A rounding a smaller than a window is hardly
 visible, and moves the border. So p, between 3/4 and 2, and a are fitted, and what they leave open is a deviation. A
-fixed p of 7/4 has twice the error over such laws; a normal prior on p changes it little (`docs/methods/slip.md`).
+fixed p of 7/4 has three times the error over such laws; a normal prior on p changes it little (`docs/methods/slip.md`).
 
 A tracked point shows the mean over its window, so windows that reach across the border move before their
 centre does. At the border they show the level

@@ -16,6 +16,7 @@ from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
 from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.search import search_and_return
+from fingerflow.ops.tracking.short_waves import WIDE, correct_short_waves
 from fingerflow.ops.tracking.templates import (
     Found,
     check_points,
@@ -27,10 +28,6 @@ from fingerflow.ops.tracking.templates import (
     replaced,
     rows_of,
 )
-
-# Gauge length of the deformation in the second pass, in windows: a shorter one resolves shorter waves, a longer one
-# averages more noise.
-_GAUGE = 5.0
 
 
 class Tracks(NamedTuple):
@@ -70,8 +67,9 @@ def track_points(
 
     A pass is `prepare_templates` followed by `find_templates`. The second pass corrects points for the displacement
     gradient of the first (`ops.tracking.deformation`). Templates whose edge that gradient shifts by more than 0.1 px
-    are deformed and found again, then corrected for what is left. Lost points are also searched again, at the position
-    that their neighbours predict.
+    are deformed and found again, then corrected for what is left. Where points lie closer than about half a window,
+    waves of the displacement down to 2.5 windows are corrected too (`ops.tracking.short_waves`). Lost points are also
+    searched again, at the position that their neighbours predict.
 
     Gradients flow from `points` of the result to the images and to the argument `points` (implicit differentiation,
     first order); error, covariance and status have none.
@@ -193,9 +191,9 @@ def in_passes(
         if warp is not None:
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
-            straight = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
-            correct = partial(correct_points, window=window, gauge_px=_GAUGE * window)
-            corrected = correct(start, found.points, found.covariance, numbers, straight)
+            inverse = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
+            given = start, found.points, found.covariance, numbers, inverse
+            corrected = correct_points(*given, window, WIDE * window)
             warp = corrected.warp.contiguous()  # as `_like_passed` declares
             lost = found.status >= TrackStatus.NOT_CONVERGED
             renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
@@ -205,8 +203,10 @@ def in_passes(
                 again, others = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
                 found = replaced(found, again, chosen, renewed)
                 numbers = inserted(numbers, others, chosen, renewed)
-                known = torch.where(renewed[..., None, None], inverse_2x2(warp), straight)
-                corrected = correct(start, found.points, found.covariance, numbers, known)
+                inverse = torch.where(renewed[..., None, None], inverse_2x2(warp), inverse)
+                given = start, found.points, found.covariance, numbers, inverse
+                corrected = correct_points(*given, window, WIDE * window)
+            corrected = correct_short_waves(corrected, *given, window)
             found = found._replace(points=corrected.points, covariance=corrected.covariance)
     return PassResult(found.points, found.error, found.covariance, found.status, warp)
 

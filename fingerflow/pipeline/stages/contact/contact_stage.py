@@ -80,10 +80,13 @@ class ContactStage(Stage):
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
         self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
         first = int(np.argmax(self._usable))
-        brighter = self._brighter(first, glass, black)
-        self.warnings.extend(plausibility.of_background(brighter, first + self.inputs.scene.recording.first_frame))
+        first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
+        self.warnings.extend(plausibility.of_background(self._changed(first, glass, black)[0], first + first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
-        self._threshold = self._fixed_threshold()
+        changed = self._changed(self.reference_frame, glass, black)
+        reversed_contrast = plausibility.of_contrast(*changed, appears, self.reference_frame + first_frame)
+        self.warnings.extend(reversed_contrast)
+        self._threshold = self._fixed_threshold(reversed_contrast)
         self._largest = self._region_of(self.reference_frame)
         self.skin = self._skin(glass, black)
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
@@ -198,7 +201,7 @@ class ContactStage(Stage):
             period = self._period_px
             self.warnings.extend(view_faults.of_unlit_glass(region, light, self.inputs.scene.contact.gross_radius_px))
             if np.isfinite(period):
-                picture = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0] - dark
+                picture = self._counts(self.reference_frame)[0] - dark
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
                 self.warnings.extend(view_faults.of_shadow(picture / lit, region, period))
@@ -208,7 +211,7 @@ class ContactStage(Stage):
         pictures = (
             (
                 frame + self.inputs.scene.recording.first_frame,
-                self._view.crop(read_frames(self.inputs.recording[[frame]]))[0] - dark,
+                self._counts(frame)[0] - dark,
             )
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
@@ -220,19 +223,25 @@ class ContactStage(Stage):
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
+    def _counts(self, frame: int) -> NDArray[Any]:
+        """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
+        return self.inputs.counts(read_frames(self.inputs.recording[[frame]]), self._view)
+
     def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
         """Return the image of the skin in contact in the frame with most contact, for the analysis of ridges, given the
         counts of the empty `glass` and the `black` level; None if too small.
         """
-        frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))[0]
+        frame = self._counts(self.reference_frame)[0]
         dark = np.float32(0) if black is None else black
         return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
 
-    def _brighter(self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> float:
-        """Return the share of the lit pixels that are clearly brighter in a frame than on the empty `glass`, both above
-        the `black` level and under the same illumination.
+    def _changed(
+        self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None
+    ) -> tuple[float, float]:
+        """Return the shares of the lit pixels that are clearly brighter, and clearly darker, in a frame than on the
+        empty `glass`, both above the `black` level and under the same illumination.
         """
-        frames = self._view.crop(read_frames(self.inputs.recording[[frame]]))
+        frames = self._counts(frame)
         images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
         dark = np.float32(0) if black is None else black
@@ -240,12 +249,12 @@ class ContactStage(Stage):
         size = light.shape[1] // _STEP, light.shape[0] // _STEP
         seen, given = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (frames[0] - dark, light))
         lit = given > _LEAST_LIGHT * given.max()
-        return float(
-            (seen[lit] > _BRIGHTER * given[lit] * (gain if np.isfinite(gain) else 1)).sum() / max(lit.sum(), 1)
-        )
+        share = seen[lit] / (given[lit] * (gain if np.isfinite(gain) else 1))
+        count = max(share.size, 1)
+        return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
-        images = self._engine.images(self._view.crop(frames))
+        images = self._engine.images(self.inputs.counts(frames, self._view))
         if self._threshold is None:
             threshold = yield Call(self._engine.threshold, (images, self._light))
         else:
@@ -270,24 +279,29 @@ class ContactStage(Stage):
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
-        view = self.inputs.view(frame, self._view)
+        view = self.inputs.contact_view(frame)
         some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
         seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
         unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact
-        images = self._engine.images(self._view.crop(frame))
+        images = self._engine.images(self.inputs.counts(frame, self._view))
         gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
         return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
-    def _fixed_threshold(self) -> float | None:
-        """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame."""
+    def _fixed_threshold(self, reversed_contrast: list[str]) -> float | None:
+        """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
+
+        Raises FingerflowError if there is no contact; it contains the warning of a reversed contrast, if there is one.
+        """
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
             return None
         if not isinstance(setting, str):
             return float(setting)
-        frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))
+        frame = self._counts(self.reference_frame)
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
+            if reversed_contrast:
+                raise FingerflowError(f"{self.inputs.recording.path}: no contact is found. {reversed_contrast[0]}")
             light, black = (
                 one[0, 0].cpu().numpy()
                 for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))

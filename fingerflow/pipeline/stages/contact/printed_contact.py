@@ -38,7 +38,7 @@ class PrintedContactStage(Stage):
     needs = ("views.contact", "background.frames")
     after = (ContactStage,)
     reads_frames = True
-    settings = ("views.contact", "background", "calibration.mm_per_px")
+    settings = ("contact.appears", "views.contact", "background", "calibration.mm_per_px")
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -74,5 +74,5 @@ class PrintedContactStage(Stage):
             self.results.put(name, values)
 
     def _normalized(self, frames: np.ndarray) -> NormalizedFrames:
-        view: torch.Tensor = self.inputs.view(frames, self._view)
+        view: torch.Tensor = self.inputs.contact_view(frames)
         return normalize_illumination(view, self._reference, self._dark)

@@ -39,7 +39,7 @@ class FrameCheckStage(Stage):
     gives = FRAME_CHECK
     needs = ("views.contact", "background.frames")
     reads_frames = True
-    settings = ("background", "views.contact", "views.topography", "recording.first_frame")
+    settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
     restored = True
 
     usable: NDArray[np.bool_]
@@ -69,7 +69,7 @@ class FrameCheckStage(Stage):
         indices = batch.indices
         every = []
         for k, view in enumerate(self._views):
-            frames = view.crop(batch.frames)
+            frames = self.inputs.counts(batch.frames, view)
             blocks = _blocks(frames)
             if frames.dtype.kind == "f":
                 self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = _NOT_FINITE

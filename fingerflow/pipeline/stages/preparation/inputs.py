@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import frame_asked
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.views import View
+from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
 
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
@@ -82,6 +82,19 @@ class Inputs:
         """Return an array as a float32 tensor on the device of the run."""
         return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
 
+    def counts(self, frames: NDArray[Any], view: View) -> NDArray[Any]:
+        """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
+        so that contact is dark in every picture from which contact is measured.
+        """
+        result: NDArray[Any] = self._with_dark_contact(view.crop(frames), view)
+        return result
+
+    def _with_dark_contact(self, counts: Any, view: View) -> Any:
+        return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
+
+    def _is_bright(self, view: View) -> bool:
+        return self.scene.contact.appears == "bright" and view == self.scene.views.contact
+
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
         """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
 
@@ -89,14 +102,25 @@ class Inputs:
         """
         return images_on(self.device, view.crop(frames))
 
+    def contact_view(self, frames: NDArray[Any]) -> Tensor:
+        """Return the contact view of frames (n, H, W) as `view` does, and its negative if contact appears bright."""
+        return images_on(self.device, self.counts(frames, self.scene.views.contact))
+
     def reference(self, view: View) -> Tensor:
-        """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32."""
+        """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
+        `counts`.
+        """
         assert self.scene.background.frames is not None
-        return self._still(self.scene.background.frames, view)
+        picture: Tensor = self._with_dark_contact(self._still(self.scene.background.frames, view), view)
+        return picture
 
     def dark(self, view: View) -> Tensor | None:
-        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32, or None if none was recorded."""
-        return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
+        """Return an image (1, 1, h, w) of the view recorded in darkness, as float32; None if none was recorded, or if
+        contact appears bright: the dark level cancels in the difference of two negatives.
+        """
+        if self.scene.background.dark is None or self._is_bright(view):
+            return None
+        return self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
         if (path, view) not in self._stills:

@@ -73,6 +73,23 @@ def of_views(offset_px: float, mm_per_px: float) -> list[str]:
     ]
 
 
+def of_contrast(brighter: float, darker: float, appears: str, frame: int) -> list[str]:
+    """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
+    other way round.
+
+    `brighter` and `darker` are shares of that frame's pixels beside the empty glass, after the negative of bright
+    contact was taken.
+    """
+    if not (brighter > _BRIGHTER_SHARE and brighter > darker):
+        return []
+    other = "bright" if appears == "dark" else "dark"
+    return [
+        f"contact.appears is {appears!r}, and in frame {frame}, where most contact was expected, {brighter:.0%} of the "
+        f"contact view has changed to the other side beside the empty glass and {darker:.0%} as contact should: set "
+        f'contact.appears = "{other}" if the finger is there, or check background.frames'
+    ]
+
+
 def of_background(brighter: float, frame: int) -> list[str]:
     """Return a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
     if not brighter > _BRIGHTER_SHARE:

@@ -52,8 +52,9 @@ class TrackingStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (
-        *("tracking", "views.topography", "stream.region", "background", "contact.gross_radius_px"),
-        *("calibration.mm_per_px", "calibration.topography_to_contact", "recording.first_frame"),
+        *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
+        *("contact.appears", "contact.gross_radius_px"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
     restored = True
 
@@ -108,7 +109,7 @@ class TrackingStage(Stage):
             return
         assert batch.frames is not None
         margin = batch.of(ContactStage).density_margin
-        images = self._engine.images(self._view.crop(batch.frames))
+        images = self._engine.images(self.inputs.counts(batch.frames, self._view))
         numbers = np.arange(len(images))
         for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
             indices = batch.indices[some]
