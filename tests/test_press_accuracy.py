@@ -87,9 +87,9 @@ def test_strain_energy(result: xr.Dataset) -> None:
 
 
 def test_strain_energy_between_points(result: xr.Dataset) -> None:
-    """The strain energy of the triangles has an error of at most 12 %, as stated: the border, where most of the energy
-    is, is known to 0.06 mm. A fifth of the energy of the contact lies outside the triangles, between the outermost
-    points and the border.
+    """The strain energy of the triangles has an error of at most 12 %. Its deviation holds that the border, where most
+    of the energy is, is known to 0.06 mm, and what linear triangles lack there: a fifth of a small contact. A fifth of
+    the energy of the contact lies outside the triangles, between the outermost points and the border.
     """
     frames = range(84, 300, 36)
     contact, between = np.array([energy_since_onset(Press(), result, k, 0.15) for k in frames]).T
@@ -97,7 +97,7 @@ def test_strain_energy_between_points(result: xr.Dataset) -> None:
     np.testing.assert_allclose(energy, between, rtol=0.12)
     z = (energy - between) / stated
     assert np.sqrt((z**2).mean()) < 1.5  # 2.6 if only the errors of the points were stated
-    assert (stated < 0.12 * energy).all()
+    assert (stated < 0.25 * energy).all()
     assert 0.7 < energy[-1] / contact[-1] < 0.9
 
 

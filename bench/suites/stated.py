@@ -84,15 +84,22 @@ def _of_energy(first: Row, found: list[Compared]) -> Row:
     return {**first, **_held(found), **of_true}
 
 
+def strained(press: Press, factor: float) -> Press:
+    """Return a press whose displacements are larger by a factor."""
+    (xx, xy), (yx, yy) = press.gradient
+    bumps = tuple(
+        replace(one, shift=(factor * one.shift[0], factor * one.shift[1]), dilation=factor * one.dilation)
+        for one in press.bumps
+    )
+    shift = (factor * press.shift[0], factor * press.shift[1])
+    gradient = ((factor * xx, factor * xy), (factor * yx, factor * yy))
+    return replace(press, gradient=gradient, shift=shift, bumps=bumps)
+
+
 def other_presses() -> dict[str, SyntheticScene]:
     press = Press(n_frames=60, frame_rate=60.0)
-    (xx, xy), (yx, yy) = press.gradient
-    bumps = tuple(replace(b, shift=(2 * b.shift[0], 2 * b.shift[1]), dilation=2 * b.dilation) for b in press.bumps)
-    shift = (2 * press.shift[0], 2 * press.shift[1])
     return {
-        "twice the deformation": replace(
-            press, gradient=((2 * xx, 2 * xy), (2 * yx, 2 * yy)), shift=shift, bumps=bumps
-        ),
+        "twice the deformation": strained(press, 2.0),
         "smaller contact": replace(press, texture=RidgeTexture(centre=(1.1, -0.7)), semi_axes=(4.6, 3.6), tilt=-0.6),
         "print with pores": replace(press, texture=FingerprintTexture()),
         "skin chain": ChainPress(n_frames=60, frame_rate=60.0),

@@ -34,6 +34,11 @@ FRAME, POINT, FRAME_POINT, TRIANGLE = ("frame",), ("point",), ("frame", "point")
 CELLS = ("frame", "cell_row", "cell_column")
 
 _STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
+_FIELD_STD_EQUATION = (
+    "σ² = g Σ gᵀ + ⟨k² Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
+    "by twice the gauge length, less its noise, k from 1/2 inside to 1 at the border of the points, ⟨⟩ the mean over "
+    "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
+)
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
     "from, Δ the change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the "
@@ -270,7 +275,9 @@ DISPLACEMENT = (
     ),
     Variable(
         "displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4",
-        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2)", shown_in=MICROMETRE,
+        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of "
+        "points at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
+        shown_in=MICROMETRE,
     ),
     Variable(
         "global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component",
@@ -316,9 +323,12 @@ FIELDS = (
         shown_in=MICROMETRE, label="median non-rigid motion",
     ),
     Variable(
-        "divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_STD_EQUATION, shown_in=UM_PER_MM,
+        "divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_FIELD_STD_EQUATION,
+        shown_in=UM_PER_MM,
     ),
-    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable(
+        "curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_FIELD_STD_EQUATION, shown_in=UM_PER_MM,
+    ),
     Variable(
         "field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
@@ -404,8 +414,9 @@ STRAIN = (
     Variable(
         "strain_energy_between_points_std", FRAME, "mJ",
         "standard deviation of strain_energy_between_points, with that of the border's place",
-        equation="√(σ²(points) + (h w̄ p b)²), w̄ the mean w within half a gauge length of the border, p its perimeter, "
-        "b = 0.06 mm its deviation",
+        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)²), w̄ the mean w within half a gauge length of the border, p its "
+        "perimeter, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
+        "contact, where it is that of a field",
     ),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
 )

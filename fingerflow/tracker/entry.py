@@ -138,15 +138,27 @@ class EntryGradients:
     entered the contact.
 
     Frames are given in order of time.
+
+    Attributes:
+        late: (E, 2, 2) error of the gradients by one standard deviation of the time of entry: their change over as many
+            frames before it. It is 0 until a point enters.
     """
 
-    def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
+    #: Frames before the entry over which the change of a gradient is measured, at most.
+    BEFORE = 8
+
+    def __init__(
+        self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float, onset_variance: Array
+    ) -> None:
         """Select the points whose motion is fitted: those within half a gauge length (the diameter of a fit) of the
         advected points, whose indices are `entered` (E,).
 
-        Other arguments are those of `advected`.
+        `onset_variance` (N,) frame^2 is that of the times of onset; other arguments are those of `advected`.
         """
         self._engine, self._onset, self._gauge = engine, onset[entered], gauge_mm
+        self._deviation = np.sqrt(onset_variance[entered])
+        self._steps = np.clip(np.nan_to_num(self._deviation).round(), 1, self.BEFORE).astype(int)
+        self.late = np.zeros((len(entered), 2, 2))
         known = np.flatnonzero(np.isfinite(places).all(1))
         apart = np.full(len(known), np.inf)
         for one in places[entered]:
@@ -155,6 +167,7 @@ class EntryGradients:
         self._places, self._queries = places[self._near], places[entered]
         self._begun = np.full((len(entered), 2, 2), np.nan)
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
+        self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
     def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
         """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
@@ -168,8 +181,13 @@ class EntryGradients:
         fit = self._engine.fit(self._places, moved, self._queries, self._gauge, noise)
         assert fit.covariance is not None
         now = np.eye(2) + fit.gradient
+        course = np.concatenate((self._before, now))
+        self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
             enter = np.flatnonzero(self._onset == frame)
+            steps = self._steps[enter]
+            change = now[k, enter] - course[self.BEFORE + k - steps, enter]
+            self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
             self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
         return SinceEntry(now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance)
 

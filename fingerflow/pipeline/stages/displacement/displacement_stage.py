@@ -5,6 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -67,6 +68,7 @@ class DisplacementStage(Stage):
             its first touch. NaN for points that are never in contact.
         reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
+        onset_variance: (N,) frame^2, of the time of onset; only set by onsets.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
             reference is a frame.
     """
@@ -92,6 +94,7 @@ class DisplacementStage(Stage):
     reference: Points
     reference_px: Points
     noise: Points
+    onset_variance: Points
     of_onset: Points
 
     def __init__(self, trial: RunContext) -> None:
@@ -115,16 +118,22 @@ class DisplacementStage(Stage):
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._border = Border.of(self.trial.stage(ContactStage).series)
+        begin = int(usable[0])
+        here = self.results["position"][begin : begin + 1]
+        depth = self._border.at(slice(begin, begin + 1)).inside(here)[0]
+        touches = self.results["in_contact"][begin : begin + 1][0] & np.isfinite(depth) & (self._fixed is None)
+        self._doubtful = np.flatnonzero(touches & (depth < 3 * BORDER_MM))
+        self._depth = depth[self._doubtful]
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
-            self._find_errors_of_onset()
             if inputs.scene.kind in ("press", "single_view"):
                 gross = self.trial.stage(ContactStage).series["gross_contact_area"]
                 self.warnings.extend(plausibility.of_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
             self.places, self.some_later = self._common.places, bool(self._common.later.any())
             moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
+            self._find_errors_of_onset(moves_in)
         else:
             self.of_onset = np.zeros((points, 2, 2))
             self._warn_of_unknown()
@@ -145,9 +154,15 @@ class DisplacementStage(Stage):
         moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
         self.results["displacement"][batch.indices] = moved.displacement
         # Root mean square error of a component.
-        self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
+        square = moved.variance + self._of_onset
+        square[:, self._doubtful] += self._entered_unseen(moved.displacement, batch.indices)
+        self.results["displacement_std"][batch.indices] = np.sqrt(square)
         # Component by component (the lab's script takes the x median twice).
         self._vector[batch.indices] = nanmedian(moved.displacement)
+        if self.by_onsets:
+            # A touch in passing counts from itself: beside neighbours that have been dragged along, it is no strain.
+            passing = (self.onset < 0) | (batch.indices[:, None] < self.onset)
+            moved.displacement[passing] = moved.variance[passing] = np.nan
         return moved
 
     def finish(self) -> None:
@@ -240,6 +255,21 @@ class DisplacementStage(Stage):
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return Moved(moved, noise)
 
+    def _entered_unseen(self, moved: Points, indices: NDArray[np.intp]) -> Points:
+        """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
+        which may have touched later.
+
+        With the depth d of a point then, a border off by b = `BORDER_MM` leaves it outside with the probability
+        Phi(-d/b). Such a point enters once it has moved inwards by about b: of a displacement u that leads inwards by
+        c, the share min(1, b/c) is from before.
+        """
+        depth = self._border.at(indices).inside(self.results["position"][indices][:, self._doubtful])
+        inwards = np.nan_to_num(depth - self._depth)
+        share = np.where(inwards > 0, np.minimum(1, BORDER_MM / np.maximum(inwards, 1e-9)), 0)
+        square = np.nan_to_num(np.square(moved[:, self._doubtful]).sum(-1))
+        result: Points = ndtr(-self._depth / BORDER_MM) * np.square(share) * square / 2
+        return result
+
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance
         `now` (n, N) in each frame and the one at contact onset, held by `touch`.
@@ -252,7 +282,7 @@ class DisplacementStage(Stage):
             return added
         return touch.displacement_variance(now)
 
-    def _find_errors_of_onset(self) -> None:
+    def _find_errors_of_onset(self, moves_in: NDArray[np.bool_]) -> None:
         """Compute the covariance (N, 2, 2) mm^2 of the positions at which points came into contact, from the error of
         the onset time and the speed of each point at that time.
 
@@ -262,6 +292,10 @@ class DisplacementStage(Stage):
         d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
         larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
         point that touches in the first frame has no onset: its displacement counts from there.
+
+        Where a border grows, neighbours tell how fast it passes the skin. Skin that moves in (`moves_in`, (N,)) crosses
+        a border at rest, where neighbours enter along one line and do not: there the point's own depth in the ellipse
+        does, over the frames around its onset.
         """
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)
@@ -272,10 +306,9 @@ class DisplacementStage(Stage):
             torch.from_numpy(onset.astype(np.float64))[None, :, None],
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
-        frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
-        rough = BORDER_MM * frames_per_mm
-        variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
-        reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
+        frames_per_mm = np.where(moves_in, 0.0, slope.norm(dim=-1).nan_to_num(0.0).numpy())
+        reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST_ONSET).astype(int)
+        reach[moves_in] = _LONGEST_ONSET
         # Both sides at once: each call of `_positions_in` reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
         place = self._positions_in(every)
@@ -293,13 +326,34 @@ class DisplacementStage(Stage):
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
+        if moves_in.any():
+            approach = np.diff(self._depths(every, place), axis=0)[0] / np.maximum(after - before, 1)
+            # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
+            chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
+            least = np.linalg.norm(speed, axis=1) * chord
+            frames_per_mm = np.where(moves_in, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
+        variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+
+    def _depths(self, frames: NDArray[np.integer], places: Points) -> Points:
+        """Return the distances (k, N), mm, of positions (k, N, 2) in frames (k, N) from the ellipse of the contact."""
+        border = self._border.at(frames.flatten().astype(np.intp) % len(self.trial))
+        return border.inside(places.reshape(-1, 1, 2)).reshape(frames.shape)
 
     def _positions_in(self, frames: NDArray[np.integer]) -> Points:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it; -1 is the last frame.
         """
         return at_frames(self.results["position"], frames % len(self.trial))
+
+
+def _crossing_variance(frames_per_mm: NDArray[np.floating]) -> Points:
+    """Return the variance (N,) frame^2 of the times at which the border passed N points, from the frames that it needs
+    for a millimetre.
+    """
+    rough = BORDER_MM * frames_per_mm
+    result: Points = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
+    return result
 
 
 class _Fixed(NamedTuple):

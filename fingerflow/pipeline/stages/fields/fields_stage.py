@@ -9,7 +9,9 @@ from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
-from fingerflow.pipeline.stages.fields.median_bias import MedianBias
+from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
+from fingerflow.pipeline.stages.fields.median_bias import EVERY, MedianBias
+from fingerflow.pipeline.stages.fields.smoothing_errors import SmoothingErrors
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -32,7 +34,13 @@ class FieldsStage(Stage):
     needs = ("views.topography",)
     beside = (DisplacementStage,)
     after = (ContactStage,)
-    settings = ("fields.gauge_length_mm", "fields.strain", "fields.rate_window_s", "recording.times")
+    settings = (
+        "fields.gauge_length_mm",
+        "fields.strain",
+        "fields.rate_window_s",
+        "tracking.window_px",
+        "recording.times",
+    )
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -55,22 +63,34 @@ class FieldsStage(Stage):
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
         self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, moved.reference, widest))
         self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
+        # By where points were seeded: places of entry lie on a line.
+        places = moved.places if moved.by_onsets else moved.reference
+        plain = moved.reference.copy()
+        plain[moved.entered] = np.nan
+        self._smoothing = SmoothingErrors(plain, places, self.inputs.gauge_length_mm)
+        window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
+        places_px = self.inputs.on_topography(places)
+        errors = OverlapErrors(moved.begins, places_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
+        self._gain = errors.variance_gain(self.inputs.gauge_length_mm / scale)
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(
-                *(self._engine, moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
+                *(self._engine, moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm),
+                moved.onset_variance,
             )
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
         ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
-        covariance = displacement.covariance(moved)
+        covariance = displacement.covariance(moved) * self._gain[:, None, None]
         entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
         found: FrameFields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
-            self.results[name][batch.indices] = getattr(found, name)
+            if not name.endswith("_std"):
+                self.results[name][batch.indices] = getattr(found, name)
+        self._state_deviations(batch, found, shift)
         residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
@@ -101,6 +121,23 @@ class FieldsStage(Stage):
         gradient[:, displacement.entered] = since.gradient
         covariance[:, displacement.entered] = since.covariance
         return EnteredPoints(among, gradient, covariance)
+
+    def _state_deviations(self, batch: Batch, found: FrameFields, shift: NDArray[np.float32]) -> None:
+        """Add the errors by the gauge length, which are measured in every eighth frame, and by the times of entry to
+        the deviations of divergence and curl at points.
+        """
+        some = np.arange(0, len(batch.indices), EVERY)
+        fields, deviation = (
+            np.stack([getattr(found, f"{name}{of}")[some] for name in ("divergence", "curl")], axis=1)
+            for of in ("", "_std")
+        )
+        variance = self._smoothing.variance(shift[some], fields, deviation)
+        variance = variance[np.arange(len(batch.indices)) // EVERY]
+        if self._entry is not None:
+            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
+            variance[:, :, self.trial.stage(DisplacementStage).entered] += np.square((xx + yy, yx - xy))
+        for field, name in enumerate(("divergence_std", "curl_std")):
+            self.results[name][batch.indices] = np.sqrt(getattr(found, name) ** 2 + variance[:, field])
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)

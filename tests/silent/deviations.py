@@ -1,0 +1,266 @@
+"""Errors of every quantity with a stated standard deviation, divided by it, on presses and slides of real prints.
+
+The number is the RMS of error over deviation, and the share of the errors within one and two deviations, 68 and 95 %
+where errors are normal. A row is a quantity, recorded (`process` with default settings) or live (records of a stream of
+the native engine), on all scenes of a kind. Truth follows from the formulas of the scene.
+"""
+
+import contextlib
+import io
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+
+from bench.contact_grid import energies, energy_since_onset, skin_in_contact
+from bench.recordings import write_quietly
+from bench.suites.prints import FINGERS
+from fingerflow import player, process
+from fingerflow.export.recipe import Recipe, ViewRecipe
+from fingerflow.kernels.library import is_present
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.ops.fields.strain import green_lagrange
+from fingerflow.ops.fields.triangles import triangle_gradients
+from fingerflow.schema.variables import ENTRY
+from fingerflow.synthetic import PartialSlip, Press
+from fingerflow.synthetic.scenes import SyntheticScene
+from tests.silent.case import Case
+from tests.silent.deviation_scenes import scenes
+from tests.small_trials import write_library_bundle
+
+Array = NDArray[Any]
+Errors = dict[str, tuple[Array, Array]]
+
+GOAL_Z, GOAL_WITHIN = (0.8, 1.25), ((0.60, 0.76), (0.92, 0.98))
+_FRAMES = 7  # of a scene, that are compared
+# Steps of the grids of true medians and energies: on presses, whose strain rises to the border, and on slides.
+_STEPS_MM = 0.07, 0.15
+_LEAST_MM2 = 10.0  # contact from which medians and energies are compared
+_STRAINS = ("exx", "eyy", "exy")
+_ENTERED = ENTRY.index("entered")
+_UNDISTORTED = 0.6  # least stretch between the triangle of the places of onset and that of the skin
+
+
+def cases() -> Iterator[Case]:
+    """Yield a case for each quantity, recorded and live, on the presses and on the slides."""
+    if not FINGERS.is_dir():
+        print(f"no cases of real prints: {FINGERS} is not here")
+        return
+    yield from judged(scenes())
+
+
+def judged(some: Iterator[tuple[str, SyntheticScene]]) -> Iterator[Case]:
+    """Yield a case for each quantity of some scenes."""
+    found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
+    for _, scene in some:
+        kind = "presses" if isinstance(scene, Press) else "slides"
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / "recording"
+            write_quietly(recording, scene)
+            of_scene = {f"{kind}: {name}": one for name, one in of_process(recording, scene).items()}
+            if is_present():
+                of_scene |= {f"{kind}, live: {name}": one for name, one in of_stream(recording, scene).items()}
+        for name, one in of_scene.items():
+            found[name].append(one)
+    for name, each in found.items():
+        error, stated = (np.concatenate([part.ravel() for part in parts]) for parts in zip(*each, strict=True))
+        yield case_of(name, error, stated)
+
+
+def case_of(name: str, error: Array, stated: Array) -> Case:
+    """Judge errors by their stated deviations; those that are NaN do not count."""
+    known = np.isfinite(error) & np.isfinite(stated) & (stated > 0)
+    z = np.abs(error[known] / stated[known])
+    if not len(z):
+        return Case(name, "none", "", "", "no deviation is stated")
+    spread, within = float(np.sqrt(np.mean(z**2))), [float(np.mean(z < most)) for most in (1, 2)]
+    holds = GOAL_Z[0] <= spread <= GOAL_Z[1]
+    holds &= all(low <= share <= high for share, (low, high) in zip(within, GOAL_WITHIN, strict=True))
+    number = f"z {spread:.2f}, {within[0]:.0%}, {within[1]:.0%}"
+    size = float(np.sqrt(np.mean(error[known] ** 2)))
+    sizes = f"{len(z)} values, median {np.median(stated[known]):.2g}, error {size:.2g}"
+    return Case(name, number, "z 1, 68%, 95%", sizes, "holds" if holds else "too small" if spread > 1 else "too large")
+
+
+def of_process(recording: Path, scene: SyntheticScene) -> Errors:
+    """Return errors and stated deviations of the results of `process`, by quantity."""
+    result = process(recording / "scene.toml")
+    return compared(result, scene)
+
+
+def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
+    """Return errors and stated deviations of a result, by quantity."""
+    frames = np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int))
+    material = material_of(result["position_px"].values, scene)
+    skin = _Skin(result, scene, material)
+    found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
+    for frame in frames.tolist():
+        for name, one in (skin.at(frame) | _of_contact(result, scene, frame)).items():
+            found[name].append(one)
+    return {
+        name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
+        for name, each in found.items()
+    }  # type: ignore[misc]
+
+
+def material_of(position_px: Array, scene: SyntheticScene) -> Array:
+    """Return material coordinates (N, 2) of points from their positions (frames, N, 2) px where each was seeded."""
+    first = np.isfinite(position_px).all(-1).argmax(0)
+    result = np.full(position_px.shape[1:], np.nan)
+    for frame in np.unique(first):
+        some = first == frame
+        places = scene.truth.topography_positions(position_px[frame, some])
+        known = np.isfinite(places).all(-1)
+        result[np.flatnonzero(some)[known]] = scene.truth.material(places[known], int(frame))
+    return result
+
+
+class _Skin:
+    """True positions, displacements and fields of the points of a result."""
+
+    def __init__(self, result: xr.Dataset, scene: SyntheticScene, material: Array) -> None:
+        self.result, self.scene, self.truth = result, scene, scene.truth
+        self.known = np.isfinite(material).all(-1)
+        self.material = np.where(self.known[:, None], material, scene.contact_centre)
+        self.entered = result["entry"].values == _ENTERED
+        self.triangles = result["triangles"].values
+        self.known &= result["entry"].values != ENTRY.index("seeded_inside")
+
+    def at(self, frame: int) -> Errors:
+        """Return errors and deviations of points and triangles in a frame."""
+        result, truth = self.result, self.truth
+        known = self.known[:, None]
+        position = np.where(known, truth.topography_pixels(truth.positions(self.material, frame)), np.nan)
+        tracked = (result["status"].values[frame] == TrackStatus.TRACKED)[:, None]
+        # A point that was seeded in this frame has no error.
+        stated = np.where(tracked, result["position_std_px"].values[frame][:, None], np.nan).repeat(2, 1)
+        moved = np.where(known, truth.displacement(self.material, frame), np.nan)
+        errors = {
+            "position": (result["position_px"].values[frame] - position, stated),
+            "displacement": (
+                result["displacement"].values[frame] - moved,
+                result["displacement_std"].values[frame][:, None].repeat(2, 1),
+            ),
+        }
+        gradient = self.gradient(frame)
+        for name, true in {
+            "divergence": gradient[:, 0, 0] + gradient[:, 1, 1],
+            "curl": gradient[:, 1, 0] - gradient[:, 0, 1],
+        }.items():
+            errors[name] = (result[name].values[frame] - true, result[f"{name}_std"].values[frame])
+        strain = result["strain"].values[frame] - self._strain(moved, frame)
+        for column, name in enumerate(_STRAINS):
+            errors[f"strain {name}"] = strain[:, column], result["strain_std"].values[frame][:, column]
+        return errors
+
+    def gradient(self, frame: int) -> Array:
+        """Return the true displacement gradients (N, 2, 2); of points that moved in, since their own entry."""
+        since_onset = self.truth.gradient(self.material, frame)
+        since_entry = self.truth.entry_gradient(self.material, frame)
+        result = np.where(self.entered[:, None, None], since_entry, since_onset)
+        return np.where(self.known[:, None, None], result, np.nan)
+
+    def _strain(self, moved: Array, frame: int) -> Array:
+        """Return the true strains (M, 3) of triangles; NaN for triangles that have another reference.
+
+        On a press they count from the true onsets of their corners; on a slide from the first frame, of triangles that
+        touch then. Triangles with skin that moved in count from the last of three entries, and are left out.
+        """
+        now = self.truth.positions(self.material, frame)
+        if not isinstance(self.scene, Press):
+            onset = self.result["onset_frame"].values
+            moved = np.where((onset == 0)[:, None], now - self.truth.positions(self.material, 0), np.nan)
+        reference = now - moved
+        triangles = torch.from_numpy(self.triangles.astype(np.int64))
+        strain = green_lagrange(
+            triangle_gradients(torch.from_numpy(reference)[None], triangles, torch.from_numpy(moved)[None])
+        )[0].numpy()
+        corners, skin = reference[self.triangles], now[self.triangles]
+        by_onset, of_skin = (one[:, 1:] - one[:, :1] for one in (corners, skin))
+        ratio = np.linalg.solve(np.where(np.isfinite(of_skin), of_skin, np.eye(2)), np.nan_to_num(by_onset))
+        stretch = np.linalg.svd(ratio, compute_uv=False)
+        usual = (stretch[:, 1] > _UNDISTORTED) & (stretch[:, 0] < 1 / _UNDISTORTED)
+        usual &= ~self.entered[self.triangles].any(1)
+        return np.where(usual[:, None], strain, np.nan)
+
+
+def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors:
+    """Return errors and deviations of areas, medians and energies in a frame."""
+    true = {"gross_contact_area": scene.truth.gross_contact_area_mm2(frame)}
+    step = _STEPS_MM[not isinstance(scene, Press)]
+    if true["gross_contact_area"] > _LEAST_MM2:
+        gradient = _of_contact_skin(scene, frame)
+        true |= {f"median_{name}": value for name, value in medians_of(gradient).items()}
+        if isinstance(scene, Press):
+            names = "strain_energy", "strain_energy_between_points"
+            true |= dict(zip(names, energy_since_onset(scene, result, frame, step), strict=True))
+        else:
+            true["strain_energy"] = float(np.nansum(energies(gradient, step)))
+    if isinstance(scene, PartialSlip):
+        true["stuck_ratio"] = scene.stuck_share(frame)
+    errors = {}
+    for name, value in true.items():
+        variable, _, component = name.partition(" ")
+        measured, stated = (result[one].values[frame] for one in (variable, f"{variable}_std"))
+        if component:
+            measured, stated = (one[_STRAINS.index(component)] for one in (measured, stated))
+        errors[name] = np.array([measured - value]), np.array([stated])
+    return errors
+
+
+def _of_contact_skin(scene: SyntheticScene, frame: int) -> Array:
+    """Return the true displacement gradients (N, 2, 2) on a grid over the contact in a frame: since the onset on a
+    press, since its own entry of skin that slides.
+    """
+    material = skin_in_contact(scene, frame, _STEPS_MM[not isinstance(scene, Press)])
+    return (scene.truth.gradient if isinstance(scene, Press) else scene.truth.entry_gradient)(material, frame)
+
+
+def medians_of(gradient: Array) -> dict[str, float]:
+    """Return the medians of divergence, curl and strain components over displacement gradients (N, 2, 2)."""
+    strain = green_lagrange(torch.from_numpy(gradient)).numpy()
+    fields = {"divergence": gradient[:, 0, 0] + gradient[:, 1, 1], "curl": gradient[:, 1, 0] - gradient[:, 0, 1]}
+    fields |= {f"strain {name}": strain[:, column] for column, name in enumerate(_STRAINS)}
+    return {name: float(np.nanmedian(one)) for name, one in fields.items()}
+
+
+def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
+    """Return errors and stated deviations of the records of a stream, by quantity."""
+    rows, columns = scene.views["topography"].shape
+    bundle = write_library_bundle(recording / "bundle", Recipe(views=ViewRecipe(height=rows, width=columns)))
+    text = (recording / "scene.toml").read_text(encoding="utf-8")
+    live = recording / "live"
+    text = text.replace("[stream]", f'[stream]\noutput = "{live.as_posix()}"')
+    (recording / "live.toml").write_text(text, encoding="utf-8")
+    options = ["--scene", str(recording / "live.toml"), "--page", "off", "--threads", "1"]
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert player.main([str(bundle), *options]) == 0
+    return compared_live(np.array(player.read_results(live).records), scene)
+
+
+def compared_live(records: Array, scene: SyntheticScene) -> Errors:
+    """Return errors and stated deviations of records, by quantity."""
+    truth, found = scene.truth, defaultdict(list)
+    last = records["restart"][-1]
+    frames = np.flatnonzero(records["restart"] == last)
+    position = records["position_px"]
+    material = material_of(position[frames], scene) if frames[0] == 0 else None
+    for frame in np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int)).tolist():
+        if material is not None and frame in frames:
+            some = np.isfinite(material).all(-1) & (records["status"][frame] == TrackStatus.TRACKED)
+            true = truth.topography_pixels(truth.positions(material[some], frame))
+            stated = records["position_std_px"][frame][some][:, None].repeat(2, 1)
+            found["position"].append((position[frame][some] - true, stated))
+        if truth.gross_contact_area_mm2(frame) > _LEAST_MM2:
+            error = records["median_divergence"][frame] - medians_of(_of_contact_skin(scene, frame))["divergence"]
+            found["median_divergence"].append((np.array([error]), records["median_divergence_std"][frame][None]))
+    return {
+        name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
+        for name, each in found.items()
+    }  # type: ignore[misc]
