@@ -73,4 +73,5 @@ def _variance_of_noise(start: Tensor, covariance: Tensor, numbers: Tensor, windo
     noisy = start + signs * deviation
     given = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
     corrected = correct_points(*given, window, _NARROW * window)
-    return (corrected.points - noisy).square().mean(0)
+    result: Tensor = (corrected.points - noisy).square().mean(0)
+    return result
