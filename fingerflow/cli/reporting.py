@@ -60,8 +60,8 @@ def noise_floor(
     scene: Annotated[Path, typer.Option(help="The scene whose settings apply.")] = Path("scene.toml"),
     as_json: AsJson = False,
 ) -> None:
-    """Measure the noise floors of displacement, divergence and strain in still frames, and print them as [rig] of a
-    scene file.
+    """Measure the noise floors of displacement, divergence and strain in still frames, and print them as the keys
+    `rig.*` of a scene file.
     """
     from dataclasses import asdict
 

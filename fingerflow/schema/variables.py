@@ -244,7 +244,7 @@ TRACKING = (
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement in words. The attribute ``reference`` of a variable states it for its result.
-SINCE = "of points in contact since fields.reference, by default since each touched"
+SINCE = "of points in contact, since each touched the glass or since fields.reference"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",

@@ -247,7 +247,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     assert page.evaluate(SCALE, most) == pytest.approx([0.05, 0.1, 0.1, 0.05, 0.05, 0.001])
     points, contact = page.evaluate(LEGENDS)
     assert re.sub(r"\s+", " ", points) == (
-        "1 points with divergence: \u221220 um/mm20 um/mm 1 not in contact 1 in contact, without it"
+        "1 points with divergence: \u221220 um/mm20 um/mm 1 not in contact 1 in contact, divergence unknown"
     )
     assert contact == ""  # neither a mask nor an ellipse is drawn
     page.close()

@@ -186,11 +186,24 @@ def test_decimal_commas_between_commas_are_refused(tmp_path):
 
 
 def test_a_line_that_is_cut_off_does_not_count(tmp_path):
-    path = text(tmp_path, CSV["comma"][:-3])
+    path = text(tmp_path, CSV["comma"].rstrip().rpartition(",")[0])
     forces = open_forces(path)
     np.testing.assert_allclose(forces.times, TIMES[:-1])
     (warning,) = forces.warnings
     assert warning.startswith(f"{path}: the last line has no line break, so its last number may be cut off: the line")
+    assert "left out" in warning
+
+
+def test_a_last_line_without_line_break_is_read_and_noted(tmp_path):
+    forces = open_forces(text(tmp_path, CSV["comma"].rstrip()))
+    whole = open_forces(text(tmp_path, CSV["comma"]))
+    np.testing.assert_array_equal(forces.times, whole.times)
+    assert forces.channels.keys() == whole.channels.keys()
+    for name, values in whole.channels.items():
+        np.testing.assert_array_equal(forces.channels[name], values)
+    (warning,) = forces.warnings
+    assert "the line is read" in warning
+    assert not whole.warnings
 
 
 @pytest.mark.parametrize(

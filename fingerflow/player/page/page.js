@@ -97,7 +97,7 @@ function drawTopography(live) {
   $("pointLegend").innerHTML = !divergence ? swatch(POINTS.tracked, `${counts.known} points`) : [
     `<span>${counts.known} points with divergence${scale}</span>`,
     ...(in_contact ? [swatch(POINTS.outside, `${counts.outside} not in contact`)] : []),
-    ...(counts.lacking ? [swatch(POINTS.lacking, `${counts.lacking} ${in_contact ? "in contact, " : ""}without it`)] : []),
+    ...(counts.lacking ? [swatch(POINTS.lacking, `${counts.lacking} ${in_contact ? "in contact, " : ""}divergence unknown`)] : []),
   ].join("");
 }
 

@@ -48,11 +48,13 @@ def read_table(path: Path) -> ForceTable:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = text[sample.start() :]
     if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
-        # Programs end their last line: if its end is missing, the last number may be truncated.
-        body = "\n".join(body.splitlines()[:-1])
+        # Some programs do not end their last line; but the file may also have been cut off within it.
+        *complete, last = body.splitlines()
+        whole = len(cells_of(last, separator)) == len(names)
+        body = body if whole else "\n".join(complete)
         table.warnings.append(
-            f"{path}: the last line has no line break, so its last number may be cut off: the line is left out. "
-            "Copy the file again if it was longer; end the line with a break if it is complete"
+            f"{path}: the last line has no line break, so its last number may be cut off: the line is "
+            f"{'read' if whole else 'incomplete and left out'}. Copy the file again if it was longer"
         )
     if separator != ",":
         body = body.replace(",", ".")

@@ -127,9 +127,9 @@ class ContactStage(Stage):
         if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
             self.warnings.append(
-                f"the light changes, but {int(self._blind.sum())} frames, the first is {first}, show no empty glass to "
-                f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
-                f"record the empty glass again"
+                f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
+                f"{first}, may be wrong: the finger covers the glass that would show by how much. Leave some glass "
+                f"free around the finger, or record the empty glass again"
             )
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
