@@ -33,7 +33,8 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         device: on which tensors are computed; on a GPU of CUDA calls are replayed as graphs (`engines.capture`).
 
     Raises:
-        FingerflowError: native is requested where it cannot be used.
+        FingerflowError: native is requested where it cannot be used, or the GPU computes other numbers of a built-in
+            frame than it should, with and without replay.
     """
     from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
@@ -58,15 +59,19 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
 def _captures(settings: EngineSettings, device: torch.device) -> bool:
     """Return whether replay of modules as CUDA graphs works with these settings: two different built-in frames must
     each give their own results; log a warning if not.
+
+    Raises FingerflowError if they do not without replay either.
     """
     from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
 
     side = max(96, 4 * settings.window_px)
+    frames = built_in(side, side, 8, 24, settings.window_px)
     try:
-        check_frames(TorchEngine(settings, device, Captured), built_in(side, side, 8, 24, settings.window_px))
+        check_frames(TorchEngine(settings, device, Captured), frames)
     except FingerflowError as error:
         log.warning("the modules are not captured as graphs and computed call by call: %s", error)
+        check_frames(TorchEngine(settings, device), frames)
         return False
     return True
 

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from fingerflow.engines.engine import Engine, EngineSettings, FrameEllipse
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import serving
 from tests.replayed_ops import record
 
 CPU = torch.device("cpu")
@@ -143,6 +145,41 @@ def test_the_engine_of_a_gpu_is_checked(
     assert isinstance(engine._track, Captured) == (way == "record")  # type: ignore[attr-defined]
     assert len(caplog.messages) == (way != "record")
     choice._captures.cache_clear()
+
+
+def test_a_gpu_that_computes_other_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No engine is made for a GPU whose positions are wrong with capture and without."""
+    made = TorchEngine
+
+    def on_processor(settings: EngineSettings, device: torch.device, *modules: Any) -> TorchEngine:
+        engine = captured(record_for_ever) if modules else made(settings, CPU)
+        follow = engine.follow
+        monkeypatch.setattr(engine, "follow", lambda *given: _shifted(follow(*given)))
+        return engine
+
+    monkeypatch.setattr("fingerflow.engines.torch.TorchEngine", on_processor)
+    choice._captures.cache_clear()
+    with pytest.raises(FingerflowError):
+        choice.engine_for("auto", SETTINGS, torch.device("cuda"))
+    choice._captures.cache_clear()
+
+
+def _shifted(found: Any) -> Any:
+    """Return the result of `Engine.follow` with each point 5 px off."""
+    return found._replace(found=found.found._replace(points=found.found.points + 5.0))
+
+
+def test_triton_serves_only_where_a_c_compiler_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Triton builds the launchers of its kernels with a C compiler; without one the portable form is computed."""
+    monkeypatch.setattr(serving, "find_spec", lambda name: name)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    serving._has_triton.cache_clear()
+    assert not serving._has_triton()
+    (tmp_path / "gcc").touch(mode=0o755)
+    serving._has_triton.cache_clear()
+    assert serving._has_triton()
+    serving._has_triton.cache_clear()
 
 
 class Scaled(nn.Module):

@@ -1,6 +1,8 @@
 """Check whether the compiled kernels can be used for given tensors in the present state of torch."""
 
 import functools
+import os
+import shutil
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any, TypeVar
@@ -78,7 +80,9 @@ def twin_serves(*tensors: Tensor | None) -> bool:
 
 @functools.cache
 def _has_triton() -> bool:
-    return find_spec("triton") is not None
+    """Return whether Triton is installed, and a C compiler with which it builds the launchers of its kernels."""
+    compilers = (os.environ.get("CC"), "cc", "gcc", "clang")
+    return find_spec("triton") is not None and any(name is not None and shutil.which(name) for name in compilers)
 
 
 def _is_on_gpu(tensor: Tensor) -> bool:
