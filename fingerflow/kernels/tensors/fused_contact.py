@@ -98,6 +98,13 @@ def _inside(density, flat, limit):
 
 
 @triton.jit
+def _part_inside(density, flat, at, there, limit):
+    """Return the fractions of the cells `at` in which the stored density exceeds a limit, 0 where none is `there`."""
+    dense = tl.load(density + at, mask=there, other=0.0)
+    return tl.where(there, _inside(dense, tl.load(flat + at, mask=there, other=0.0), limit), 0.0)
+
+
+@triton.jit
 def _largest_around(values, row, column, rows, columns, there):
     """Return the maximum of an image on the 3 x 3 cells around each cell, and the largest of 1 minus the image."""
     largest = there.to(tl.float32) * 0.0
@@ -273,10 +280,7 @@ def _segment(
         for first in range(0, rows, ROWS):
             row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
             at = row * columns + column
-            part = _inside(
-                tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit
-            )
-            part = tl.where(there, part, 0.0)
+            part = _part_inside(density, flat, at, there, limit)
             covered_inside += tl.minimum(tl.load(cells + at, mask=there, other=0.0), part)
             region += part
         inner = _ratio(tl.sum(covered_inside), tl.sum(region))
@@ -287,9 +291,7 @@ def _segment(
         for first in range(0, rows, ROWS):
             row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
             at = row * columns + column
-            part = _inside(
-                tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit
-            )
+            part = _part_inside(density, flat, at, there, limit)
             within, beyond = _largest_around(filled, row, column, rows, columns, there)
             tl.store(border + at, part * (1 - part) * within * beyond, mask=there)
             tl.store(near_weight + at, part, mask=there)
@@ -318,10 +320,7 @@ def _segment(
             for first in range(0, rows, ROWS):
                 row, column, there = _place(first, rows, columns, ROWS, COLUMNS)
                 at = row * columns + column
-                part = _inside(
-                    tl.load(density + at, mask=there, other=0.0), tl.load(flat + at, mask=there, other=0.0), limit
-                )
-                part = tl.where(there, part, 0.0)
+                part = _part_inside(density, flat, at, there, limit)
                 ridges = tl.minimum(tl.load(cells + at, mask=there, other=0.0), part)
                 coarse = row // 2 * ((columns + 1) // 2) + column // 2
                 near = tl.load(near_weight + coarse, mask=there, other=0.0)

@@ -74,7 +74,7 @@ def _pairs(
 ):
     """Return, for a block of points (P, 1) and their neighbours (P, k): the points, the neighbours, offsets and
     differences of displacement in x and y, 1 for those within reach, their weights (known and within reach) and
-    precision.
+    precision, the deviation of the points and whether they are known, and the deviation of the neighbours.
     """
     frame = tl.program_id(1).to(tl.int64)
     first = tl.where(frames == 1, 0, frame) * neighbours * count
@@ -92,7 +92,9 @@ def _pairs(
     u, v, sure, known = _point(displacement, deviation, neighbour, there)
     weight = tl.where(known, near, 0.0)
     precision = 1 / (sure * sure + own_sure * own_sure)
-    return point, neighbour, there, x, y, u - own_u, v - own_v, near, weight, precision
+    return (
+        point, neighbour, there, x, y, u - own_u, v - own_v, near, weight, precision, own_sure, own_known, sure,
+    )  # fmt: skip
 
 
 @triton.jit
@@ -125,12 +127,11 @@ def _fit_slopes(
     POINTS: tl.constexpr,
     NEIGHBOURS: tl.constexpr,
 ):
-    point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
+    point, neighbour, there, x, y, u, v, near, weight, precision, sure, known, other_sure = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )
     frame = tl.program_id(1).to(tl.int64)
     present = point < count
-    own_u, own_v, sure, known = _point(displacement + frame * count * 2, deviation + frame * count, point, present)
     total = tl.sum(weight, 1)[:, None]
     distance, level = _agreement(u, v, precision, weight, total)
     close = weight / (1 + distance / (level * _SPREAD))
@@ -184,7 +185,7 @@ def _compare(
     POINTS: tl.constexpr,
     NEIGHBOURS: tl.constexpr,
 ):
-    point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
+    point, neighbour, there, x, y, u, v, near, weight, precision, sure, known, other_sure = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )
     frame = tl.program_id(1).to(tl.int64)
@@ -219,21 +220,17 @@ def _flag(
     POINTS: tl.constexpr,
     NEIGHBOURS: tl.constexpr,
 ):
-    point, neighbour, there, x, y, u, v, near, weight, precision = _pairs(
+    point, neighbour, there, x, y, u, v, near, weight, precision, sure, known, other_sure = _pairs(
         number, offset, within, displacement, deviation, frames, neighbours, count, POINTS, NEIGHBOURS
     )
     frame = tl.program_id(1).to(tl.int64)
     present = point < count
-    displacement += frame * count * 2
-    deviation += frame * count
     agreement += frame * count
     total = tl.sum(weight, 1)[:, None]
     # Harmonic means: outliers among the neighbours hardly contribute.
     of_others = tl.load(agreement + neighbour, mask=there, other=0.0)
     usual = total / tl.maximum(tl.sum(of_others * weight, 1)[:, None], _LEAST)
-    other_u, other_v, other_sure, other_known = _point(displacement, deviation, neighbour, there)
     usual_deviation = total / tl.maximum(tl.sum(weight / other_sure, 1)[:, None], _LEAST)
-    own_u, own_v, sure, known = _point(displacement, deviation, point, present)
     judged = known & (total >= _LEAST_NEIGHBOURS)
     disagreement = 1 / tl.load(agreement + point, mask=present, other=1.0)
     is_off = judged & (disagreement > usual * _MOST_DISAGREEMENT)
