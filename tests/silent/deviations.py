@@ -106,7 +106,7 @@ def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
         for name, each in found.items()
-    }  # type: ignore[misc]
+    }  # type: ignore[misc]  # the rows of zip are pairs, of which mypy does not know the length
 
 
 def material_of(position_px: Array, scene: SyntheticScene) -> Array:
@@ -263,4 +263,4 @@ def compared_live(records: Array, scene: SyntheticScene) -> Errors:
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
         for name, each in found.items()
-    }  # type: ignore[misc]
+    }  # type: ignore[misc]  # the rows of zip are pairs, of which mypy does not know the length

@@ -32,7 +32,7 @@ def with_contact_view(press: Path, picture: Frames, contact: Frames) -> Frames:
 def test_the_negative_of_a_recording_gives_the_same_numbers(
     press: Path, pictures: dict[str, Frames], changed: Change
 ) -> None:
-    """Exactly, in every variable: the negative is taken before anything is computed."""
+    """The negative of a recording with `appears = "bright"` gives exactly the results of the recording itself."""
     dark_contact = process(changed(WITHOUT_DARK))
     view = load_scene(press / "scene.toml").views.contact
     negatives = {name: with_contact_view(press, one, 255 - view.crop(one)) for name, one in pictures.items()}
