@@ -229,16 +229,12 @@ private:
         fingerflow_apparent_contact(&region, threads_);
     }
 
-    // Adds the pairs of pixels of every `stride_`-th line in the contact region (`add_pairs`).
+    // Adds the pairs of pixels of every `stride_`-th line (`add_pairs`) in the contact region without the cells at its border.
     void add_edges(std::int64_t* sums) {
         std::int64_t last = -1;
         bool any = false;
         for (std::int64_t y = 0; y < height_; y += stride_) {
-            const float* margin = margin_ + y / side_ * across_;
-            if (y / side_ != last) {
-                any = std::any_of(margin, margin + across_, [](float one) { return one > 0; });
-                for (std::int64_t x = 0; any && x < width_; ++x) inside_[x] = margin[x / side_] > 0;
-            }
+            if (y / side_ != last) any = find_inner(y / side_);
             last = y / side_;
             if (!any) continue;
             const auto line = [&](const unsigned char* plane, std::int64_t row) {
@@ -247,6 +243,21 @@ private:
             FINGERFLOW_PICK(add_pairs)(line(levels_, y - 1), line(levels_, y), line(levels_, y + 1), line(wanted_, y),
                                        line(wanted_, y + 1), inside_, width_, sums);
         }
+    }
+
+    // Writes to `inside_` which pixels lie in cells of a row that the region surrounds; returns whether any does.
+    bool find_inner(std::int64_t row) {
+        const std::int64_t top = std::max<std::int64_t>(row - 1, 0), bottom = std::min(row + 1, down_ - 1);
+        bool any = false;
+        for (std::int64_t x = 0; x < across_; ++x) {
+            const std::int64_t left = std::max<std::int64_t>(x - 1, 0), right = std::min(x + 1, across_ - 1);
+            bool inner = true;
+            for (std::int64_t above = top; above <= bottom; ++above)
+                for (std::int64_t beside = left; beside <= right; ++beside) inner &= margin_[above * across_ + beside] > 0;
+            std::fill(inside_ + x * side_, inside_ + std::min(width_, (x + 1) * side_), inner);
+            any |= inner;
+        }
+        return any;
     }
 
     fingerflow_lit_frames lit_;

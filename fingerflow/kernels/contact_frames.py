@@ -84,7 +84,7 @@ def contact_threshold(
     radius: int,
     stride_px: int,
 ) -> Array:
-    """Measure the contact threshold (K,) float32: the intensity loss half-way between ridges and valleys.
+    """Measure the contact threshold (K,) float32: the intensity loss at the edges of ridges in contact.
 
     The loss is relative to the empty glass. The threshold is computed as by `ops.contact.contact_threshold`, and NaN
     without contact.

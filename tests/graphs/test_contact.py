@@ -95,7 +95,7 @@ def test_threshold_behind_a_lens(share: float, tolerance: float) -> None:
 
 def test_threshold_with_defective_pixels() -> None:
     """One pixel in 500 is black or saturated. That moves the threshold by at most 0.004; without the median of three
-    pixels it would move by more than 0.03, as their edges are the steepest.
+    pixels it would move by more than 0.06, as their edges are the steepest.
     """
     light, _ = drawn((120, 95))
     draw = torch.Generator().manual_seed(1)
