@@ -92,7 +92,7 @@ def contact_threshold(
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.
         gains: (K,) float32, illumination gains; NaN or None for 1.
-        stride_px: step in x and y by which pixels are counted.
+        stride_px: step between the lines that are read, and between the pixels of Otsu's histogram.
 
     Raises:
         TypeError, ValueError: wrong dtype, inconsistent shapes or sizes.

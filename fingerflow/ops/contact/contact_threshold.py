@@ -22,7 +22,7 @@ _LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _LEVELS = 256
 # Least cubic mean of the differences of neighbouring pixels in a contact with ridges, relative to the difference of
-# Otsu's classes. Ridges 14 px apart have 0.2 to 0.3, blurred ones 28 px apart 0.1; noise of 4 grey levels alone has 0.05.
+# Otsu's classes. Ridges 14 px apart have 0.2 to 0.3, blurred ones 28 px apart 0.1. Noise of 4 grey levels has 0.05.
 _LEAST_STEEPNESS = 0.08
 
 
