@@ -67,14 +67,15 @@ def measured(light: Tensor, noise: float = 0.0, graph: ContactGraph | None = Non
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 @pytest.mark.parametrize("share", [0.17, 0.25, 0.35, 0.5, 0.6, 0.8])
 def test_threshold_and_area_of_thin_and_wide_ridges(share: float, noise: float) -> None:
-    """The threshold lies half-way between full contact and valley to 0.008, and the real contact area has an error of
-    at most 2 %, also where ridges (share 0.17) or valleys (0.8) are only 2 to 3 px wide. Half-way between the medians
+    """The threshold lies half-way between full contact and valley to 0.008, and real and gross contact area have an error
+    of at most 2 %, also where ridges (share 0.17) or valleys (0.8) are only 2 to 3 px wide. Half-way between the medians
     of ridges and of valleys it would lie 0.04 too low or 0.03 too high. One byte of the signal is 1/204.
     """
     light, real_area = drawn((120, 95), share=share)
     contact, threshold = measured(light, noise)
     assert float(threshold) == pytest.approx((0.5 + 0.04) / 2, abs=0.008)
     assert float(contact.real_area_px) == pytest.approx(real_area, rel=0.02)
+    assert float(contact.gross_area_px) == pytest.approx(math.pi * 120 * 95, rel=0.02)
 
 
 @pytest.mark.parametrize(("share", "tolerance"), [(0.2, 0.008), (0.5, 0.004), (0.8, 0.004)])
