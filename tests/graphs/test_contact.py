@@ -67,9 +67,9 @@ def measured(light: Tensor, noise: float = 0.0, graph: ContactGraph | None = Non
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 @pytest.mark.parametrize("share", [0.17, 0.25, 0.35, 0.5, 0.6, 0.8])
 def test_threshold_and_area_of_thin_and_wide_ridges(share: float, noise: float) -> None:
-    """The threshold lies half-way between full contact and valley to 0.008, and real and gross contact area have an error
-    of at most 2 %, also where ridges (share 0.17) or valleys (0.8) are only 2 to 3 px wide. Half-way between the medians
-    of ridges and of valleys it would lie 0.04 too low or 0.03 too high. One byte of the signal is 1/204.
+    """The threshold lies half-way between full contact and valley to 0.008, and both contact areas have an error of at
+    most 2 %, also where ridges (share 0.17) or valleys (0.8) are only 2 to 3 px wide. Half-way between the medians of
+    ridges and of valleys it would lie 0.04 too low or 0.03 too high. One byte of the signal is 1/204.
     """
     light, real_area = drawn((120, 95), share=share)
     contact, threshold = measured(light, noise)
