@@ -4,7 +4,8 @@
 waves away; one of two windows follows them, and adds noise. Of the difference between both corrections the share is
 taken that is signal (Wiener filter): with E the mean square of the difference around a point, and V the variance that
 noise alone gives it, that is 1 - 2 V / E, or 0 if this is negative. V follows from the covariance of the points by
-Hutchinson's (1990) estimator: noise of this size and random sign is corrected as the points are.
+Hutchinson's (1990) estimator: noise of this size and random sign is corrected as the points are. The signs are a hash
+of a point's position: neither the order of the points nor the state of a random generator changes the result.
 """
 
 import torch
@@ -18,7 +19,10 @@ from fingerflow.ops.tracking.deformation import correct_points
 WIDE = 5.0  # windows, gauge length of the correction
 _NARROW = 2.0  # windows, gauge length of the second one
 _AROUND = 4.0  # windows, diameter over which mean squares are taken
-_PROBES = 2  # fields of random sign: with the neighbours about a hundred values for each variance
+# Of the hash, radians a px along x and y: two fields of random sign for u and two for v, which with the neighbours are
+# about a hundred values for each variance. The factor spreads neighbouring sines.
+_HASHES = ((12.9898, 78.233), (39.3467, 11.1351), (73.1561, 52.2352), (26.651, 94.6737))
+_SPREAD = 43758.5453
 _CAUTION = 2.0  # multiple of V that the mean square of noise around a point hardly ever exceeds
 
 
@@ -62,10 +66,11 @@ def _variance_of_noise(start: Tensor, covariance: Tensor, numbers: Tensor, windo
     of the positions alone; NaN for points that were not found.
     """
     deviation = covariance.diagonal(dim1=1, dim2=2).sqrt()
-    generator = torch.Generator("cpu").manual_seed(0)
-    signs = torch.randint(2, (_PROBES, *start.shape), generator=generator, device="cpu").to(start) * 2 - 1
+    x, y = start.double().unbind(1)
+    hashed = torch.stack([(by_x * x + by_y * y).sin() * _SPREAD for by_x, by_y in _HASHES])
+    signs = (hashed.frac().abs() < 0.5).unflatten(0, (-1, 2)).mT.to(start) * 2 - 1
     still = torch.eye(2, dtype=start.dtype, device=start.device).expand(1, len(start), 2, 2)
     noisy = start + signs * deviation
-    given = start[None], noisy, covariance.expand(_PROBES, *covariance.shape), numbers[None], still
+    given = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
     corrected = correct_points(*given, window, _NARROW * window)
     return (corrected.points - noisy).square().mean(0)

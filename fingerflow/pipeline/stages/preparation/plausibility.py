@@ -82,11 +82,11 @@ def of_contrast(brighter: float, darker: float, appears: str, frame: int) -> lis
     """
     if not (brighter > _BRIGHTER_SHARE and brighter > darker):
         return []
-    other = "bright" if appears == "dark" else "dark"
+    other, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
     return [
         f"contact.appears is {appears!r}, and in frame {frame}, where most contact was expected, {brighter:.0%} of the "
-        f"contact view has changed to the other side beside the empty glass and {darker:.0%} as contact should: set "
-        f'contact.appears = "{other}" if the finger is there, or check background.frames'
+        f"contact view is {lighter} than the empty glass and {darker:.0%} changed as contact does: "
+        f'check [views.contact] and background.frames, or set contact.appears = "{other}" if the finger is there'
     ]
 
 
