@@ -412,7 +412,7 @@ FINGERFLOW_OTHER_SETS(cover_row)
 FINGERFLOW_OTHER_SETS(row_moments)
 namespace {
 
-constexpr float kLeastShare = 0.2f, kLeastLevel = 0.25f;
+constexpr float kLeastShare = 0.1f, kLeastLevel = 0.25f;
 constexpr int kFirstRounds = 2, kBorders = 2, kRounds = 4;
 constexpr float kNarrow = 1.5f, kWide = 3.0f;  // widths of the bands inside the border, in widths of the boxes
 constexpr float kThinning = 0.6f, kSolid = 0.9f;

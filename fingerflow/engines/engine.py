@@ -230,7 +230,7 @@ class Engine(Protocol):
         ...
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
-        """Measure the contact threshold (K,): the relative intensity loss half-way between ridges and valleys.
+        """Measure the contact threshold (K,): the relative intensity loss at the edges of ridges in contact.
 
         It is NaN without contact.
         """

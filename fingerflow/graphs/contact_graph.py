@@ -47,7 +47,7 @@ class ContactGraph(nn.Module):
             this radius. Where ridges end at the border, that enlarges the region by the radius (10 % of the area of a
             fingertip); where ridges run along the border, it does not. `apparent_contact` replaces the dilation.
         cell_px: side of the cells of the apparent contact; None derives it from the radius (`cell_of`).
-        stride_px: sampling step in x and y of the pixels that `threshold` counts; 1 counts all.
+        stride_px: step between the lines of pixels that `threshold` reads; 1 reads all.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ContactGraph(nn.Module):
         )
 
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
-        """Measure the contact threshold (B,): the relative intensity loss half-way between ridges and valleys.
+        """Measure the contact threshold (B,): the relative intensity loss at the edges of ridges in contact.
 
         It is NaN without contact.
         """

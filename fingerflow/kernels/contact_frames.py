@@ -84,7 +84,7 @@ def contact_threshold(
     radius: int,
     stride_px: int,
 ) -> Array:
-    """Measure the contact threshold (K,) float32: the intensity loss half-way between ridges and valleys.
+    """Measure the contact threshold (K,) float32: the intensity loss at the edges of ridges in contact.
 
     The loss is relative to the empty glass. The threshold is computed as by `ops.contact.contact_threshold`, and NaN
     without contact.
@@ -92,7 +92,7 @@ def contact_threshold(
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.
         gains: (K,) float32, illumination gains; NaN or None for 1.
-        stride_px: step in x and y by which pixels are counted.
+        stride_px: step between the lines that are read, and between the pixels of Otsu's histogram.
 
     Raises:
         TypeError, ValueError: wrong dtype, inconsistent shapes or sizes.

@@ -20,7 +20,7 @@ WIDTHS = (0.04, 0.02, 0.01, 0.01)  # relative half widths of the windows of the 
 # between NARROW_GLASS and BESIDE_GLASS.
 NARROW_GLASS, BESIDE_GLASS = 0.02, 0.06
 # Apparent contact (`ops.contact.apparent_contact`)
-LEAST_SHARE = 0.2  # smallest share of a region that its pattern covers
+LEAST_SHARE = 0.1  # smallest share of a region that its pattern covers
 FIRST_ROUNDS, BORDERS, ROUNDS = 2, 2, 4
 NARROW, WIDE = 1.5, 3.0  # widths of the bands inside the border, in widths of the boxes
 SOLID = 0.9  # share from which a contact has no valleys, and becomes no thinner towards its rim

@@ -143,9 +143,9 @@ void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const floa
                                   std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
                                   float* density_margin, float* numbers, int threads);
 
-// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact/contact_threshold.py),
+// Relative intensity losses (batch) at the edges of ridges in contact (fingerflow/ops/contact/contact_threshold.py),
 // with gains (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of
-// `side` px, and one pixel of `stride` across and down counted.
+// `side` px, and every `stride`-th line read.
 void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size,
                                   const std::uint16_t* table, std::int64_t radius, std::int64_t side, std::int64_t stride,
                                   float* thresholds, int threads);

@@ -60,11 +60,11 @@ class RidgeTexture:
         """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
         glass (a `share` of its width), positive inside; `depth` is ignored.
 
-        An equal share of every ridge touches.
+        An equal share of every ridge touches. The distance is that of straight ridges one period apart, up to the crest
+        and to the middle of the valley.
         """
-        half_width = math.pi * share
-        slope = 2 * math.pi / self.period * math.sin(half_width)
-        return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
+        from_crest = torch.remainder(self.ridge_phase(x, y).add_(math.pi), 2 * math.pi).sub_(math.pi).abs_()
+        return from_crest.neg_().add_(math.pi * share).mul_(self.period / (2 * math.pi))
 
     def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the phase of the ridges at (x, y) in rad, 2 pi from crest to crest.

@@ -481,7 +481,7 @@ TWINS = {
     "normalize_illumination": Twin(quotients),
     "histogram": Twin(histograms),
     "otsu_threshold": Twin(thresholds),
-    "apparent_contact": Twin(regions, (2e-5, 2e-3), REGION),
+    "apparent_contact": Twin(regions, (2e-5, 5e-3), REGION),  # px: an axis of 12 px where ridges cover a tenth
     "real_contact_mask": Twin(contact_masks),
     "illumination_gain": Twin(gains, (1e-5, 0.0)),
     "contact_threshold": Twin(contact_thresholds, (0.0, 1e-4)),

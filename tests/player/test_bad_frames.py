@@ -270,7 +270,7 @@ def test_a_stream_begins_with_its_first_picture(small: Small, kind: str) -> None
 
 def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     """The threshold is not measured in a bad frame, black or with a dim contact view, but in a later frame. In contacts
-    of more than 4 mm² the threshold is that of the clean run to 0.004 of the light, the scatter between contacts of
+    of more than 4 mm² the threshold is that of the clean run to 0.007 of the light, the scatter between contacts of
     different size, and the real contact area to 2 %.
     """
     scene_file = small.folder / "trial" / "scene.toml"
@@ -292,7 +292,7 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     large = (clean.records["gross_contact_area"] > 4) & (played.records["frame_status"] == USABLE)
     assert large.sum() > 30
     np.testing.assert_allclose(
-        played.records["contact_threshold"][large], clean.records["contact_threshold"][large], rtol=0, atol=4e-3
+        played.records["contact_threshold"][large], clean.records["contact_threshold"][large], rtol=0, atol=7e-3
     )
     np.testing.assert_allclose(
         played.records["real_contact_area"][large], clean.records["real_contact_area"][large], rtol=0.02
