@@ -192,6 +192,9 @@ class Player:
         missing = self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
+        few = self._findings.unknown_medians()
+        if few and not any(few in sentence for sentence in missing):
+            log.info("%s", few)
         return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
@@ -463,7 +466,7 @@ class Player:
         else:
             self._layout.fill(fields, place, results)
             named = ("real_contact_area", "gross_contact_area", "median_divergence")
-            self._findings.count(outcome.tracked, *(float(results[name]) for name in named))
+            self._findings.count(slot.number, outcome.tracked, *(float(results[name]) for name in named))
         if self._forces is not None:
             for name, force in self._forces.at(slot.number, slot.arrival).items():
                 fields[name][place] = force
