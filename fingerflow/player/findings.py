@@ -86,6 +86,6 @@ class Findings:
             return ""
         return (
             f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
-            f"{_WIDE_MM2:g} mm2, the first is {self._first_unknown}, the last {self._last_unknown}: there, points with a "
-            f"known divergence reach less than {LEAST_SHARE:.0%} of the contact"
+            f"{_WIDE_MM2:g} mm2, the first is {self._first_unknown}, the last {self._last_unknown}: there, points with "
+            f"a known divergence reach less than {LEAST_SHARE:.0%} of the contact"
         )

@@ -97,9 +97,7 @@ class Draft:
         found = [(".".join(one.keys), one.said) for one in problems]
         # The remedy of a missing key addresses those who edit the file by hand.
         said = [_NEEDED.get(key, "is needed") if said == MISSING else in_words_of_page(said) for key, said in found]
-        return [
-            {"key": key, "field": field_name(key), "said": one} for (key, _), one in zip(found, said, strict=True)
-        ]
+        return [{"key": key, "field": field_name(key), "said": one} for (key, _), one in zip(found, said, strict=True)]
 
     def scene(self) -> Scene:
         """Return the scene that the draft describes; raise FingerflowError if it is invalid."""

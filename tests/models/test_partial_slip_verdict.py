@@ -97,7 +97,9 @@ def test_an_area_that_falls_in_a_straight_line(last: float, collapse_ms: float, 
         assert verdict.collapse_ms == pytest.approx(collapse_ms, abs=50)
         assert abs(verdict.collapse_ms - collapse_ms) < 2 * verdict.collapse_ms_std
         assert abs(verdict.collapse_rate - 1000 * last / collapse_ms) < 2 * verdict.collapse_rate_std
-        assert re.match(r"stick ratio d² 0\.\d\d when the load reached 95%, 0\.22 had it faded; critical d² ", verdict.reason)
+        assert re.match(
+            r"stick ratio d² 0\.\d\d when the load reached 95%, 0\.22 had it faded; critical d² ", verdict.reason
+        )
 
 
 def test_a_trial_that_fades_far_below_both_limits() -> None:
