@@ -75,7 +75,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     add(
         "--benchmark",
         action="store_true",
-        help="tell which frame rate this PC holds, with the engine, provider and threads given, and end",
+        help="tell which frame rate this PC holds (with --engine, --threads ...)",
     )
     add("--give-up", type=_positive, default=Settings.give_up, metavar="S", help="end after so long without a frame")
     return parser

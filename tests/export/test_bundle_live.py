@@ -1,7 +1,8 @@
-"""Tests of cameras, force sensors, outputs and the benchmark on a lab PC that has NumPy and onnxruntime, or NumPy alone,
-and beside them the one package that an output or a camera needs.
+"""Tests of cameras, force sensors, outputs and the benchmark on a lab PC that has NumPy and onnxruntime, or NumPy
+alone, and beside them the one package that an output or a camera needs.
 """
 
+import contextlib
 import json
 import os
 import shutil
@@ -221,10 +222,8 @@ def test_forces_of_a_serial_line_go_into_records(live: LabPC, tmp_path: Path) ->
     def send() -> None:
         os.set_blocking(terminal, False)  # nobody reads before the player has opened the line
         while not ended_all.is_set():
-            try:
+            with contextlib.suppress(BlockingIOError):
                 os.write(terminal, b"2.25, 0.3, 0.4\n")
-            except BlockingIOError:
-                pass
             time.sleep(0.005)
 
     sending = threading.Thread(target=send)
