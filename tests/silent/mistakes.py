@@ -231,7 +231,7 @@ def _said_by_page(mistake: Mistake, folder: Path) -> str:
     draft = Draft.of_file(folder / "scene.toml")
     key, value = mistake.command
     draft.set(tuple(key.split(".")), value)
-    return next((f"{one['key']}: {one['said']}" for one in draft.problems()), "")
+    return next((f"{one['field']} {one['said']}" for one in draft.problems()), "")
 
 
 def _said(command: tuple[str, ...]) -> str:

@@ -56,7 +56,7 @@ function columns(key, several, send, updates) {
     const wanted = [null, ...new Set([...found.channels, ...set])], same = wanted.join() === values.join();  // else an open menu closes
     values = wanted;
     boxes.forEach((box, k) => {
-      if (!same) box.replaceChildren(...values.map(one => make("option", {}, one === null ? (k ? "no second one" : "none") : `${one}`)));
+      if (!same) box.replaceChildren(...values.map(one => make("option", {}, one === null ? (k ? "no second column" : "none") : `${one}`)));
       box.selectedIndex = values.indexOf(set[k] ?? null);
     });
   });
@@ -144,7 +144,7 @@ function row(key, form, changed, updates) {
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
-    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key)));
+    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key, form.label)));
   }
   field.append(make("small", { className: "said" }));
   return field;

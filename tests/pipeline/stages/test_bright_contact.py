@@ -80,7 +80,7 @@ def test_the_wrong_setting_is_named(press: Path, pictures: dict[str, Frames], ch
     cases = ((BRIGHT, pictures, "dark"), ({}, frustrated_reflection(press, pictures), "bright"))
     for replaced, arrays, remedy in cases:
         with pytest.raises(
-            FingerflowError, match=rf'no contact at the largest force.* set contact\.appears = "{remedy}"'
+            FingerflowError, match=rf'no contact: at the largest force.* set contact\.appears = "{remedy}"'
         ):
             process(changed(replaced, **arrays), ["real_contact_area"])
 

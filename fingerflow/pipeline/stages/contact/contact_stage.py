@@ -301,9 +301,9 @@ class ContactStage(Stage):
         frame = self._counts(self.reference_frame)
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
-            found_none = f"{self.inputs.recording.path}: no contact at {self.largest_load()}"
+            path = self.inputs.recording.path
             if reversed_contrast:
-                raise FingerflowError(f"{found_none}. {reversed_contrast[0]}")
+                raise FingerflowError(f"{path}: no contact: {reversed_contrast[0]}")
             light, black = (
                 one[0, 0].cpu().numpy()
                 for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
@@ -311,7 +311,7 @@ class ContactStage(Stage):
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
             raise FingerflowError(
-                f"{found_none}: {seen or 'the contact view is that of the background'}. Check {clocks}[views.contact] "
+                f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. Check {clocks}[views.contact] "
                 f"and [background] in {self.inputs.scene.path}; or set [contact] threshold to a number"
             )
         return threshold

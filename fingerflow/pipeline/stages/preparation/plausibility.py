@@ -84,9 +84,9 @@ def of_contrast(brighter: float, darker: float, appears: str, moment: str) -> li
         return []
     other, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
     return [
-        f"contact.appears is {appears!r}, and at {moment} {brighter:.0%} of the "
-        f"contact view is {lighter} than the empty glass and {darker:.0%} changed as contact does: "
-        f'check [views.contact] and background.frames, or set contact.appears = "{other}" if the finger is there'
+        f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} changed as "
+        f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
+        f'contact.appears = "{other}" if the finger is there'
     ]
 
 
