@@ -248,7 +248,7 @@ TRACKING = (
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement in words. The attribute ``reference`` of a variable states it for its result.
-SINCE = "of points in contact, since each touched the glass or since fields.reference"
+SINCE = "of points in contact, since each touched the glass or since the chosen reference"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
@@ -302,8 +302,9 @@ _ALONE = (
 )
 FIELDS = (
     Variable(
-        "divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4", equation="u_x + v_y",
-        shown_in=UM_PER_MM,
+        "divergence", FRAME_POINT, "1",
+        "stretch (+) or compression (-) of the skin since each point touched, or since the chosen reference", "f4",
+        equation="u_x + v_y, the divergence of the displacement", shown_in=UM_PER_MM,
     ),
     Variable(
         "curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4", equation="v_x − u_y", shown_in=UM_PER_MM,

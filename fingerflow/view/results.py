@@ -201,7 +201,8 @@ class Results:
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
-                found.append({"key": key, "said": str(variable.attrs.get("long_name", name)), "of": dims[-1]})
+                said = in_words_of_page(str(variable.attrs.get("long_name", name)))
+                found.append({"key": key, "said": said, "of": dims[-1]})
         return found
 
     def _arrow_scale(self) -> float:
