@@ -230,7 +230,7 @@ def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Tri
     assert names == {path.stem for path in folder.glob("*.txt")}
     assert text.count("<figcaption>") == len(names)
     caption = (folder / "median_divergence-time.txt").read_text(encoding="utf-8")
-    assert "Bands: ± 2 standard deviations, by the errors of the points, the difference to" in caption.replace("\n", " ")
+    assert "Bands: ± 2 standard deviations, by the errors of the points, " in caption.replace("\n", " ")
     known = int(np.isfinite(result["median_divergence"]).sum())
     assert f"n = {known} frames." in caption
     assert f"n = {known} frames.</figcaption>" in text

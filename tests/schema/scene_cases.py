@@ -291,7 +291,7 @@ WRONG = (
         "other_topography", "it was made with the topography view rows [1, 501], columns [0, 640], and the sce"
     ),
     _calibrated("ring_alone", "the scene has a topography view, and this calibration is the scale alone; write one"),
-    WrongScene(_CALIBRATION, 'file = "coarse.toml"', "[calibration]", "calibration.mm_per_px is 3.25: it should be at most"),
+    WrongScene(_CALIBRATION, 'file = "coarse.toml"', "[calibration]", "calibration.mm_per_px is 3.25: it should be at"),
     WrongScene(
         _CALIBRATION,
         'file = "negative.toml"',

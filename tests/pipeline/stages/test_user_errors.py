@@ -114,9 +114,7 @@ def test_an_empty_glass_has_no_area_and_no_point(
 
 
 def test_an_empty_glass_without_a_threshold_is_named(changed: Change, glass: Array) -> None:
-    said = (
-        r"no contact at the largest force \(frame 7\): .* frame rate and trigger .*\[views\.contact\].*a number"
-    )
+    said = r"no contact at the largest force \(frame 7\): .* frame rate and trigger .*\[views\.contact\].*a number"
     with pytest.raises(FingerflowError, match=said):
         process(changed(frames=glass), AREAS)
 

@@ -311,8 +311,9 @@ class ContactStage(Stage):
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
             raise FingerflowError(
-                f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. Check {clocks}[views.contact] "
-                f"and [background] in {self.inputs.scene.path}; or set [contact] threshold to a number"
+                f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. "
+                f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
+                "threshold to a number"
             )
         return threshold
 
