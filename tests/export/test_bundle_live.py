@@ -70,12 +70,12 @@ from fingerflow import player
 
 engine, output = sys.argv[1:]
 found = []
-options = {"scene": "trial/scene.toml", "page": "off", "engine": engine, "threads": 1}
-summary = player.play(".", "trial/frames.npy", lambda frame, values: found.append((frame, values)),
+options = {"frames": 72, "page": "off", "engine": engine, "threads": 1}
+summary = player.play(".", "synthetic", lambda frame, values: found.append((frame, values)),
                       output=output + "/called", **options)
 print(summary["processed"], *[frame.number for frame, _ in found])
 looped = [(frame.number, values) for frame, values in
-          player.live_frames(".", "trial/frames.npy", output=output + "/looped", **options)]
+          player.live_frames(".", "synthetic", output=output + "/looped", **options)]
 same = [str(one) == str(other) for (_, one), (_, other) in zip(found, looped, strict=True)]
 print(len(looped), sum(same))
 """
@@ -199,6 +199,7 @@ def test_zeromq_and_lsl_reach_their_receivers(live: LabPC, tmp_path: Path) -> No
 
 
 def test_a_function_and_a_loop_get_every_frame(live: LabPC, tmp_path: Path) -> None:
+    """A source without a rate waits for the function and for the loop, so that both get the same values."""
     ended = live.run("-c", LOOP, live.options[1], str(tmp_path))
     assert ended.returncode == 0, ended.stderr
     called, looped = ended.stdout.splitlines()[-2:]

@@ -101,9 +101,10 @@ function row(key, form, changed, updates) {
   } else if (form.input === "choice") {
     const options = form.words.map(word => ({ key: word, label: words(word) }));
     if (form.number) options.push({ key: "number", label: "a number" });
+    if (form.default === null) options.unshift({ key: "", label: "none" });
     const range = slider && make("input", { type: "range", min: slider[0], max: slider[1], step: slider[2] });
     const shown = slider && make("output");
-    const box = select(options, form.default, value => send(value === "number" ? +range.value : value));
+    const box = select(options, form.default ?? "", value => send(value === "number" ? +range.value : value));
     box.setAttribute("aria-label", key);
     field.append(box);
     if (range) {
@@ -112,7 +113,7 @@ function row(key, form, changed, updates) {
       field.append(range, shown);
     }
     updates.push(found => {
-      const value = valueAt(found.values, key) ?? form.default;
+      const value = valueAt(found.values, key) ?? form.default ?? "";
       box.value = typeof value === "number" ? "number" : value;
       if (range && document.activeElement !== range) range.value = typeof value === "number" ? value : 0.25;
       if (range) range.disabled = shown.disabled = false;
