@@ -299,10 +299,10 @@ WRONG = (
         "mm_per_px is -0.0325; it must be above 0. Write it a",
     ),
     WrongScene(
-        _CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it anew"
+        _CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it again"
     ),
     WrongScene(
-        _CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it anew"
+        _CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it again"
     ),
     WrongScene(
         _CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "

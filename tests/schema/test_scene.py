@@ -242,7 +242,7 @@ def test_a_broken_calibration_file_is_named(folder: Path) -> None:
     (folder / "calibration.toml").write_text("mm_per_px = 0\n")
     message = message_of(write(folder, calibration=FILE))
     assert (
-        "calibration.toml: this calibration has no entry 'hole'. Write it anew with `fingerflow calibrate`" in message
+        "calibration.toml: this calibration has no entry 'hole'. Write it again with `fingerflow calibrate`" in message
     )
 
 
