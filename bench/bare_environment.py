@@ -25,6 +25,8 @@ def add_distributions(python: Path, distributions: tuple[str, ...]) -> None:
     packages = Path(subprocess.check_output([python, "-c", ask], text=True).strip())
     for distribution in distributions:
         for top in {path.parts[0] for path in files(distribution) or () if path.parts[0] not in ("..", "__pycache__")}:
+            if (packages / top).exists():
+                continue
             found = next(Path(place, top) for place in sys.path if Path(place, top).exists())
             try:
                 (packages / top).symlink_to(found, found.is_dir())
