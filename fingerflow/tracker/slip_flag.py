@@ -41,7 +41,7 @@ class SlipFlag:
     twice the noise of a point and by more than skin has spread. It stays while this lead, or the residual of a rigid
     motion, exceeds twice the noise. It appears two frames after the first frame that shows slip, plus the latency of a
     frame. On trials of `fingerflow.synthetic.PartialSlip` it is raised when 5 to 11 % of the contact have slipped, and
-    in presses in no frame (tests/player/test_slip_in_a_stream.py).
+    in presses and rolls in no frame (`python -m tests.silent slip_flag`).
 
     Torsion about the centre of the contact is odd and does not raise the flag. A shift of the whole contact during a
     press hides as much slip as it has moved the middle ahead of the rim. At a reseeding each new point takes over the
