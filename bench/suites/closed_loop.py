@@ -144,7 +144,16 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             scale_by_powers(axis)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g} %"))
         axes.axvline(1e3 / RATE, color="0.7", linewidth=0.8, zorder=0)
-        axes.annotate("next frame", (1e3 / RATE, 1), (3, 0), xycoords=("data", "axes fraction"), textcoords="offset points", va="top", fontsize=8, color="0.4")
+        axes.annotate(
+            "next frame",
+            (1e3 / RATE, 1),
+            (3, 0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            color="0.4",
+        )
         axes.set(xlabel="latency from the camera's time stamp (ms)", ylabel="share that takes longer")
         axes.legend(frameon=False, fontsize=8)
 

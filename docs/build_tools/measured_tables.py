@@ -37,7 +37,13 @@ def live(rows: Rows) -> list[list[str]]:
 
 def gpu_counts(rows: Rows) -> list[list[str]]:
     """Return launches and bytes of each step of a frame, in its portable form and with kernels of Triton."""
-    head = "launches, portable form", "by kernels of Triton", "of the host, captured", "MB moved", "by kernels of Triton"
+    head = (
+        "launches, portable form",
+        "by kernels of Triton",
+        "of the host, captured",
+        "MB moved",
+        "by kernels of Triton",
+    )
     names = {"contact": "contact", "tracking": "points found, window 21", "outliers": "outliers"}
     names |= {"deformation": "deformation", "fields": "fields with deviations and medians", "frame": "together"}
     one = {row["work"]: row for row in rows if row["recordings"] == 1}
@@ -45,7 +51,9 @@ def gpu_counts(rows: Rows) -> list[list[str]]:
     for name, words in names.items():
         plain, fused = one[name], one.get(f"{name}, fused", {})
         counts = plain["launches"], fused.get("launches"), plain["launches_captured"]
-        table.append([words, *(_count(count) for count in counts), *(_megabytes(row.get("MB")) for row in (plain, fused))])
+        table.append(
+            [words, *(_count(count) for count in counts), *(_megabytes(row.get("MB")) for row in (plain, fused))]
+        )
     return table
 
 
@@ -74,7 +82,10 @@ def wrong_points(rows: Rows) -> list[list[str]]:
             cells = found.setdefault(fault, {})
             cells |= {trial: f"{wrong.removesuffix('%')} %", f"{trial}, energy": energy + known}
     columns = "press", "press, energy", "slide", "slide, energy"
-    return [["fault", "press", "energy", "slide", "energy"], *([name, *_of(cells, *columns)] for name, cells in found.items())]
+    return [
+        ["fault", "press", "energy", "slide", "energy"],
+        *([name, *_of(cells, *columns)] for name, cells in found.items()),
+    ]
 
 
 def bad_frames(rows: Rows) -> list[list[str]]:
@@ -118,9 +129,9 @@ def closed_loop(rows: Rows) -> list[list[str]]:
         "UDP": "triggers, to the receipt by UDP",
         "serial line": "triggers, to the byte from a pseudo-terminal",
     }
-    table = [["", "number", "lost", "median, ms", "99 %, ms", "longest, ms"]]
+    table = [["", "number", "lost", "median, ms", "98 %, ms", "longest, ms"]]
     for row in rows:
-        late = [f"{row[name]:.3g}" if name in row else "" for name in ("p50_ms", "p99_ms", "worst_ms")]
+        late = [f"{row[name]:.3g}" if name in row else "" for name in ("p50_ms", "p98_ms", "worst_ms")]
         table.append([names[row["way"]], f"{row['expected']:,}", str(row["lost"]), *late])
     return table
 
