@@ -37,7 +37,7 @@ def run(*command: str) -> str:
 
 
 def test_the_example_for_matlab_reads_what_a_result_has(trial: tuple[Path, xr.Dataset]) -> None:
-    """Every variable that the example reads is in the file, as an array of HDF5 with the unit that the example states."""
+    """Every variable that the example reads is an array of the file with the unit that the example states."""
     text = (EXAMPLES / "read_result.m").read_text(encoding="utf-8")
     read = dict(re.findall(r"ncread\(path, '(\w+)'\);? *(?:% (\S+))?", text))
     assert len(read) == text.count("ncread(path") == 5

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from measured_tables import tables
+
 from bench.record import RESULTS, newest_suites
 from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
@@ -13,7 +15,6 @@ from fingerflow.reproduce.paper_page import read_results
 from fingerflow.schema.key_list import ListedKey, key_list
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
-from measured_tables import tables
 
 HERE = Path(__file__).resolve().parents[1]
 SUITES = HERE.parent / "bench" / "suites"
@@ -107,8 +108,8 @@ def measurements_page() -> str:
         "# Measurements in full",
         "",
         "What `python -m bench <suite>` and `python -m tests.silent <group>` have written to `bench/results`, row by "
-        "row; this page is made of these files when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column "
-        "does not say.",
+        "row; this page is made of these files when the site is built. {doc}`/accuracy` says what they mean. Times in "
+        "ms, lengths in px where the column does not say.",
         "",
     ]
     for path in sorted(RESULTS.glob("*.json"), reverse=True):

@@ -80,7 +80,8 @@ def wrong_points(rows: Rows) -> list[list[str]]:
             wrong, energy, unknown = re.findall(r"[\d.]+%?|nan", row["number"])
             known = "" if unknown == "0%" else f", NaN in {unknown.removesuffix('%')} % of the frames"
             cells = found.setdefault(fault, {})
-            cells |= {trial: f"{wrong.removesuffix('%')} %", f"{trial}, energy": energy + known}
+            energy = "not stated" if energy == "nan" else energy + known
+            cells |= {trial: f"{wrong.removesuffix('%')} %", f"{trial}, energy": energy}
     columns = "press", "press, energy", "slide", "slide, energy"
     return [
         ["fault", "press", "energy", "slide", "energy"],
@@ -97,11 +98,12 @@ def bad_frames(rows: Rows) -> list[list[str]]:
             excluded, count, off = re.findall(r"[\d.]+", row["number"])
             fault = re.sub(r"^\d+ ", "", case)
             found.setdefault(fault, {}).setdefault(kind, []).append((int(excluded), int(count), float(off)))
-    table = [["frames", "recorded: excluded", "others", "live: excluded", "others"]]
+    alike: dict[tuple[str, ...], list[str]] = {}  # faults by their cells
     for fault, kinds in found.items():
-        cells = [cell for kind in ("recorded", "live") for cell in _excluded(kinds.get(kind, []))]
-        table.append([fault, *cells])
-    return table
+        cells = tuple(cell for kind in ("recorded", "live") for cell in _excluded(kinds.get(kind, [])))
+        alike.setdefault(cells, []).append(fault)
+    head = ["frames", "recorded: excluded", "others", "live: excluded", "others"]
+    return [head, *(["; ".join(faults), *cells] for cells, faults in alike.items())]
 
 
 def _excluded(runs: Sequence[tuple[int, int, float]]) -> tuple[str, str]:

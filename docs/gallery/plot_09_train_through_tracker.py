@@ -4,8 +4,9 @@ Can a network learn from the divergence, through the tracker?
 
 A lens that distorts makes a rigid plate seem to stretch as it moves. Here a small network learns to undo such a
 distortion from nothing but that: it is trained until a plate that is shifted has no divergence. The loss is taken from
-the divergence at the tracked points, and its gradient goes back through the plane fits, `track_points` and the resampled
-pictures to the weights of the network; the tracker is differentiated at the solution of its fit, not through its steps.
+the divergence at the tracked points, and its gradient goes back through the plane fits, `track_points` and the
+resampled pictures to the weights of the network; the tracker is differentiated at the solution of its fit, not through
+its steps.
 """
 
 import matplotlib.pyplot as plt

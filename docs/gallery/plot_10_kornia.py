@@ -26,8 +26,8 @@ def view(name: str, picture: object) -> torch.Tensor:
 
 
 # %%
-# The contact view in kornia's `ImageSequential`: light relative to the empty glass, medians, a little blur by kornia.
-# Where a quarter of the light is lost skin touches; the area is compared with the truth.
+# The contact view in kornia's `ImageSequential`: light relative to the empty glass, then medians. Skin touches where a
+# quarter of the light is lost; the area is compared with the truth.
 
 last = press.render(press.n_frames - 1)
 empty, dark = press.empty(), press.dark()

@@ -40,10 +40,11 @@ class SlipFlag:
     half odd. `rim_motion` separates them.
 
     The flag is raised where the rim is ahead of the middle, in the direction of the mean displacement, by more than
-    twice the noise of a point and by more than twice the spread of the skin: the whole rim is then ahead. It stays while this lead, or the residual of a rigid
-    motion, exceeds twice the noise. It appears two frames after the first frame that shows slip, plus the latency of a
-    frame. On trials of `fingerflow.synthetic.PartialSlip` it is raised when 5 to 11 % of the contact have slipped, and
-    in presses and rolls in no frame (`python -m tests.silent slip_flag`).
+    twice the noise of a point and by more than twice the spread of the skin: the whole rim is then ahead. It stays
+    while this lead, or the residual of a rigid motion, exceeds twice the noise. It appears two frames after the first
+    frame that shows slip, plus the latency of a frame. On trials of `fingerflow.synthetic.PartialSlip` it is raised
+    when 5 to 11 % of the contact have slipped, and in presses and rolls in no frame (`python -m tests.silent
+    slip_flag`).
 
     Torsion about the centre of the contact is odd and does not raise the flag. A shift of the whole contact during a
     press hides as much slip as it has moved the middle ahead of the rim. At a reseeding each new point takes over the

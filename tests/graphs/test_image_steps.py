@@ -1,4 +1,4 @@
-"""Tests of the modules from images to images: they compute what the ops do, alone and as steps of kornia's containers."""
+"""Tests of the modules from images to images: they compute what the ops do, alone and in kornia's containers."""
 
 import torch
 from kornia.augmentation import AugmentationSequential, RandomHorizontalFlip

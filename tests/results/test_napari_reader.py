@@ -106,7 +106,9 @@ def test_the_manifest_is_valid_and_names_what_is_read() -> None:
 
 def test_napari_draws_the_layers(trial: tuple[Path, xr.Dataset]) -> None:
     """The layers are drawn in napari's viewer model, which needs no window."""
-    components = pytest.importorskip("napari.components", reason="napari is no part of the extra dev: pip install napari")
+    components = pytest.importorskip(
+        "napari.components", reason="napari is no part of the extra dev: pip install napari"
+    )
     layer_of: Callable[..., Any] = pytest.importorskip("napari.layers").Layer.create
     viewer = components.ViewerModel()
     read = get_reader(str(trial[0] / "result.h5"))
