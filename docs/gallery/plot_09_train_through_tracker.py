@@ -95,11 +95,11 @@ print({name: f"{error:.1f} µm/mm" for name, error in errors.items()})
 assert errors["through the lens"] > 10
 assert errors["corrected by the network"] < 3
 
-figure, (left, *maps) = plt.subplots(1, 3, figsize=(8.4, 2.7), layout="constrained", width_ratios=(1.2, 1, 1))
+figure, (left, *maps) = plt.subplots(1, 3, figsize=(9.2, 2.8), layout="constrained", width_ratios=(1.1, 1, 1))
 left.plot(losses)
 left.set(xlabel="step", ylabel="RMS divergence of the shifted\nplate (µm/mm), truth 0", ylim=(0, None))
 for axes, (name, one) in zip(maps, found.items(), strict=True):
-    dots = axes.scatter(*points[0].T, c=one, s=60, marker="s", vmin=0, vmax=60, cmap="RdBu_r")
-    axes.set(title=f"{name},\n{errors[name]:.1f} µm/mm RMS off", aspect="equal", xticks=[], yticks=[])
-    axes.title.set_fontsize(9)
+    dots = axes.scatter(*points[0].T, c=one, s=80, marker="s", vmin=0, vmax=60, cmap="RdBu_r", edgecolors="0.8")
+    axes.set(box_aspect=1, xticks=[], yticks=[])
+    axes.set_title(f"{name},\n{errors[name]:.1f} µm/mm RMS off", fontsize=8)
 figure.colorbar(dots, ax=maps, label="divergence (µm/mm), truth 30")

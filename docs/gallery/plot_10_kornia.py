@@ -42,19 +42,20 @@ print(f"real contact area {area:.2f} mm², truth {true:.2f} mm²")
 assert abs(area / true - 1) < 0.05
 
 # %%
-# The topography view in `AugmentationSequential` with keypoints: our module stands before kornia's augmentations, which
-# move, with the frame, the corners found in it. The tracker finds the corners where the augmentation puts them.
+# The topography view in `AugmentationSequential` with keypoints: our median, against defective pixels, stands before
+# kornia's augmentations, which move, with the frame, the corners found in it. The tracker finds the corners where the
+# augmentation puts them.
 
-normalise = NormalizeIllumination(view("topography", empty), view("topography", dark))
-before = normalise(view("topography", last))
+counts = view("topography", last) / 255
+before = MedianFilter(3)(counts)
 points = ops.detect_corners(255 * before, count=60, min_distance=8, border=40).points
 augment = AugmentationSequential(
-    ImageSequential(normalise),
+    ImageSequential(MedianFilter(3)),
     RandomAffine(degrees=3.0, translate=(0.02, 0.02), p=1.0),
     RandomGaussianNoise(std=0.01, p=1.0),
     data_keys=["input", "keypoints"],
 )
-moved, expected = augment(view("topography", last), points)
+moved, expected = augment(counts, points)
 tracks = ops.track_points(255 * before, 255 * moved, points, window=21)
 found = tracks.status == 0
 error = (tracks.points - expected).norm(dim=-1)[found]
@@ -65,7 +66,7 @@ assert error.median() < 0.1
 _, axes = plt.subplots(1, 3, figsize=(9, 2.9), layout="constrained")
 titles = "contact view, light", "topography view, corners", "augmented, tracked"
 for panel, image, at, title in zip(axes, (light, before, moved), (None, points, tracks.points), titles, strict=True):
-    panel.imshow(image[0, 0], cmap="gray", vmin=0, vmax=1.1)
+    panel.imshow(image[0, 0], cmap="gray", vmin=0, vmax=image.quantile(0.99))
     if at is not None:
         panel.plot(*at[0][found[0]].T, ".", color="tab:orange")
     panel.set_title(title, fontsize=9)

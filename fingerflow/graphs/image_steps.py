@@ -15,6 +15,9 @@ class NormalizeIllumination(nn.Module):
         dark: the same without light; None for zero.
     """
 
+    reference: Tensor
+    dark: Tensor
+
     def __init__(self, reference: Tensor, dark: Tensor | None = None) -> None:
         super().__init__()
         self.register_buffer("reference", reference)
