@@ -117,8 +117,8 @@ def slip_flag(rows: Rows) -> list[list[str]]:
     """Return the share of the frames in which the slip flag is up, by scene without slip and light."""
     found: dict[str, dict[str, str]] = {}
     for row in rows:
-        scene, _, light = row["case"].partition(", ")
-        if light:
+        scene, _, light = row["case"].rpartition(", ")
+        if scene:
             found.setdefault(scene, {})[light] = row["number"].removesuffix(" of the frames").replace("%", " %")
     lights = list(dict.fromkeys(light for cells in found.values() for light in cells))
     return [["slip flag up in", *lights], *([scene, *_of(cells, *lights)] for scene, cells in found.items())]

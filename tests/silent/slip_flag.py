@@ -1,8 +1,8 @@
 """False alarms of the slip flag: presses, flicker of the light and rolling fingers, played as streams.
 
 The number is the share of the frames in which the flag is up. In none of these does skin slip: the bound is 1 % of the
-frames. Trials of partial slip follow, where the flag must come: the number is the share of the contact that has slipped
-when it does.
+frames. Many more rolls are computed from true positions with noise, without pictures. Trials of partial slip follow,
+where the flag must come: the number is the share of the contact that has slipped when it does.
 """
 
 import contextlib
@@ -23,11 +23,13 @@ from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.synthetic import ChainPress, PartialSlip, Press, SyntheticScene
 from fingerflow.synthetic.motion import Ellipse, PressMotion
+from fingerflow.tracker.slip_flag import SlipFlag
 from tests.silent.case import Case
 from tests.small_trials import HEIGHT, WIDTH, recipe_of_trials, write_library_bundle, write_scene_of_bundle
 
 MOST_FALSE = 0.01
 FLICKER = 0.1
+_ROLLS, _NOISE_PX = 120, 0.03
 _PRESSED = 0.3  # share of a roll after which the press ends and the rolling begins
 SIZE: dict[str, Any] = {"frame_shape": (HEIGHT, 2 * WIDTH), "finger": (3.2, 2.7)}
 
@@ -113,6 +115,37 @@ def records_of(scene: SyntheticScene, flicker: float, folder: Path) -> np.ndarra
     return np.asarray(player.read_results(folder / "results").records)
 
 
+def flags_of(scene: SyntheticScene, seed: int) -> np.ndarray[Any, Any]:
+    """Return the slip flag (frames,) of a scene without pictures: of 450 points at their true positions with noise."""
+    truth, generator, flag = scene.truth, np.random.default_rng(seed), SlipFlag()
+    material = generator.uniform(-3.6, 3.6, (450, 2)) + scene.contact_centre
+    flags = np.zeros(scene.n_frames, dtype=bool)
+    for frame in range(scene.n_frames):
+        position, ellipse = truth.positions(material, frame), truth.ellipse(frame)
+        points = truth.topography_pixels(position) + generator.normal(0, _NOISE_PX, position.shape)
+        depth = torch.full((len(position),), -1.0)
+        if ellipse is not None:
+            depth = ellipse.distance(*torch.from_numpy(position).unbind(-1))
+        flags[frame] = flag.see(points, np.full(len(points), _NOISE_PX), (depth > 0).numpy()).slipping
+    return flags
+
+
+def random_rolls(count: int) -> Iterator[Roll]:
+    """Yield rolls of any direction over 0.5 to 3.5 mm, every other one with shear, after presses of any kind."""
+    generator = np.random.default_rng(5)
+    for number in range(count):
+        length, angle = generator.uniform(0.5, 3.5), generator.uniform(0, 2 * math.pi)
+        gradient = generator.normal(0, 0.03, (2, 2))
+        yield Roll(
+            semi_axes=(generator.uniform(1.2, 2.2), generator.uniform(1.2, 2.2)),
+            way=(length * math.cos(angle), length * math.sin(angle)),
+            shear=tuple(generator.normal(0, 0.1, 2) * (number % 2)),
+            shift=tuple(generator.normal(0, 0.15, 2)),
+            gradient=(tuple(gradient[0]), tuple(gradient[1])),
+            **{"n_frames": 120, "frame_rate": 60.0, "frames_before_trigger": 6, **SIZE},
+        )
+
+
 def cases() -> Iterator[Case]:
     """Yield the scenes without slip, in steady and in flickering light, then trials of partial slip."""
     if not is_present():
@@ -127,6 +160,11 @@ def cases() -> Iterator[Case]:
             stated = f"{len(up)} frames, residual up to {1e3 * np.nanmax(records['slip_residual']):.0f} um"
             verdict = "right" if up.mean() < MOST_FALSE else "false alarm"
             yield Case(f"{name}, {light}", f"{up.mean():.2%} of the frames", "0", stated, verdict)
+    flags = [flags_of(roll, seed) for seed, roll in enumerate(random_rolls(_ROLLS))]
+    share, raised = np.mean(flags), sum(one.any() for one in flags)
+    verdict = "right" if share < MOST_FALSE else "false alarm"
+    name = f"{_ROLLS} random rolls, positions alone, steady light"
+    yield Case(name, f"{share:.2%} of the frames", "0", f"in {raised} of the rolls", verdict)
     for seed in range(3):
         slip = PartialSlip(
             n_frames=90, frame_rate=60.0, frames_before_trigger=20, semi_axes=(2.3, 1.9), creep=0.45,
