@@ -133,10 +133,14 @@ def test_settings_are_sentences() -> None:
         "slip": {"stuck_mm": None},
     }
     assert settings_tables(json.dumps(stored)) == {
-        "recording": [("frames", "a.npy"), ("frame rate", "300 Hz")],
+        "recording": [("recording", "a.npy"), ("frame rate", "300 Hz")],
         "views": [("contact", "rows 0 to 511, columns 640 to 1279")],
-        "tracking": [("window", "25 px"), ("gain offset", "yes"), ("points from", "recorded")],
-        "fields": [("strain", "green lagrange"), ("gauge length", "1.6 mm"), ("young modulus", "1 MPa")],
+        "tracking": [
+            ("side of windows", "25 px"),
+            ("allow for changes of light", "yes"),
+            ("picture for seeding", "recorded"),
+        ],
+        "fields": [("measure of strain", "green lagrange"), ("gauge length", "1.6 mm"), ("Young's modulus", "1 MPa")],
     }
     turned = 1.01 * np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     rows = dict(transform_rows(json.dumps(np.hstack((turned, [[3.4], [-6.2]])).tolist())))
