@@ -127,28 +127,29 @@ def test_a_provider_that_captures_wrongly_is_taken_without(
         engine = choice.engine_of_stream(bundle, "onnx", "cpu")
     assert engine.described == "onnx (CPUExecutionProvider)"
     assert "provider cpu does not serve here with captured graphs" in caplog.text
-    assert "not its own" in caplog.text
+    assert "are not the expected ones" in caplog.text
 
 
-# Element types of the operators that ONNX Runtime computes by CUDA at opset 18 (its docs/OperatorKernels.md). The type is
-# that of the first input, of `Where` that of the second.
+# Element types of the operators that ONNX Runtime computes by CUDA at opset 18 (its docs/OperatorKernels.md): of the
+# first input, and for `Where` of the second.
+FLAGS = {"BOOL"}
 FLOATS = {"FLOAT", "DOUBLE", "FLOAT16"}
 ORDERED = FLOATS | {"INT32", "INT64"}
 NUMBERS = ORDERED | {"INT8", "INT16", "UINT8", "UINT16"}
 ON_CUDA = {
-    **dict.fromkeys(("Cast", "Concat", "Constant", "Expand", "Gather", "GatherElements"), NUMBERS | {"BOOL"}),
-    **dict.fromkeys(("Identity", "Reshape", "ScatterElements", "Slice", "Split", "Squeeze"), NUMBERS | {"BOOL"}),
-    **dict.fromkeys(("Transpose", "Unsqueeze"), NUMBERS | {"BOOL"}),
+    **dict.fromkeys(("Cast", "Concat", "Constant", "Expand", "Gather", "GatherElements"), NUMBERS | FLAGS),
+    **dict.fromkeys(("Identity", "Reshape", "ScatterElements", "Slice", "Split", "Squeeze"), NUMBERS | FLAGS),
+    **dict.fromkeys(("Transpose", "Unsqueeze"), NUMBERS | FLAGS),
     **dict.fromkeys(("Abs", "Add", "Div", "Mul", "Sign", "Sub"), NUMBERS),
     **dict.fromkeys(("Less", "LessOrEqual", "Greater", "GreaterOrEqual", "Max", "Min", "Mod", "TopK", "Pow"), ORDERED),
     **dict.fromkeys(("CumSum", "ReduceMax", "ReduceSum"), ORDERED),
     **dict.fromkeys(("ArgMax", "ArgMin", "MatMul", "Relu", "Reciprocal", "Sqrt", "Sin", "Cos", "IsNaN"), FLOATS),
     **dict.fromkeys(("Ceil", "Floor", "Round"), FLOATS),
-    **dict.fromkeys(("And", "Or", "Not"), {"BOOL"}),
-    "Equal": ORDERED | {"BOOL"},
+    **dict.fromkeys(("And", "Or", "Not"), FLAGS),
+    "Equal": ORDERED | FLAGS,
     "IsInf": FLOATS - {"FLOAT16"},
     "Neg": ORDERED | {"INT8", "INT16"},
-    "Pad": FLOATS | {"BOOL"},
+    "Pad": FLOATS | FLAGS,
     "ReduceMean": FLOATS | {"INT32"},
     "ReduceMin": ORDERED | {"INT8", "UINT8"},
     "Resize": FLOATS | {"INT32", "UINT8"},

@@ -229,7 +229,7 @@ def test_numbers_that_are_not_those_of_the_bundle_are_refused(stream: Stream) ->
     expected["numbers"]["real_area_px"] *= 1.01
     _rewritten(stream.bundle, expected=expected)
     said = stream.refused("--source", "synthetic", "--engine", "native")
-    assert "its numbers of the built-in frame are not those of the bundle (real_area_px is off by 0.0099" in said
+    assert "its numbers of the built-in frame are not the expected ones (real_area_px is off by 0.0099" in said
 
 
 @pytest.mark.parametrize(
