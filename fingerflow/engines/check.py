@@ -250,7 +250,6 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
         "found_updated": updated,
         "corrected": corrected.found.points[0],
         "deviation": np.sqrt(corrected.found.variance[0]),
-        "warp": corrected.warp[0],
         "windows": windows.mean(1),
     }
     places = frame.truth[None].copy()
@@ -258,6 +257,8 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     off = found._replace(points=places, covariance=_covariance(frame))
     judged = engine.outliers(engine.neighbours(frame.points), frame.points, off)
     results |= zip(("off_neighbours", "uncertain"), (one[0] for one in judged), strict=True)
+    # Among points off their place a local fit depends on its weights, which it does not in a uniform stretch.
+    results["warp"] = engine.correct(frame.points, off, templates.numbers, straight).warp[0]
     if engine.settings.search_px:
         places, returns = engine.search(key, images, start, near)
         results["searched"] = np.where(returns[:, None], places, np.nan)
