@@ -202,7 +202,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     _rewritten(stream.bundle, graphs={"light": {}})
     assert "has no proper entry 'sha256'" in said()
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 6; use the player of the same bundle, or export it again" in said()
+    assert "its format is 1, this player reads 7; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").write_text("{")
     assert "is no JSON" in said()
     (stream.bundle / "bundle.json").unlink()
