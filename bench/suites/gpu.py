@@ -35,6 +35,7 @@ from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
 from fingerflow.engines.capture import Captured
+from fingerflow.engines.memory import FRAMES, TOGETHER
 from fingerflow.graphs import (
     AgreementGraph,
     ContactGraph,
@@ -51,8 +52,8 @@ from fingerflow.synthetic import Press
 
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
+BATCHES = (1, 8, TOGETHER)  # numbers of recordings
 
-_FRAMES = 8  # that the fused kernel follows in one launch
 _BEFORE = 3  # calls that are not timed: a module is captured in its third
 
 Call = Callable[..., object]
@@ -75,7 +76,7 @@ class Work(NamedTuple):
 
 def run(quick: bool) -> list[Row]:
     """One row a work, way and number of recordings."""
-    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
+    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, BATCHES)
     if not torch.cuda.is_available():
         return [row for batch in batches for row in _predicted_rows(_works(shape, points, batch), batch)]
     return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
@@ -103,7 +104,7 @@ def _fused_steps(works: "Mapping[str, Work]", steps: Mapping[str, Launches], bat
     from bench.fused_work import fused_kernels  # needs Triton
 
     points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
-    work = tuple(fused_tracking(points, window, batch, _FRAMES))
+    work = tuple(fused_tracking(points, window, batch, FRAMES))
     fused = {"tracking": Launches(1, None, work, 0, steps["tracking"].captured)}
     for name in steps.keys() - fused:
         launches = count_launches(works[name].graph, works[name].inputs, fused_kernels)
