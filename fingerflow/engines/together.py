@@ -27,7 +27,19 @@ log = logging.getLogger(__name__)
 # Methods whose calls may be batched over recordings, in the order in which they are answered. The most frequent and
 # shortest calls come first: recordings that need more of them catch up, and the next longer call is again shared by
 # all.
-_ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "covered", "threshold", "contact", "fields")
+_ORDER = (
+    "track",
+    "follow",
+    "outliers",
+    "correct",
+    "prepare",
+    "windows",
+    "noise",
+    "covered",
+    "threshold",
+    "contact",
+    "fields",
+)
 
 
 class Call(NamedTuple):

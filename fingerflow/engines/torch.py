@@ -11,10 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.utils._pytree import tree_leaves
 
 from fingerflow.engines import engine as arrays
-from fingerflow.engines.engine import Array, EngineSettings
+from fingerflow.engines.engine import ROWS, Array, EngineSettings
 from fingerflow.engines.padding import filled, parts, stacked
+from fingerflow.engines.points_graph import PointsGraph
 from fingerflow.engines.prediction import MotionState
 from fingerflow.engines.transfers import Transfers, transfers_of
 from fingerflow.graphs import (
@@ -83,6 +85,7 @@ class TorchEngine:
         self._track = modules(TrackGraph(own.forward_backward_limit_px))
         self._deformation = modules(DeformationGraph(own.window_px))
         self._agreement = modules(AgreementGraph())
+        self._points = modules(PointsGraph(own.window_px, own.forward_backward_limit_px))
         self._fields = modules(FieldsGraph(own.gauge_length_mm, own.strain))
         self._light = modules(LightGraph())
         self.cell_px: int = self._contact.cell_px
@@ -143,13 +146,27 @@ class TorchEngine:
         chosen = self._tensor(rows)
         for old, new in zip(templates.templates, updated.templates, strict=True):
             if old is not None and new is not None:
-                old.index_copy_(1, chosen, new)  # in place: few rows are updated, and all templates take megabytes
+                # In place: few rows are updated, and all templates take megabytes. Points after them are padding.
+                old.index_copy_(1, chosen, new[:, : len(rows)])
         templates.numbers[rows] = updated.numbers
 
     def follow(
         self, templates: _TorchTemplates, images: Tensor, place: Array, speed: Array, rows: Array | None = None
     ) -> arrays.Followed:
         return self._compute(self._follow_of([(templates, images, place, speed, rows)]))[0]
+
+    def track(
+        self,
+        templates: _TorchTemplates,
+        images: Tensor,
+        place: Array,
+        speed: Array,
+        neighbours: Neighbours,
+        start: Array,
+        inverse_warp: Array,
+    ) -> arrays.Tracked:
+        given = templates, images, place, speed, neighbours, start, inverse_warp
+        return self._compute(self._track_of([given]))[0]
 
     def correct(self, start: Array, found: arrays.FoundPoints, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
         return self._compute(self._correct_of([(start, found, numbers, inverse_warp)]))[0]
@@ -310,27 +327,57 @@ class TorchEngine:
     def _prepare_of(self, many: _Many) -> _Computation[list[_TorchTemplates]]:
         keys, points, warps = zip(*many, strict=True)
         noise = np.array([key.noise for key in keys], np.float32)
-        place, deviation, *warp = self._send(stacked(points), noise, *([] if warps[0] is None else [stacked(warps)]))
+        counts = [len(one) for one in points]
+        # Points are few sizes for a device, whose graphs are recorded for each size.
+        sizes = [-(-count // ROWS) * ROWS if self.computes_behind else count for count in counts]
+        given = [points] if warps[0] is None else [points, warps]
+        place, *warp, deviation = self._send(*(stacked(one, max(sizes)) for one in given), noise)
         images = _concatenated([key.image for key in keys])
         templates = self._key(images, place, deviation, *warp)
         (numbers,) = yield [templates.numbers]
         return [
-            _TorchTemplates(
-                Templates._make(one[k : k + 1, : len(own)] for one in templates), numbers[k, : len(own)].copy()
-            )
-            for k, own in enumerate(points)
+            _TorchTemplates(Templates._make(one[k : k + 1, :size] for one in templates), numbers[k, :count].copy())
+            for k, (count, size) in enumerate(zip(counts, sizes, strict=True))
         ]
+
+    def _track_of(self, many: _Many) -> _Computation[list[arrays.Tracked]]:
+        held, images, places, speeds, neighbours, starts, inverses = zip(*many, strict=True)
+        templates = self._stacked_templates(held, [None] * len(many))
+        if not kernels.fused_tracking_serves(templates.samples, *images):
+            alone = [(*one, None) for one in zip(held, images, places, speeds, strict=True)]
+            return [arrays.Tracked(one, None) for one in (yield from self._follow_of(alone))]
+        frames, most = [len(one) for one in images], templates.start.shape[1]
+        place, speed, start, inverse, lengths = self._send(
+            *(stacked(one, most) for one in (places, speeds, starts, inverses)), np.array(frames, np.int32)
+        )
+        near = Neighbours(*map(_concatenated, zip(*(_padded(one, most) for one in neighbours), strict=True)))
+        tracked = self._points(templates, _frame_by_frame(images), place, speed, lengths, near, start, inverse)
+        copied = iter((yield tree_leaves(tracked)))
+        found, after = [next(copied) for _ in Found._fields], (next(copied), next(copied))
+        deformed = list(copied)
+        results = []
+        for b, (last, own) in enumerate(zip(frames, starts, strict=True)):
+            some, count = slice(b, last * len(many), len(many)), len(own)
+            of_frames = arrays.FoundPoints(*(one[some, :count] for one in found))
+            corrected = [one[some, :count] for one in deformed]
+            results.append(
+                arrays.Tracked(
+                    arrays.Followed(of_frames, *(one[b, :count] for one in after)),
+                    arrays.Corrected(arrays.FoundPoints(*corrected[: len(found)]), *corrected[len(found) :]),
+                )
+            )
+        return results
 
     def _follow_of(self, many: _Many) -> _Computation[list[arrays.Followed]]:
         held, images, places, speeds, rows = zip(*many, strict=True)
         counts, frames = [len(one) for one in places], [len(one) for one in images]
-        size = len(many), max(counts)
         templates = self._stacked_templates(held, rows)
+        size = templates.start.shape[:2]
         if kernels.fused_tracking_serves(templates.samples, *images):
             return (yield from self._follow_fused(templates, images, places, speeds))
         # Concatenate the points of all recordings; a recording with fewer frames repeats its last frame until the
         # others end.
-        courses = [MotionState.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
+        courses = [MotionState.begin(*(stacked(one, size[1]).reshape(-1, 2) for one in (places, speeds)))]
         every = []
         for k in range(max(frames)):
             image = _concatenated([one[min(k, len(one) - 1)][None] for one in images])
@@ -359,11 +406,9 @@ class TorchEngine:
         """
         from fingerflow.kernels.tensors.fused_tracking import find_templates  # imported here, as it needs Triton
 
-        frames = [len(one) for one in images]
-        views = torch.stack(list(images), 1) if len(set(frames)) == 1 else nn.utils.rnn.pad_sequence(list(images))
-        views = views.flatten(0, 1)  # frame k of recording b has the index k B + b
+        frames, views, most = [len(one) for one in images], _frame_by_frame(images), templates.start.shape[1]
         limits = rounding_variance(views), self.settings.forward_backward_limit_px, MISMATCH_SHARE
-        near, pace, lengths = self._send(stacked(places), stacked(speeds), np.array(frames, np.int32))
+        near, pace, lengths = self._send(stacked(places, most), stacked(speeds, most), np.array(frames, np.int32))
         *found, place, speed = yield find_templates(templates, views, near, pace, None, ROUNDS, *limits, lengths)
         return [
             arrays.Followed(
@@ -382,8 +427,8 @@ class TorchEngine:
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
             for one, some in zip(held, rows, strict=True)
         ]
-        if len(every) == 1:
-            return every[0]
+        if len({len(one.start[0]) for one in every}) == 1:
+            return Templates._make(map(_concatenated, zip(*every, strict=True)))
         return Templates._make(
             nn.utils.rnn.pad_sequence([one[0] for one in some], True, torch.nan) for some in zip(*every, strict=True)
         )
@@ -440,6 +485,15 @@ class TorchEngine:
         window = self.settings.window_px
         (found,) = yield [sample_windows(_concatenated(images), which, place, warp, window, steps[0])]
         return [found[some] for some in parts(len(one) for one in places)]
+
+
+def _frame_by_frame(images: Sequence[Tensor]) -> Tensor:
+    """Join the images (K, 1, H, W) of B recordings so that frame k of recording b is the k B + b th; recordings of
+    fewer frames are padded.
+    """
+    alike = len({len(one) for one in images}) == 1
+    views = torch.stack(list(images), 1) if alike else nn.utils.rnn.pad_sequence(list(images))
+    return views.flatten(0, 1)
 
 
 def _join_found(founds: Sequence[arrays.FoundPoints]) -> arrays.FoundPoints:

@@ -31,7 +31,7 @@ class Transfers:
 
     def send(self, arrays: Sequence[Array]) -> list[Tensor]:
         """Return arrays as tensors on the device, for the computation that is launched next."""
-        return [torch.from_numpy(np.ascontiguousarray(one)).to(self.device) for one in arrays]
+        return [torch.from_numpy(np.asarray(one, order="C")).to(self.device) for one in arrays]
 
     def send_ahead(self, array: Array) -> Callable[[], Tensor]:
         """Begin to copy an array to the device, and return a function that returns the tensor for computations that are
