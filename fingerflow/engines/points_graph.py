@@ -66,14 +66,24 @@ class PointsGraph(nn.Module):
         followed = fused_tracking.find_templates(templates, views, place, speed, None, ROUNDS, *limits, lengths)
         *of_frames, place, speed = followed
         found = Found(*(one.flatten(0, 1) for one in of_frames))
+        deformed = self.judge_and_correct(found, neighbours, start, templates.numbers, inverse_warp)
+        return TrackedPoints(found, place, speed, deformed)
+
+    def judge_and_correct(
+        self, found: Found, neighbours: Neighbours, start: Tensor, numbers: Tensor, inverse_warp: Tensor
+    ) -> Deformed:
+        """Reject the outliers among points found in K B frames, (K B, N, ...), and correct the positions of the others;
+        the other tensors, (B, N, ...), are those of the B recordings.
+        """
         # Those of a single recording hold for all of its frames.
-        each = len(found.status) // len(place) if len(place) > 1 else 1
-        starts, numbers, inverse, *near = (
+        each = len(found.status) // len(start) if len(start) > 1 else 1
+        starts, number, inverse, *near = (
             one if each == 1 else one.repeat(each, *[1] * (one.ndim - 1))
-            for one in (start, templates.numbers, inverse_warp, *neighbours)
+            for one in (start, numbers, inverse_warp, *neighbours)
         )
         judged = self._without_outliers(found, Neighbours(*near), starts)
-        return TrackedPoints(found, place, speed, self.deformation(starts, judged, numbers, inverse))
+        deformed: Deformed = self.deformation(starts, judged, number, inverse)
+        return deformed
 
     def _without_outliers(self, found: Found, neighbours: Neighbours, start: Tensor) -> Found:
         """Return the points found with the outliers among them rejected, as `tracker.points` does on the host."""

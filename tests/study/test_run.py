@@ -119,6 +119,18 @@ def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPat
     assert {2, 8, TOGETHER} <= set(found)
 
 
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: groups were tested on the processor")
+def test_a_study_on_a_gpu(study: Manifest, undisturbed: Manifest) -> None:
+    """All trials of a small study are measured together on the GPU, with the numbers of each by itself."""
+    assert set(_run(study, None).values()) == {MEASURED}
+    made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
+    assert {one["together"] for one in made} == {min(TOGETHER, len(study.trials))}
+    table, expected = table_of(study), table_of(undisturbed)
+    for name in ("real_contact_area", "gross_contact_area", "divergence"):
+        np.testing.assert_allclose(table[name], expected[name], rtol=1e-3, atol=1e-3)
+
+
 def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:
     if len(jobs) > 1:
         raise MemoryError("as where all of them are too much for a worker")
