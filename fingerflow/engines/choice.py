@@ -63,12 +63,15 @@ def _captures(settings: EngineSettings, device: torch.device) -> bool:
     Raises FingerflowError if they do not without replay either.
     """
     from fingerflow.engines.capture import Captured
+    from fingerflow.engines.points_graph import check_track
     from fingerflow.engines.torch import TorchEngine
 
     side = max(96, 4 * settings.window_px)
     frames = built_in(side, side, 8, 24, settings.window_px)
     try:
-        check_frames(TorchEngine(settings, device, Captured), frames)
+        replayed = TorchEngine(settings, device, Captured)
+        check_frames(replayed, frames)
+        check_track(replayed, frames)
     except FingerflowError as error:
         log.warning("the modules are not captured as graphs and computed call by call: %s", error)
         check_frames(TorchEngine(settings, device), frames)

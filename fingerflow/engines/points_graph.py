@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from fingerflow.engines.check import BuiltIn
+from fingerflow.engines.engine import Engine, TracksWhole
+from fingerflow.errors import FingerflowError
 from fingerflow.graphs import AgreementGraph, DeformationGraph
 from fingerflow.graphs.track import Deformed
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDS, TrackStatus
 from fingerflow.ops.filters.noise import rounding_variance
 from fingerflow.ops.tracking.outliers import Neighbours
 from fingerflow.ops.tracking.templates import Found, Templates
+
+_TURNS = 6  # calls of the check: the first two are not captured
+_APART = 0.01  # px, largest difference of a position from that of single calls
+_KNOWN = 0.5  # least share of the points tracked in the built-in frames that must not be outliers
 
 
 class TrackedPoints(NamedTuple):
@@ -97,3 +105,35 @@ class PointsGraph(nn.Module):
             covariance=torch.where(wrong[..., None, None], torch.nan, found.covariance),
             status=status,
         )
+
+
+def check_track(engine: Engine, frame: BuiltIn) -> None:
+    """Check, in two built-in frames in turns, that an engine that tracks and corrects points in one call gives in each
+    the positions that single calls give.
+
+    Raises:
+        FingerflowError: it does not.
+    """
+    if not isinstance(engine, TracksWhole):
+        return
+    templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
+    still, straight = np.zeros_like(frame.points), np.tile(np.eye(2, dtype=np.float32), (len(frame.points), 1, 1))
+    neighbours = engine.neighbours(frame.points)
+    for turn in range(_TURNS):
+        shown, place = (frame.topography, frame.expected) if turn % 2 else (frame.key, frame.points)
+        given = templates, engine.images(shown[None]), place, still
+        tracked = engine.track(*given, neighbours, frame.points, straight)
+        if tracked.corrected is None:
+            return
+        found = engine.follow(*given).found
+        corrected = engine.correct(frame.points, found, templates.numbers, straight).found
+        pairs = ((tracked.followed.found, found, 1.0), (tracked.corrected.found, corrected, _KNOWN))
+        for ours, theirs, share in pairs:
+            known = np.isfinite(theirs.points)
+            apart = np.abs(ours.points - theirs.points)[known]
+            most = np.nan_to_num(apart).max(initial=0.0)
+            if np.isfinite(apart).sum() < share * len(apart) or most > _APART:
+                raise FingerflowError(
+                    f"engine {engine.described}: points of a frame that are tracked and corrected in one call are "
+                    f"unknown, or up to {most:.2g} px off those of single calls"
+                )

@@ -1,6 +1,6 @@
 """Tests of points tracked, judged and corrected in one call, against the same steps with the host between them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.engines.capture import Captured
+from fingerflow.engines.capture import Captured, RecordedCall
+from fingerflow.engines.check import built_in
 from fingerflow.engines.engine import EngineSettings, FoundPoints, Tracked, TracksWhole
+from fingerflow.engines.points_graph import check_track
 from fingerflow.engines.torch import TorchEngine
+from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.recovery import rejected
@@ -115,6 +118,23 @@ def test_one_graph_for_all_steps_and_frames() -> None:
         assert len(replayed) == (call >= 2)
         for one, arguments in zip(ours, shown, strict=True):
             assert_equal(one, step_by_step(alone, arguments))
+
+
+def record_for_ever(call: Callable[[], Any]) -> RecordedCall:
+    """Return a recording that does not see new inputs."""
+    return RecordedCall(lambda: None, call())
+
+
+def test_points_that_stand_still_are_noticed_at_start() -> None:
+    """The check at start passes where the graph of the points sees new frames, and fails where it repeats the first."""
+    frame = built_in(96, 128, 8, 48, SETTINGS.window_px)
+    check_track(TorchEngine(SETTINGS, CPU), frame)
+    engine = TorchEngine(SETTINGS, CPU)
+    engine._points = Captured(engine._points, record)
+    check_track(engine, frame)
+    engine._points = Captured(engine._points._module, record_for_ever)
+    with pytest.raises(FingerflowError, match="tracked and corrected in one call"):
+        check_track(engine, frame)
 
 
 def test_without_the_kernel_points_are_only_followed(monkeypatch: pytest.MonkeyPatch) -> None:
