@@ -59,7 +59,7 @@ from fingerflow.synthetic import Press
 
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
-BATCHES = (1, 8, TOGETHER)  # numbers of recordings
+BATCHES = (1, 8, TOGETHER // 2, TOGETHER)  # numbers of recordings; a study computes them in two halves
 
 # Steps of a frame of a recording: of the portable form, and with kernels of Triton.
 _STEPS = ("contact", "tracking", "outliers", "deformation", "fields")
