@@ -15,7 +15,7 @@ def test_more_is_planned_than_is_counted(shape: tuple[int, int], points: int) ->
     copies for graphs and frames of 32 bit need more.
     """
     works = _works(shape, points, 1)
-    peaks = {name: count_launches(work.graph, work.inputs).peak for name, work in works.items()}
+    peaks = {name: count_launches(one.graph, one.inputs).peak for name, one in works.items() if name != "points"}
     assert peaks["contact"] > 4 * shape[0] * shape[1]
     assert peaks["deformation"] > 4 * points**2
     of_frame = peaks["contact"] + max(peaks["deformation"], peaks["outliers"])
