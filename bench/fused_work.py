@@ -14,19 +14,28 @@ from unittest import mock
 
 from torch import Tensor
 
+from bench.devices import fused_tracking as fused_tracking_work
 from bench.launches import Counter, Work, bytes_of
+from fingerflow.engines.memory import FRAMES
 from fingerflow.kernels.tensors import (
     fused_contact,
     fused_fits,
     fused_medians,
     fused_outliers,
     fused_pixels,
+    fused_tracking,
     serving,
 )
 
 Arguments = Mapping[str, Any]  # of a kernel, by name
 
 _PAIR = 2 * 10  # operations for the weight of a point at a position
+
+
+def follow(given: Arguments, programs: int) -> Work:
+    """Return the work of `fused_tracking._follow` on one of the frames that recordings have in a launch."""
+    (work,) = fused_tracking_work(given["count"], given["WINDOW"], given["recordings"], FRAMES)
+    return work
 
 
 def local_fit(given: Arguments, programs: int) -> Work:
@@ -112,6 +121,7 @@ def segment(given: Arguments, programs: int) -> Work:
 
 
 _KERNELS: Sequence[tuple[ModuleType, str, Callable[[Arguments, int], Work]]] = (
+    (fused_tracking, "_follow", follow),
     (fused_fits, "_fit", local_fit),
     (fused_medians, "_fit_positions", fit_positions),
     (fused_medians, "_take_medians", take_medians),

@@ -76,8 +76,8 @@ class Launches(NamedTuple):
 
     Attributes:
         peak: most bytes alive at a time of tensors that the step makes.
-        captured: calls of the host where the step is captured (`engines.capture`): the graph, and copies of its inputs
-            and results, one for each dtype.
+        captured: calls of the host where the step is captured (`engines.capture`): a copy of the inputs, the graph, and
+            a copy of the results; a copy more where sizes of inputs in bytes are not all divisible by four.
     """
 
     calls: int
@@ -161,8 +161,8 @@ def count_launches(
     described = tree_map(
         lambda value: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else value, result
     )
-    kinds = [{one.dtype for one in tree_leaves(some) if isinstance(one, Tensor)} for some in (given, result)]
-    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, 1 + sum(map(len, kinds)))
+    kinds = {one.nbytes % 4 == 0 for one in tree_leaves(given) if isinstance(one, Tensor)}
+    return Launches(len(counter.work), described, tuple(counter.work), counter.peak, len(kinds) + 2)
 
 
 def _work(name: str, given: Sequence[Tensor], results: Sequence[Tensor]) -> Work:

@@ -45,6 +45,7 @@ def play(
     frames: int | None = None,
     rate: int | None = None,
     parallel: int = 1,
+    provider: str | None = None,
     python: Path | str = sys.executable,
     watch: Callable[[int], None] = lambda pid: None,
     watch_s: float = 0.1,
@@ -68,6 +69,7 @@ def play(
             "--frames": frames,
             "--rate": rate,
             "--parallel-frames": parallel if parallel > 1 else None,
+            "--provider": provider,
         }
         given = [str(word) for option in options.items() if option[1] is not None for word in option]
         command = [str(python), "-m", "fingerflow.player", *given]

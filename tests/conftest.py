@@ -49,6 +49,10 @@ settings.load_profile("reproducible")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
+    if torch.cuda.is_available():  # without a GPU these run in Triton's interpreter
+        for item in items:
+            if item.path.name.startswith("test_fused"):
+                item.add_marker(pytest.mark.gpu)
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 

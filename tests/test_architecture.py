@@ -24,7 +24,7 @@ _TABLE = {
     "ops": "kernels tensors",
     "graphs": "kernels ops",
     "engines": "errors kernels schema",  # works on NumPy arrays
-    "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py, capture.py
+    "torch_engine": "engines errors graphs kernels ops tensors",  # see `_room`
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
     "models": "errors tensors",
@@ -109,7 +109,7 @@ def room_of(path: Path) -> str:
 
 def _room(parts: list[str]) -> str:
     own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
-    own |= {("engines", one): "torch_engine" for one in ("torch", "capture")}
+    own |= {("engines", one): "torch_engine" for one in ("torch", "capture", "points_graph", "transfers")}
     return own.get(tuple(parts[:2]), parts[0])
 
 

@@ -10,15 +10,19 @@ is over the same frames on this machine's processor, by the same graphs and with
 built. `deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
 divergence; NaN in one and not in the other counts as infinite.
 
-`launches` are the operations that an eager call of the portable form gives the accelerator, `MB` and `MFLOP` what they
-move and compute for a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it
-cannot be captured. The columns of named GPUs are frames a second that these counts predict, eager and captured: an
-upper limit, from the maker's figures (`bench/devices.py`). `frame` is the sum of the steps that each frame of a
-recording takes: all but `key`. `launches_captured` are those of the host where each step is captured: a graph, and
-copies of its inputs and results, by dtype. The rows `fused` are those with the kernels of Triton, whose bytes and
-operations are those of formulas (`bench/fused_work.py`); the one that follows the points has eight frames in a launch,
-of which one is counted. Where Triton is installed beside CUDA, all works are these. Without CUDA these are all rows,
-and nothing is measured.
+`launches` are the operations that an eager call gives the accelerator, `MB` and `MFLOP` what they move and compute for
+a frame, by `bench/launches.py`; for a step that makes the host wait, `waits` says for what, and it cannot be captured.
+The columns of named GPUs are frames a second that these counts predict, eager and captured: an upper limit, from the
+maker's figures (`bench/devices.py`). `launches_captured` are those of the host where each step is captured: a copy of
+its inputs, the graph, a copy of its results. The numbers of the host that a step takes, and its results, are one copy
+each besides.
+
+The rows `fused` are those with the kernels of Triton, whose bytes and operations are those of formulas
+(`bench/fused_work.py`); the one that follows the points has eight frames in a launch, of which one is counted. There
+`points` is `PointsGraph`: tracking, outliers and deformation as one step, as a GPU with Triton takes them. `frame` is
+the sum of the steps that each frame of a recording takes: `contact`, `tracking`, `outliers`, `deformation` and
+`fields`, and with Triton `contact`, `points` and `fields`. On a GPU the counts are those of the `form` that runs there;
+without CUDA nothing is measured, and there are rows of both forms.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,12 +33,14 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_leaves, tree_map
 
-from bench.devices import DEVICES, fused_tracking, predicted_seconds
+from bench.devices import DEVICES, predicted_seconds
 from bench.launches import HostWait, Launches, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
 from fingerflow.engines.capture import Captured
+from fingerflow.engines.memory import TOGETHER
+from fingerflow.engines.points_graph import PointsGraph, TrackedPoints
 from fingerflow.graphs import (
     AgreementGraph,
     ContactGraph,
@@ -45,14 +51,19 @@ from fingerflow.graphs import (
     LightGraph,
     TrackGraph,
 )
+from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.tracking.outliers import find_neighbours
+from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
+from fingerflow.ops.tracking.templates import Found, Templates
 from fingerflow.synthetic import Press
 
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
+BATCHES = (1, 8, TOGETHER // 2, TOGETHER)  # numbers of recordings; a study computes them in two halves
 
-_FRAMES = 8  # that the fused kernel follows in one launch
+# Steps of a frame of a recording: of the portable form, and with kernels of Triton.
+_STEPS = ("contact", "tracking", "outliers", "deformation", "fields")
+_FUSED_STEPS = ("contact", "points", "fields")
 _BEFORE = 3  # calls that are not timed: a module is captured in its third
 
 Call = Callable[..., object]
@@ -66,16 +77,42 @@ WAYS: Mapping[str, Callable[[nn.Module], Call]] = {
 
 
 class Work(NamedTuple):
-    """A graph, what it is given for a batch of frames, and which of its results is compared."""
+    """A graph, what it is given for a batch of frames, and which of its results is compared; and the graph that
+    computes the same on a processor, where that is another one.
+    """
 
     graph: nn.Module
     inputs: tuple[Any, ...]
     result: Callable[..., Tensor]
+    peer: nn.Module | None = None
+
+
+class _StepByStep(nn.Module):
+    """Module that computes what `PointsGraph` does, by the portable form of tracking."""
+
+    def __init__(self, graph: PointsGraph) -> None:
+        super().__init__()
+        self.track, self.graph = TrackGraph(graph.forward_backward_limit), graph
+
+    def forward(
+        self,
+        templates: Templates,
+        views: Tensor,
+        place: Tensor,
+        speed: Tensor,
+        lengths: Tensor,
+        neighbours: Neighbours,
+        start: Tensor,
+        inverse_warp: Tensor,
+    ) -> TrackedPoints:
+        found: Found = self.track(templates, views, place + speed)
+        deformed = self.graph.judge_and_correct(found, neighbours, start, templates.numbers, inverse_warp)
+        return TrackedPoints(found, found.estimate, speed, deformed)
 
 
 def run(quick: bool) -> list[Row]:
     """One row a work, way and number of recordings."""
-    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
+    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, BATCHES)
     if not torch.cuda.is_available():
         return [row for batch in batches for row in _predicted_rows(_works(shape, points, batch), batch)]
     return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
@@ -83,33 +120,31 @@ def run(quick: bool) -> list[Row]:
 
 def _predicted_rows(works: "Mapping[str, Work]", batch: int) -> list[Row]:
     """Return a row for each work, one for each that kernels of Triton compute otherwise, and the sums over a frame."""
-    portable = {name: _launches(work) for name, work in works.items()}
+    portable = {name: _launches(work) for name, work in works.items() if name != "points"}
     counted: dict[str, Launches | str] = dict(portable)
-    steps = {name: launches for name, launches in portable.items() if isinstance(launches, Launches) and name != "key"}
-    if len(steps) == len(works) - 1:
-        counted["frame"] = _joined(list(steps.values()))
+    steps = {name: launches for name, launches in portable.items() if isinstance(launches, Launches)}
+    if len(steps) == len(portable):
+        counted["frame"] = _joined([steps[name] for name in _STEPS])
         if find_spec("triton") is not None:
-            fused = _fused_steps(works, steps, batch)
+            fused = _fused_steps(works, steps)
             counted |= {f"{name}, fused": launches for name, launches in fused.items()}
-            counted["frame, fused"] = _joined(list((steps | fused).values()))
+            counted["frame, fused"] = _joined([(steps | fused)[name] for name in _FUSED_STEPS])
     return [
         {"work": name, "recordings": batch, **_counts(launches, batch), "measured": "none: no device here"}
         for name, launches in counted.items()
     ]
 
 
-def _fused_steps(works: "Mapping[str, Work]", steps: Mapping[str, Launches], batch: int) -> dict[str, Launches]:
-    """Return the launches of the steps of a frame that kernels of Triton compute otherwise than `steps`."""
+def _fused_steps(works: "Mapping[str, Work]", portable: Mapping[str, Launches]) -> dict[str, Launches]:
+    """Return the launches of the works that kernels of Triton compute otherwise than the `portable` form."""
     from bench.fused_work import fused_kernels  # needs Triton
 
-    points, window = works["tracking"].inputs[2].shape[1], works["tracking"].inputs[0].window
-    work = tuple(fused_tracking(points, window, batch, _FRAMES))
-    fused = {"tracking": Launches(1, None, work, 0, steps["tracking"].captured)}
-    for name in steps.keys() - fused:
-        launches = count_launches(works[name].graph, works[name].inputs, fused_kernels)
-        if launches.calls < steps[name].calls:
-            fused[name] = launches
-    return dict(sorted(fused.items()))
+    fused = {name: count_launches(work.graph, work.inputs, fused_kernels) for name, work in works.items()}
+    return {
+        name: launches
+        for name, launches in sorted(fused.items())
+        if name not in portable or launches.calls < portable[name].calls
+    }
 
 
 def _joined(steps: Sequence[Launches]) -> Launches:
@@ -156,15 +191,19 @@ def rows_on(
 ) -> list[Row]:
     """The rows of any device."""
     rows: list[Row] = []
+    fused = kernels.fused_serves(torch.empty(0, device=device))
     for batch in batches:
-        for name, work in _works(shape, points, batch).items():
-            calls: dict[str, Callable[[], object]] = {PEER: _call(work.graph, work.inputs)}
+        works = {name: work for name, work in _works(shape, points, batch).items() if fused or name != "points"}
+        counted = {name: _launches(work) for name, work in works.items() if name != "points"}
+        if fused:
+            counted |= _fused_steps(works, {name: one for name, one in counted.items() if isinstance(one, Launches)})
+        for name, work in works.items():
+            calls: dict[str, Callable[[], object]] = {PEER: _call(work.peer or work.graph, work.inputs)}
             on_device = tree_map(lambda value: value.to(device) if isinstance(value, Tensor) else value, work.inputs)
-            launches = _launches(work)
             calls |= {
                 way: _call(prepare(work.graph), on_device)
                 for way, prepare in ways.items()
-                if prepare is not Captured or isinstance(launches, Launches)
+                if prepare is not Captured or isinstance(counted[name], Launches)
             }
             for call in (*calls.values(),) * _BEFORE:
                 call()
@@ -176,7 +215,8 @@ def rows_on(
                         "work": name,
                         "recordings": batch,
                         "way": way,
-                        **_counts(launches, batch),
+                        "form": "fused" if fused else "portable",
+                        **_counts(counted[name], batch),
                         **times[way].of_each(batch).cells(),
                         "deviation": _deviation(work.result(call()).cpu(), expected),
                     }
@@ -218,6 +258,7 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     straight = torch.eye(2).expand_as(covariance).contiguous()
     middle = torch.tensor([[shape[1] / 2, shape[0] / 2]]).repeat(batch, 1)
     ellipse = GrossEllipse(middle, middle * 0.6, torch.zeros(batch))
+    whole, frames = PointsGraph(21, 1.0), torch.ones(batch, dtype=torch.int32)
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
         "key": Work(key, (previous, places), lambda templates: templates.samples),
@@ -229,6 +270,12 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
         ),
         "deformation": Work(
             DeformationGraph(21), (places, found, templates.numbers, straight), lambda deformed: deformed.found.points
+        ),
+        "points": Work(
+            whole,
+            (templates, current, places, torch.zeros_like(places), frames, near, places, straight),
+            lambda tracked: tracked.deformed.found.points,
+            _StepByStep(whole),
         ),
         "fields": Work(
             FieldsGraph(50.0), (places, displacement, covariance, ellipse), lambda fields: fields.divergence

@@ -41,16 +41,22 @@ def gpu_counts(rows: Rows) -> list[list[str]]:
         "launches, portable form",
         "by kernels of Triton",
         "of the host, captured",
+        "by kernels of Triton",
         "MB moved",
         "by kernels of Triton",
     )
     names = {"contact": "contact", "tracking": "points found, window 21", "outliers": "outliers"}
-    names |= {"deformation": "deformation", "fields": "fields with deviations and medians", "frame": "together"}
+    names |= {
+        "deformation": "deformation",
+        "points": "these three as one step",
+        "fields": "fields with deviations and medians",
+        "frame": "together",
+    }
     one = {row["work"]: row for row in rows if row["recordings"] == 1}
     table = [["a frame of 512 x 640 px, 700 points", *head]]
     for name, words in names.items():
-        plain, fused = one[name], one.get(f"{name}, fused", {})
-        counts = plain["launches"], fused.get("launches"), plain["launches_captured"]
+        plain, fused = one.get(name, {}), one.get(f"{name}, fused", {})
+        counts = [row.get(count) for count in ("launches", "launches_captured") for row in (plain, fused)]
         table.append(
             [words, *(_count(count) for count in counts), *(_megabytes(row.get("MB")) for row in (plain, fused))]
         )

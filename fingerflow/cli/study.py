@@ -25,8 +25,8 @@ Together = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Trials that a worker takes through one graph at a time, for an accelerator. Default: 8, and one worker, "
-        "where this computer has one; else 1.",
+        help="Trials that a worker takes through one graph at a time, for an accelerator. Default: as many as its "
+        "memory holds, at most 32, and one worker, where this computer has one; else 1.",
     ),
 ]
 Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
 
+from fingerflow.engines.transfers import as_bytes, places_of
 from fingerflow.errors import first_line
 
 # Number of uncaptured calls with the same input shapes before a CUDA graph is captured: many shapes, as those of lost
@@ -112,28 +114,52 @@ class Captured:
 
 
 class _Graph:
-    """Recorded call of a module with its own input buffers: a call copies new inputs into these, replays the
-    computation, and returns copies of the results.
+    """Recorded call of a module with buffers of its own: a call copies new inputs into them, replays the computation,
+    whose last nodes write all results into one buffer, and returns views of a copy of it.
     """
 
     def __init__(self, module: nn.Module, given: tuple[Any, ...], record: Record) -> None:
-        own = tree_map(lambda one: one.clone() if isinstance(one, Tensor) else one, given)
+        own = tree_map(lambda one: one.contiguous().clone() if isinstance(one, Tensor) else one, given)
         self._inputs = [one for one in tree_flatten(own)[0] if isinstance(one, Tensor)]
-        self._replay, result = record(lambda: module(*own))
-        self._results, self._structure = tree_flatten(result)
+
+        def call() -> tuple[Any, list[Any], Tensor]:
+            results, structure = tree_flatten(module(*own))
+            return structure, results, torch.cat(_padded_bytes(results))
+
+        self._replay, (self._structure, results, self._whole) = record(call)
+        self._results = [(one.shape, one.dtype, one.nbytes) if isinstance(one, Tensor) else one for one in results]
+        self._places, _ = places_of([one.nbytes for one in results if isinstance(one, Tensor)])
 
     def __call__(self, given: Sequence[Tensor]) -> Any:
         _copy(self._inputs, given)
         self._replay()
-        results = [torch.empty_like(one) if isinstance(one, Tensor) else one for one in self._results]
-        _copy(*([one for one in some if isinstance(one, Tensor)] for some in (results, self._results)))
+        whole, places = self._whole.clone(), iter(self._places)
+        results = [_view(whole, next(places), *one) if isinstance(one, tuple) else one for one in self._results]
         return tree_unflatten(results, self._structure)
 
 
+def _padded_bytes(results: Sequence[Any]) -> list[Tensor]:
+    """Return the bytes of each tensor among the results, padded to where the next one begins by `places_of`."""
+    tensors = [one for one in results if isinstance(one, Tensor)]
+    places, size = places_of([one.nbytes for one in tensors])
+    ends = [*places[1:], size]
+    return [
+        functional.pad(as_bytes(one), (0, end - place - one.nbytes))
+        for one, place, end in zip(tensors, places, ends, strict=True)
+    ]
+
+
+def _view(whole: Tensor, place: int, shape: torch.Size, dtype: torch.dtype, size: int) -> Tensor:
+    return whole[place : place + size].view(dtype).view(shape)
+
+
 def _copy(to: Sequence[Tensor], given: Sequence[Tensor]) -> None:
-    """Copy each tensor in `given` into the one at the same place in `to`, with one GPU launch for all tensors of a
-    dtype.
+    """Copy each tensor in `given` into the one at the same place in `to`, with one GPU launch for all whose bytes can
+    be copied four at a time, and one for the others.
     """
-    for dtype in {one.dtype for one in given}:
-        alike = [place for place, one in enumerate(given) if one.dtype == dtype]
-        torch._foreach_copy_([to[place] for place in alike], [given[place] for place in alike])
+    pairs = [(as_bytes(own), as_bytes(one)) for own, one in zip(to, given, strict=True)]
+    words = [pair for pair in pairs if all(len(one) % 4 == 0 == one.data_ptr() % 4 for one in pair)]
+    others = [pair for pair in pairs if not any(pair is one for one in words)]
+    for some, dtype in ((words, torch.int32), (others, torch.uint8)):
+        if some:
+            torch._foreach_copy_([own.view(dtype) for own, _ in some], [one.view(dtype) for _, one in some])

@@ -66,13 +66,16 @@ def _captures(settings: EngineSettings, device: torch.device) -> bool:
     import torch
 
     from fingerflow.engines.capture import Captured
+    from fingerflow.engines.points_graph import check_track
     from fingerflow.engines.torch import TorchEngine
 
     side = max(96, 4 * settings.window_px)
     frame = built_in(side, side, 8, _CHECKED_POINTS, settings.window_px)
     expected = both_numbers_of(TorchEngine(settings, torch.device("cpu")), frame, deviations=True)
     try:
-        check_frames(TorchEngine(settings, device, Captured), frame, expected)
+        replayed = TorchEngine(settings, device, Captured)
+        check_frames(replayed, frame, expected)
+        check_track(replayed, frame)
     except FingerflowError as error:
         log.warning("the modules are not captured as graphs and computed call by call: %s", error)
         check_frames(TorchEngine(settings, device), frame, expected)

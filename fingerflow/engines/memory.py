@@ -4,6 +4,7 @@
 frame. A captured step keeps its memory (`engines.capture`), so that the steps add up.
 """
 
+TOGETHER = 32  # largest number of recordings computed together: more gain nothing by the counts of `bench gpu`
 FRAMES = 8  # frames of a recording per call that computes contact or tracks points
 _FRAMES_OF_FIELDS = 64  # frames of a recording per call that computes fields
 _PIXEL = 30.0  # bytes per pixel of a frame: contact, light, black level, and the frame itself in 32 bit
@@ -15,12 +16,13 @@ _SHARE = 0.7  # usable share of the free memory; libraries and fragmentation tak
 
 
 def recordings_that_fit(free: float, height: int, width: int, points: int, window_px: int) -> int:
-    """Return how many recordings can be computed together in `free` bytes of memory; at least one.
+    """Return how many recordings are computed together in `free` bytes of memory: one to `TOGETHER`.
 
     Their views have height x width px, and their points windows of `window_px`.
     """
     shared = _UPDATED + _FRAMES_OF_FIELDS * points**2 * _PAIR
-    return max(1, int((_SHARE * free - shared) / bytes_of_recording(height, width, points, window_px)))
+    fitting = int((_SHARE * free - shared) / bytes_of_recording(height, width, points, window_px))
+    return min(max(1, fitting), TOGETHER)
 
 
 def bytes_of_recording(height: int, width: int, points: int, window_px: int) -> float:

@@ -24,9 +24,9 @@ def filled(array: Array, points: int, axis: int = 0) -> Array:
     return np.concatenate((array, np.full(shape, nothing, array.dtype)), axis=axis)
 
 
-def stacked(arrays: Sequence[Array]) -> Array:
-    """Stack one array (N, ...) of each of B recordings to (B, N, ...), padded to the largest N."""
-    most = max(map(len, arrays))
+def stacked(arrays: Sequence[Array], points: int = 0) -> Array:
+    """Stack one array (N, ...) of each of B recordings to (B, N, ...), padded to the largest N, or to `points`."""
+    most = max(points, *map(len, arrays))
     return np.stack([filled(one, most) for one in arrays])
 
 

@@ -4,13 +4,17 @@ Each recording is a generator. It computes as if it were alone: where it needs a
 yields a `Call` and continues with the result. When all recordings wait for a call, calls of the same kind are joined to
 one. For a few hundred points an accelerator takes the time of launching its kernels, and these are then launched once.
 Which calls are joined depends only on the calls of the recordings, never on time.
+
+Where a device computes while the host goes on, the recordings are two halves: while the device computes the calls of
+one and copies their results back, the host decides with the results of the other what it needs next.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from traceback import clear_frames
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -23,7 +27,19 @@ log = logging.getLogger(__name__)
 # Methods whose calls may be batched over recordings, in the order in which they are answered. The most frequent and
 # shortest calls come first: recordings that need more of them catch up, and the next longer call is again shared by
 # all.
-_ORDER = ("follow", "outliers", "correct", "prepare", "windows", "noise", "threshold", "contact")
+_ORDER = (
+    "track",
+    "follow",
+    "outliers",
+    "correct",
+    "prepare",
+    "windows",
+    "noise",
+    "covered",
+    "threshold",
+    "contact",
+    "fields",
+)
 
 
 class Call(NamedTuple):
@@ -45,9 +61,14 @@ class BatchingEngine(Protocol):
         """Return a value by which engines are grouped: calls of engines of equal value can be computed in one batch."""
         ...
 
-    def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Compute the engine method named `method` for several recordings in one batch; `many` holds the arguments of
-        each recording, and the list returned the result of each.
+    @property
+    def computes_behind(self) -> bool:
+        """Return whether a device computes while the host goes on."""
+        ...
+
+    def begun(self, method: str, many: Sequence[tuple[Any, ...]]) -> Callable[[], list[Any]]:
+        """Begin to compute the engine method named `method` for several recordings in one batch; `many` holds the
+        arguments of each recording. Return a function that waits for the results, one for each recording.
         """
         ...
 
@@ -81,11 +102,10 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
     """
     results: dict[int, T] = {}
     errors: dict[int, Exception] = {}
-    waiting: dict[int, Call] = {}
     # Largest number of recordings in a call of a method, after a larger call ran out of memory.
     most: dict[str, int] = {}
 
-    def go_on(place: int, resume: Callable[[], Call]) -> None:
+    def go_on(place: int, resume: Callable[[], Call], waiting: dict[int, Call]) -> None:
         try:
             waiting[place] = resume()
         except StopIteration as end:
@@ -98,16 +118,37 @@ def run_together(many: Sequence[Steps[T]]) -> list[T]:
     with ExitStack() as closing:
         for steps in many:
             closing.callback(steps.close)
+        first: dict[int, Call] = {}
         for place, steps in enumerate(many):
-            go_on(place, partial(next, steps))
-        while waiting:
-            for place, answer, error in _compute_group(_next_group(waiting), most):
+            go_on(place, partial(next, steps), first)
+        turns = deque((waiting, _begin_group(waiting, most)) for waiting in _halves(first) if waiting)
+        while turns:
+            waiting, answers = turns.popleft()
+            for place, answer, error in answers:
                 steps = many[place]
-                go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error))
+                go_on(place, partial(steps.send, answer) if error is None else partial(steps.throw, error), waiting)
                 del answer, error  # frees the memory of answer and error before the next recording continues
+            if waiting:
+                turns.append((waiting, _begin_group(waiting, most)))
     if errors:
         raise errors[min(errors)]
     return [results[place] for place in range(len(many))]
+
+
+def _halves(waiting: dict[int, Call]) -> list[dict[int, Call]]:
+    """Return the calls of recordings by recording, in two halves if a device computes all of them while the host goes
+    on.
+    """
+    if not all(_computes_behind(call) for call in waiting.values()):
+        return [waiting]
+    places = list(waiting)
+    middle = -(-len(places) // 2)
+    return [{place: waiting[place] for place in half} for half in (places[:middle], places[middle:])]
+
+
+def _computes_behind(call: Call) -> bool:
+    engine = call.method.__self__  # type: ignore[attr-defined]  # of a bound method
+    return isinstance(engine, BatchingEngine) and engine.computes_behind
 
 
 def _next_group(waiting: dict[int, Call]) -> dict[int, Call]:
@@ -132,25 +173,48 @@ def _batch_key(call: Call) -> object:
     return call.method.__name__, engine.kind() if isinstance(engine, BatchingEngine) else id(engine)
 
 
-def _compute_group(group: dict[int, Call], most: dict[str, int]) -> Iterator[tuple[int, Any, Exception | None]]:
+def _begin_group(waiting: dict[int, Call], most: dict[str, int]) -> Iterator[tuple[int, Any, Exception | None]]:
+    """Take the next group of the waiting calls, begin it if a device computes it while the host goes on, and return an
+    iterator over recording, result and error of each call, which waits for them.
+    """
+    group = _next_group(waiting)
+    first = next(iter(group.values()))
+    begun: Callable[[], list[Any]] | None = None
+    if _computes_behind(first) and len(group) <= most.get(first.method.__name__, len(group)):
+        # What cannot be begun fails again where errors are dealt with.
+        with suppress(Exception):
+            begun = _begun(group)
+    return _compute_group(group, most, begun)
+
+
+def _begun(group: dict[int, Call]) -> Callable[[], list[Any]]:
+    method = next(iter(group.values())).method
+    engine: BatchingEngine = method.__self__  # type: ignore[attr-defined]
+    return engine.begun(method.__name__, [call.arguments for call in group.values()])
+
+
+def _compute_group(
+    group: dict[int, Call], most: dict[str, int], begun: Callable[[], list[Any]] | None = None
+) -> Iterator[tuple[int, Any, Exception | None]]:
     """Compute a group of calls, in one batch if the engine supports it; yield recording, result and error of each.
 
-    A batch for which memory is too small is halved, and so are those of this method that follow (`most`).
+    A batch for which memory is too small is halved, and so are those of this method that follow (`most`). `begun` waits
+    for a batch that has begun already.
     """
     first = next(iter(group.values())).method
     name, engine = first.__name__, first.__self__  # type: ignore[attr-defined]
     size = most.get(name, len(group))
-    if len(group) > max(1, size):
+    if begun is None and len(group) > max(1, size):
         places = list(group)
         for start in range(0, len(places), size):
             yield from _compute_group({place: group[place] for place in places[start : start + size]}, most)
         return
-    if len(group) > 1 and isinstance(engine, BatchingEngine):
+    if begun is not None or (len(group) > 1 and isinstance(engine, BatchingEngine)):
         try:
-            results = engine.joined(name, [call.arguments for call in group.values()])
+            results = (begun or _begun(group))()
         except Exception as error:  # calling one recording at a time shows which one fails
             # Log the text of the error: a log record with the error itself would keep its memory.
-            if is_out_of_memory(error):
+            if is_out_of_memory(error) and len(group) > 1:
                 most[name] = len(group) // 2
                 how = f"needs too much memory and is from now on made of {most[name]} at a time"
             else:
@@ -159,6 +223,7 @@ def _compute_group(group: dict[int, Call], most: dict[str, int]) -> Iterator[tup
         else:
             yield from ((place, result, None) for place, result in zip(group, results, strict=True))
             return
+        begun = None  # frees the memory of the failed batch
         if most.get(name, len(group)) < len(group):
             yield from _compute_group(group, most)
             return

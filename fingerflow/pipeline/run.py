@@ -285,6 +285,8 @@ def _go_over_frames(
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):
         order = order[::-1]
+    given = {name: getattr(trial.inputs.scene.views, name) for stage in stages for name in stage.views}
+    views = [view for view in given.values() if view is not None]
     size = _PICTURES if pictures else _NUMBERS
     batches = [order[first : first + size] for first in range(0, len(order), size)]
     *early, last = stages
@@ -294,6 +296,8 @@ def _go_over_frames(
         if pictures:
             with _timed(seconds, "decoding"):
                 batch.frames = read_frames(trial.inputs.recording[indices])
+            if _decodes_ahead(trial.inputs):
+                batch.ahead = {view: trial.inputs.images_ahead(batch.frames, view) for view in views}
         return batch
 
     def begin(batch: Batch) -> Steps[Batch]:
@@ -329,8 +333,8 @@ def _go_over_frames(
 
 
 def _decodes_ahead(inputs: Inputs) -> bool:
-    """Return whether a second thread decodes the next batch of frames: True on a GPU, since the CPU is free while the
-    GPU computes.
+    """Return whether a second thread decodes the next batch of frames and uploads its images: True on a GPU, since the
+    CPU is free while the GPU computes.
     """
     return inputs.device.type != "cpu"
 

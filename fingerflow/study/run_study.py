@@ -14,8 +14,6 @@ from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
-_TOGETHER = 8  # largest number of trials batched on an accelerator
-
 
 @dataclass(frozen=True)
 class Planned:
@@ -97,7 +95,8 @@ def run_study(
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
         together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), which
-            benefits an accelerator; by default 8 if this computer has one, or as many as its memory holds, else 1.
+            benefits an accelerator; by default as many as its memory holds, at most `engines.memory.TOGETHER`, or 1 if
+            this computer has none.
 
     Raises FingerflowError if the cluster is not available.
     """
@@ -158,7 +157,7 @@ def _default_group_size(manifest: Manifest, scheduler: str | None) -> int:
     """Return how many trials a worker computes together by default: several if this computer has a GPU and no
     `scheduler` is given, else 1.
 
-    They are as many as its memory holds of trials like the first one, at most `_TOGETHER`.
+    They are as many as its memory holds of trials like the first one (`engines.memory.recordings_that_fit`).
     """
     import torch
 
@@ -167,7 +166,7 @@ def _default_group_size(manifest: Manifest, scheduler: str | None) -> int:
     scene = manifest.scene_of(manifest.trials[0])
     height, width = max((view.shape for view in scene.views.values()), key=math.prod)
     free, _ = torch.cuda.mem_get_info()
-    return min(_TOGETHER, recordings_that_fit(free, height, width, scene.tracking.points, scene.tracking.window_px))
+    return recordings_that_fit(free, height, width, scene.tracking.points, scene.tracking.window_px)
 
 
 def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:

@@ -18,6 +18,8 @@ from fingerflow.engines.engine import (
     FoundPoints,
     Images,
     TemplateBuffers,
+    Tracked,
+    TracksWhole,
     nothing_found,
 )
 from fingerflow.engines.together import Call, Steps, run_alone
@@ -132,6 +134,8 @@ class Points:
         self._gap = 0
         self._index = 1  # number of the next frame
         self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
+        # Points of the last frames with these points corrected, where the engine has done so in the same call.
+        self._whole: tuple[FoundPoints, Corrected] | None = None
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
         self._key = engine.key(image)
         self._templates = engine.prepare(self._key, points)
@@ -262,12 +266,25 @@ class Points:
         guess = self.expect()
         if len(images) == 1:
             frames = self._gap + 1
-            found = yield from self._track_image(images, guess)
+            found = (yield from self._follow(images, guess, np.zeros_like(guess))).found
             resolved = yield from self._resolved(images, guess, found, frames, around)
             return (yield from self._accepted(resolved, frames, images))
         speed = self.motion.speed
-        followed: Followed = yield Call(self._engine.follow, (self._templates, images, guess - speed, speed, None))
+        followed = yield from self._follow(images, guess - speed, speed)
         return (yield from self._finish_images(images, followed, around))
+
+    def _follow(self, images: Images, place: Array, speed: Array) -> Steps[Followed]:
+        """Track all points through images from their positions and speeds before the first one; an engine that corrects
+        them in the same call does so.
+        """
+        engine = self._engine
+        if isinstance(engine, TracksWhole) and self._by_key and 1 < len(self._every) == len(self):
+            given = self._templates, images, place, speed, self._found_neighbours(), self._every, self._inverse_warp
+            tracked: Tracked = yield Call(engine.track, given)
+            self._whole = None if tracked.corrected is None else (tracked.followed.found, tracked.corrected)
+            return tracked.followed
+        followed: Followed = yield Call(engine.follow, (self._templates, images, place, speed, None))
+        return followed
 
     def _track_image(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
         """Track all points, or those with indices `rows`, in one image near guessed positions."""
@@ -375,6 +392,8 @@ class Points:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
             nothing = np.zeros(found.status.shape, np.float32)
             return Corrected(found, unchanged, nothing, np.full_like(found.points, np.nan))
+        if self._whole is not None and found is self._whole[0]:  # no point was searched for
+            return self._whole[1]
         count, others = len(self), around.status.shape[1]
         if others:
             found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
@@ -390,15 +409,18 @@ class Points:
         """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
-        if self._neighbours is None:
-            self._neighbours = self._engine.neighbours(self._every)
-        off_neighbours, uncertain = yield Call(self._engine.outliers, (self._neighbours, self._every, found))
+        off_neighbours, uncertain = yield Call(self._engine.outliers, (self._found_neighbours(), self._every, found))
         tracked = found.status == TrackStatus.TRACKED
         uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
         for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
             if which.any():
                 found = rejected(found, which, status)
         return found
+
+    def _found_neighbours(self) -> Any:
+        if self._neighbours is None:
+            self._neighbours = self._engine.neighbours(self._every)
+        return self._neighbours
 
     def _template_data(self, others: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed

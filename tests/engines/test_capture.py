@@ -217,15 +217,3 @@ def test_results_of_threads_are_their_own() -> None:
     with ThreadPoolExecutor(4) as workers:
         found = list(workers.map(lambda number: module(torch.full((500,), float(number)))[0].item(), range(200)))
     assert found == [1000.0 * number for number in range(200)]
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: graphs were replayed by the processor")
-def test_on_a_gpu(frame: BuiltIn) -> None:
-    device = torch.device("cuda")
-    ordinary, replayed = TorchEngine(SETTINGS, device), TorchEngine(SETTINGS, device, Captured)
-    check_frames(replayed, frame)
-    for number in range(CALLS):
-        for ours, theirs in zip(results(replayed, frame, number), results(ordinary, frame, number), strict=True):
-            np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
-    assert any(graph is not None for graph in replayed._track._graphs.values())

@@ -2,7 +2,7 @@
 
 import logging
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,22 +12,32 @@ from fingerflow.engines.together import Call, Steps, run_alone, run_together
 
 
 class Doubling:
-    """An engine that doubles numbers, for at most `room` recordings in one call."""
+    """An engine that doubles numbers, for at most `room` recordings in one call, at the call or `behind` it, when its
+    results are waited for.
+    """
 
-    def __init__(self, room: int = 8) -> None:
-        self.room = room
+    def __init__(self, room: int = 8, behind: bool = False) -> None:
+        self.room, self.computes_behind = room, behind
         self.made = list[tuple[str, list[int]]]()
+        self.order = list[str]()
         self._taken = list[weakref.ref[Any]]()
 
     def kind(self) -> object:
         return self.room
 
-    def joined(self, method: str, many: Sequence[tuple[int]]) -> list[int]:
+    def begun(self, method: str, many: Sequence[tuple[int]]) -> Callable[[], list[int]]:
         taken = np.zeros(len(many))  # memory of the call
         self._taken.append(weakref.ref(taken))
         if len(many) > self.room:
             raise MemoryError(f"no room for {taken}")
-        return self._doubled(method, [value for (value,) in many])
+        values = [value for (value,) in many]
+        self.order.append(f"begin {values}")
+
+        def results() -> list[int]:
+            self.order.append(f"wait {values}")
+            return self._doubled(method, values)
+
+        return results
 
     def follow(self, value: int) -> int:
         assert all(taken() is None for taken in self._taken), "memory of a call of all is not free"
@@ -66,6 +76,33 @@ def test_those_that_need_more_small_steps_catch_up() -> None:
     engine = Doubling()
     assert run_together([corrected(engine, 1, 3), corrected(engine, 5, 1)]) == [16, 20]
     assert engine.made == [("follow", [1, 5]), ("follow", [2]), ("follow", [4]), ("correct", [8, 10])]
+
+
+def test_a_device_computes_for_one_half_while_the_host_decides_for_the_other() -> None:
+    """Where a device computes behind, results are waited for only after the next calls of the other half have begun;
+    the results are those of recordings one by one, and equal from run to run.
+    """
+    engine = Doubling(behind=True)
+    assert run_together([followed(engine, value, 3) for value in (1, 10, 100)]) == [8, 80, 800]
+    assert engine.order == [
+        *("begin [1, 10]", "begin [100]", "wait [1, 10]", "begin [2, 20]", "wait [100]", "begin [200]"),
+        *("wait [2, 20]", "begin [4, 40]", "wait [200]", "begin [400]", "wait [4, 40]", "wait [400]"),
+    ]
+
+
+@pytest.mark.parametrize("room", [1, 2, 3])
+def test_calls_behind_that_need_too_much_memory_are_halved(room: int) -> None:
+    engine = Doubling(room, behind=True)
+    found = run_together([followed(engine, value, 2) for value in range(1, 9)])
+    assert found == [4 * value for value in range(1, 9)]
+    assert [len(values) for _, values in engine.made] == [max(1, room // 2 * 2)] * (16 // max(1, room // 2 * 2))
+
+
+def test_an_error_behind_is_of_the_recording_that_it_comes_from() -> None:
+    engine = Doubling(behind=True)
+    with pytest.raises(ValueError, match="-2"):
+        run_together([followed(engine, 3, 3), followed(engine, -2), followed(engine, 5, 2), followed(engine, 7, 2)])
+    assert engine.made[-1] == ("follow", [12])
 
 
 def test_engines_of_other_kinds_are_asked_by_themselves() -> None:

@@ -147,7 +147,7 @@ def leaves(result: Any) -> list[Array]:
 )
 def test_as_each_by_itself(engine: TorchEngine, given: Callable[[TorchEngine], Many]) -> None:
     method = given.__name__.split("_")[0]
-    found = engine.joined(method, given(engine))
+    found = engine.begun(method, given(engine))()
     for one, arguments in zip(found, given(engine), strict=True):
         for ours, theirs in zip(leaves(one), leaves(getattr(engine, method)(*arguments)), strict=True):
             assert ours.shape == theirs.shape
@@ -163,7 +163,7 @@ def test_those_of_other_sizes_are_called_by_themselves(engine: TorchEngine, monk
     given[1] = smaller[0], type(given[1][1])(*smaller[1:]), given[1][2]
     forward, sizes = ContactGraph.forward, list[int]()
     monkeypatch.setattr(ContactGraph, "forward", lambda self, *one: sizes.append(len(one[0])) or forward(self, *one))
-    found = engine.joined("contact", given)
+    found = engine.begun("contact", given)()
     assert sizes == [FRAMES[0] + FRAMES[2], FRAMES[1]]
     assert [one.real_area_px.shape for one in found] == [(frames,) for frames in FRAMES]
 

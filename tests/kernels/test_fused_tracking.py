@@ -130,8 +130,16 @@ def follow(engine: TorchEngine) -> list[Followed]:
         templates = prepare_templates(frames[b][0][None], start[b : b + 1, :count], 11)
         place = start[b, :count].cpu().numpy()
         speed = np.full_like(place, 0.1)
-        many.append((_TorchTemplates(templates), torch.stack(frames[b][1 : last + 1]), place, speed, None))
-    return engine.joined("follow", many)
+        many.append(
+            (
+                _TorchTemplates(templates, templates.numbers[0].cpu().numpy()),
+                torch.stack(frames[b][1 : last + 1]),
+                place,
+                speed,
+                None,
+            )
+        )
+    return engine.begun("follow", many)()
 
 
 @LONG

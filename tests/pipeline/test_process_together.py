@@ -12,7 +12,9 @@ import xarray as xr
 from torch import Tensor
 
 from fingerflow import process
+from fingerflow.engines import capture
 from fingerflow.engines.capture import Captured, RecordedCall
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs.contact_graph import ContactGraph
@@ -22,8 +24,10 @@ from fingerflow.pipeline import run
 from fingerflow.pipeline.run import process_together
 from fingerflow.pipeline.stages.preparation import inputs
 from fingerflow.synthetic import Press, write_recording
+from tests.fused_op import serve_in_place_of_triton
 from tests.replayed_ops import record
 from tests.small_trials import edit_scene
+from tests.standing_in import standing_in
 
 _FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 240), "finger": (1.8, 1.5)}
 _TRIALS = (
@@ -37,17 +41,21 @@ _POINTS = (40, 60, 33)
 _ROUNDING = {"position_px": 1e-4, "divergence": 2e-5, "curl": 2e-5, "real_contact_area": 0.0, "median_divergence": 2e-5}
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def write_scenes(within: Path) -> list[Path]:
     """Write three trials with frames of one size but different motion, points and numbers of frames; return their scene
     files.
     """
     found = []
     for trial, points in zip(_TRIALS, _POINTS, strict=True):
-        folder = tmp_path_factory.mktemp("trial") / "recording"
+        folder = within / f"trial{points}" / "recording"
         write_recording(folder, trial)
         found.append(edit_scene(folder, {"points = 700": f"points = {points}"}))
     return found
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write_scenes(tmp_path_factory.mktemp("trials"))
 
 
 @pytest.fixture
@@ -148,24 +156,36 @@ def test_other_settings_are_asked_by_themselves(scenes: list[Path], batches: dic
 
 
 @pytest.mark.usefixtures("portable")
-@pytest.mark.parametrize("some", [slice(1), slice(2)])
-def test_captured_modules_and_frames_decoded_ahead(
-    scenes: list[Path], monkeypatch: pytest.MonkeyPatch, some: slice
-) -> None:
-    """Results stay the same with captured modules and a second thread that decodes frames, as on a GPU."""
-    expected = alone(scenes[some])
+def test_on_a_stand_in_for_a_gpu(scenes: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results stay the same on a stand-in for a GPU: captured modules, one of them for all steps of the points, frames
+    decoded and uploaded ahead by a second thread, and results copied behind the computation.
+    """
+    expected = alone(scenes)
+    monkeypatch.setattr(capture, "_AFTER", 0)  # the recordings are short
     replayed: list[str] = []
+    way, device = standing_in()
+    engines: list[TorchEngine] = []
 
     def recorded(call: Any) -> RecordedCall:
         found = record(call)
         return found._replace(replay=lambda: (replayed.append("graph"), found.replay()))
 
-    modules = partial(Captured, record=recorded)
-    monkeypatch.setattr(inputs, "engine_for", lambda name, settings, device: TorchEngine(settings, device, modules))
+    def engine_for(name: str, settings: EngineSettings, device: torch.device) -> TorchEngine:
+        engines.append(TorchEngine(settings, device, partial(Captured, record=recorded), way))
+        return engines[-1]
+
+    monkeypatch.setattr(inputs, "engine_for", engine_for)
     monkeypatch.setattr(run, "_decodes_ahead", lambda inputs: True)
-    for one, other in zip(together(scenes[some]), expected, strict=True):
+    serve_in_place_of_triton(monkeypatch)
+    for one, other in zip(together(scenes), expected, strict=True):
+        np.testing.assert_array_equal(one["status"].values, other["status"].values)
         compare(one, other, _ROUNDING)
     assert len(replayed) > 10
+    graphs = [graph for engine in engines for graph in engine._points._graphs.values()]  # type: ignore[attr-defined]
+    assert graphs
+    assert None not in graphs  # all could be recorded
+    assert device.order.count("copy ahead") > 2 * len(engines)
+    assert device.order.count("copy back") == device.order.count("wait for back")
 
 
 @pytest.mark.usefixtures("portable")

@@ -18,7 +18,9 @@ import torch
 import xarray as xr
 from typer.testing import CliRunner
 
+from bench.suites import gpu
 from fingerflow.cli import app
+from fingerflow.engines.memory import TOGETHER
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, read_own
@@ -100,19 +102,33 @@ def test_trials_together_are_what_each_is_by_itself(
 
 
 def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A group has as many trials as the free GPU memory holds, at most eight; without a GPU or on a cluster one."""
+    """A group has as many trials as the free GPU memory holds, at most the 32 for which rates are predicted; without a
+    GPU or on a cluster one.
+    """
     assert run._default_group_size(study, None) == 1
     free = [80e9]
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free[0], 80e9))
-    assert run._default_group_size(study, None) == 8
+    assert run._default_group_size(study, None) == TOGETHER == max(gpu.BATCHES)
     assert run._default_group_size(study, "tcp://elsewhere") == 1
     found = []
-    for free[0] in np.linspace(1e9, 5e9, 400):
+    for free[0] in np.linspace(1e9, 10e9, 400):
         found.append(run._default_group_size(study, None))
     assert found == sorted(found)
     assert found[0] == 1
-    assert {2, 5, 8} <= set(found)
+    assert {2, 8, TOGETHER} <= set(found)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: groups were tested on the processor")
+def test_a_study_on_a_gpu(study: Manifest, undisturbed: Manifest) -> None:
+    """All trials of a small study are measured together on the GPU, with the numbers of each by itself."""
+    assert set(_run(study, None).values()) == {MEASURED}
+    made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
+    assert {one["together"] for one in made} == {min(TOGETHER, len(study.trials))}
+    table, expected = table_of(study), table_of(undisturbed)
+    for name in ("real_contact_area", "gross_contact_area", "divergence"):
+        np.testing.assert_allclose(table[name], expected[name], rtol=1e-3, atol=1e-3)
 
 
 def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:

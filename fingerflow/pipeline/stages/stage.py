@@ -1,6 +1,6 @@
 """Base class of pipeline stages, with the inputs and outputs of a stage and the methods that a run calls."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
@@ -8,9 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.engines.engine import Images
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
 from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.views import View
 
 S = TypeVar("S", bound="Stage")
 _COPIED = 64  # number of frames copied at a time
@@ -23,15 +25,23 @@ class Batch:
     Attributes:
         indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
         frames: (n, H, W) pictures; None where no stage of the pass reads them.
+        ahead: functions that return the images of a view whose upload to the device has begun.
     """
 
     indices: NDArray[np.intp]
     frames: NDArray[np.generic] | None = None
+    ahead: dict[View, Callable[[], Images]] = field(default_factory=dict)
     _steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def keep(self, stage: "Stage", result: Any) -> None:
         """Store what the method `step` of a stage returned, for later stages of this pass."""
         self._steps[type(stage).place()] = result
+
+    def images(self, inputs: Inputs, view: View) -> Images:
+        """Return the images of a view as the engine of the inputs takes them, uploaded ahead or now."""
+        assert self.frames is not None
+        ready = self.ahead.get(view) or inputs.images_ahead(self.frames, view)
+        return ready()
 
     def of(self, stage: type["Stage"]) -> Any:
         """Return what the method `step` of another stage returned for this batch."""
@@ -74,6 +84,7 @@ class Stage:
         beside: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
         reads_frames: True if `step` reads pictures.
+        views: names of the views whose images `step` gives to the engine (`Batch.images`).
         follows_border: True if it needs points on both sides of the contact border, from the first frame on.
         instead: True for an alternative implementation of its base class, used for kinds of scenes that name it
             (`Kind.instead`).
@@ -90,6 +101,7 @@ class Stage:
     beside: ClassVar[tuple[type["Stage"], ...]] = ()
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
+    views: ClassVar[tuple[str, ...]] = ()
     follows_border: ClassVar[bool] = False
     instead: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.engines.engine import FrameContact
+from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
@@ -49,6 +49,7 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
+    views: ClassVar[tuple[str, ...]] = ("contact",)
     settings: ClassVar[tuple[str, ...]] = (
         "kind",
         "contact",
@@ -98,8 +99,7 @@ class ContactStage(Stage):
 
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
-        assert batch.frames is not None
-        contact, threshold = yield from self._contact(batch.frames)
+        contact, threshold = yield from self._contact_in(batch.images(self.inputs, self._view))
         size, indices = self.inputs.mm_per_px, batch.indices
         for name, values in {
             "contact_threshold": threshold,
@@ -254,7 +254,9 @@ class ContactStage(Stage):
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
-        images = self._engine.images(self.inputs.counts(frames, self._view))
+        return self._contact_in(self._engine.images(self.inputs.counts(frames, self._view)))
+
+    def _contact_in(self, images: Images) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
         if self._threshold is None:
             threshold = yield Call(self._engine.threshold, (images, self._light))
         else:

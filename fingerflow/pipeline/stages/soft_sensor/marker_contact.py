@@ -42,6 +42,7 @@ class MarkerContactStage(ContactStage):
 
     name = "marker_contact"
     instead = True
+    views = ()
     after = (LoadingStage, MarkerStage)
     settings = ("contact.threshold", "views.contact", "calibration.mm_per_px")
 

@@ -20,6 +20,7 @@ class MarkerTrackingStage(TrackingStage):
 
     name = "marker_tracking"
     instead = True
+    views = ()
     after = (MarkerStage,)
     reads_frames = False
     settings = ("calibration.mm_per_px", "calibration.topography_to_contact")

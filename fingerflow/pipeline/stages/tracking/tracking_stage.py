@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.engines.engine import FoundPoints, Images, nothing_found
-from fingerflow.engines.together import Steps
+from fingerflow.engines.together import Call, Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -51,6 +51,7 @@ class TrackingStage(Stage):
     beside = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
+    views: ClassVar[tuple[str, ...]] = ("topography",)
     settings: ClassVar[tuple[str, ...]] = (
         *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
         *("contact.appears", "contact.gross_radius_px"),
@@ -107,9 +108,8 @@ class TrackingStage(Stage):
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
-        assert batch.frames is not None
         margin = batch.of(ContactStage).density_margin
-        images = self._engine.images(self.inputs.counts(batch.frames, self._view))
+        images = batch.images(self.inputs, self._view)
         numbers = np.arange(len(images))
         for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
             indices = batch.indices[some]
@@ -145,7 +145,7 @@ class TrackingStage(Stage):
         if new is not None:
             found = beside([found, _extend_to_batch(len(images), new)])
         pixels, error, status = found.points, found.error, found.status
-        covered = self._engine.covered(margin, found.estimate, self._matrix)
+        covered = yield Call(self._engine.covered, (margin, found.estimate, self._matrix))
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
