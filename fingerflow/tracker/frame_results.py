@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
 from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches, Touching
 from fingerflow.tracker.slip_flag import SlipFlag
@@ -82,10 +83,11 @@ class FrameResults:
             self._begin(seeding, covered[0])
         self._frames += 1
         size = self._size
-        deviation = np.sqrt(found.variance)
+        noise = np.sqrt(found.variance)
+        curvature = curvature_variance(self._engine, seeding.points, found.points)
         center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        slip = self._slip.see(found.points[0], deviation[0], covered[0])
+        slip = self._slip.see(found.points[0], noise[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
             "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
@@ -95,10 +97,10 @@ class FrameResults:
             "illumination_gain": contact.illumination_gain[0],
             "position_px": found.points[0],
             "forward_backward_error": found.error[0],
-            "position_std_px": deviation[0],
+            "position_std_px": np.sqrt(found.variance + curvature)[0],
             "status": found.status[0],
             "in_contact": covered[0],
-            **self._since_onset(found, covered, ellipse),
+            **self._since_onset(found, curvature, covered, ellipse),
             "slip_residual": slip.residual * self._per_px,
             "slip_flag": slip.slipping,
         }
@@ -123,11 +125,12 @@ class FrameResults:
             result[..., axis] = by_x * x + by_y * y + shift
         return result
 
-    def _covariance(self, now: Array, touch: Touching) -> Array:
-        """Return the covariance (1, N, 2, 2) mm^2, due to image noise, of the displacements since the onset of contact,
-        from the variance `now` (1, N) px^2 of the present positions and that at the onset, in `touch`.
+    def _covariance(self, now: Array, curvature: Array, touch: Touching) -> Array:
+        """Return the covariance (1, N, 2, 2) mm^2 of the displacements since the onset of contact, from the variances
+        (1, N) px^2 of the present positions, `now` by image noise and `curvature` by displacement that is curved within
+        windows, and that at the onset, in `touch`.
         """
-        variance = touch.displacement_variance(now) * np.float32(self._per_px**2)
+        variance = (touch.displacement_variance(now) + curvature) * np.float32(self._per_px**2)
         result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
         return result
 
@@ -148,9 +151,13 @@ class FrameResults:
         ]
         return sum(max(float(other - median) ** 2 - of_points, 0.0) for other in others)
 
-    def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
+    def _since_onset(
+        self, found: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
+    ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the median divergence over the contact ellipse; return them by result name.
+
+        `curvature` (1, N) px^2 is the variance of the positions that `found` does not hold.
         """
         position = self._on_glass(found.points)
         border = Border(*ellipse)
@@ -168,7 +175,7 @@ class FrameResults:
         # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
         covariance = None
         if entered is None and self._engine.name != "onnx":
-            covariance = self._covariance(found.variance, touch)
+            covariance = self._covariance(found.variance, curvature, touch)
         fields = self._engine.fields(place, moved, around, covariance, entered)
         deviation = math.nan
         # The deformation of skin before points were seeded again on it is not known.

@@ -97,23 +97,28 @@ class StrainStage(Stage):
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
 
     def step(self, batch: Batch) -> None:
-        moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
+        moved, covariance, curvature = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         touching = self._sum_of_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= batch.indices[:, None] >= self._skin.begins
-        found = triangle_strain(
-            self._reference,
-            self._corners,
-            self.inputs.tensor(moved),
-            self.inputs.tensor(covariance),
-            torch.from_numpy(touching).to(self.inputs.device),
-            self._shared,
-            measure=self._settings.strain,
-            young_modulus_mpa=self._settings.young_modulus_mpa,
-            poisson_ratio=self._settings.poisson_ratio,
+        # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
+        # counts in the deviations.
+        found, stated = (
+            triangle_strain(
+                self._reference,
+                self._corners,
+                self.inputs.tensor(moved),
+                self.inputs.tensor(one),
+                torch.from_numpy(touching).to(self.inputs.device),
+                self._shared,
+                measure=self._settings.strain,
+                young_modulus_mpa=self._settings.young_modulus_mpa,
+                poisson_ratio=self._settings.poisson_ratio,
+            )
+            for one in (covariance, covariance + curvature[..., None, None] * np.eye(2, dtype=np.float32))
         )
         for name, values in (
             ("strain", found.strain),
-            ("strain_std", found.strain_std),
+            ("strain_std", stated.strain_std),
             ("strain_energy_density", found.density),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
@@ -122,7 +127,7 @@ class StrainStage(Stage):
             both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
-        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), found.energy_std)
+        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), stated.energy_std)
 
     def _sum_up(
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
