@@ -200,8 +200,8 @@ TRACKING = (
         "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
         "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
-        "window in which dust stands out matches; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n the side of the window, over "
-        "all second derivatives of both components, fitted over two windows",
+        "window in which dust stands out matches; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n the side of the window, "
+        "over all second derivatives of both components, fitted over two windows",
         label="standard deviation of the position",
     ),
     Variable(

@@ -12,7 +12,9 @@ from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameC
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.entry import Entries
+from fingerflow.tracker.median_smoothing import smoothing_variance
 from fingerflow.tracker.onset import Touches, Touching
+from fingerflow.tracker.overlap_gain import overlap_gain
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -114,6 +116,8 @@ class FrameResults:
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+        window_px, gauge_px = self._engine.settings.window_px, self._engine.settings.gauge_length_mm / self._per_px
+        self._overlap = overlap_gain(seeding.points, window_px, gauge_px)
         self._of_smoothing = math.nan  # variance of the median due to gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
@@ -129,27 +133,33 @@ class FrameResults:
         """Return the covariance (1, N, 2, 2) mm^2 of the displacements since the onset of contact, from the variances
         (1, N) px^2 of the present positions, `now` by image noise and `curvature` by displacement that is curved within
         windows, and that at the onset, in `touch`.
+
+        It is larger by the factor by which overlapping windows raise the variance of gradients.
         """
-        variance = (touch.displacement_variance(now) + curvature) * np.float32(self._per_px**2)
+        variance = (touch.displacement_variance(now) + curvature) * np.float32(self._overlap * self._per_px**2)
         result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
         return result
 
     def _smoothing_variance(
-        self, place: Array, moved: Array, around: FrameEllipse, median: float, of_points: float
+        self, place: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float
     ) -> float:
-        """Return the variance of the median divergence due to the finite gauge length and the uncertain contact border:
-        the squared changes of `median` with twice the gauge length and with a smaller ellipse, less the noise variance
-        `of_points`.
+        """Return the variance of the median divergence of `fields` due to the finite gauge length and the uncertain
+        contact border: that of `smoothing_variance`, from the change of the median with twice the gauge length, and the
+        squared change with a smaller ellipse, less the variance `of_points` by the errors of points.
 
         In a space of half the size the gauge length counts twice.
         """
         half = around._replace(center=around.center / 2, semi_axes=around.semi_axes / 2)
         smaller = around._replace(semi_axes=around.semi_axes - np.float32(BORDER_MM))
-        others = [
-            self._engine.fields(*given).median[0, 0]
+        wide, inner = (
+            float(self._engine.fields(*given).median[0, 0] - fields.median[0, 0])
             for given in ((place / 2, moved / 2, half), (place, moved, smaller))
-        ]
-        return sum(max(float(other - median) ** 2 - of_points, 0.0) for other in others)
+        )
+        assert fields.divergence_std is not None
+        known = fields.divergence_std[0][np.isfinite(fields.divergence_std[0])]
+        single = np.median(known) if len(known) else math.nan
+        by_gauge = float(smoothing_variance(wide, of_points, single, fields.divergence[0]))
+        return by_gauge + max(inner**2 - of_points, 0.0)
 
     def _since_onset(
         self, found: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
@@ -183,7 +193,7 @@ class FrameResults:
         if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2
             if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
-                self._of_smoothing = self._smoothing_variance(place, moved, around, fields.median[0, 0], of_points)
+                self._of_smoothing = self._smoothing_variance(place, moved, around, fields, of_points)
             deviation = math.sqrt(of_points + self._of_smoothing + _rank_variance(fields))
         return {
             "divergence": fields.divergence[0],

@@ -129,7 +129,7 @@ def exact(motion: Motion, points: NDArray[np.float64], found: RunContext, places
         since = positions(motion, points, batch.indices[:, None].astype(float)) - reference
         since[~known[batch.indices]] = np.nan
         moved.results["displacement"][batch.indices] = since
-        return Moved(since, np.zeros(since.shape[:2], np.float32))
+        return Moved(since, *np.zeros((2, *since.shape[:2]), np.float32))
 
     moved.begin, moved.step = begun, step  # type: ignore[method-assign]
     return measured(trial, moved)

@@ -118,14 +118,16 @@ class DisplacementStage(Stage):
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         self._common = common_frame(self.results["position"], self.results["status"], first, backward)
         if self.since.frame is not None:
-            self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_noise_px")))
+            self._fixed = _Fixed(
+                *(self._in_reference(name) for name in ("position", "position_px", "position_noise_px"))
+            )
         self._border = Border.of(self.trial.stage(ContactStage).series)
         begin = int(usable[0])
         here = self.results["position"][begin : begin + 1]
         depth = self._border.at(slice(begin, begin + 1)).inside(here)[0]
-        touches = self.results["in_contact"][begin : begin + 1][0] & np.isfinite(depth) & (self._fixed is None)
-        self._doubtful = np.flatnonzero(touches & (depth < 3 * BORDER_MM))
-        self._depth = depth[self._doubtful]
+        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
+        self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
+        self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
         self._curvature_then = np.zeros(points, np.float32)
         if self.since.frame is not None:
             self._curvature_then = self._curvature(np.array([self.since.frame]))[0]
@@ -273,18 +275,24 @@ class DisplacementStage(Stage):
 
     def _entered_unseen(self, moved: Points, indices: NDArray[np.intp]) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
-        which may have touched later.
+        which may have touched earlier or later than was seen.
 
-        With the depth d of a point then, a border off by b = `BORDER_MM` leaves it outside with the probability
-        Phi(-d/b). Such a point enters once it has moved inwards by about b: of a displacement u that leads inwards by
-        c, the share min(1, b/c) is from before.
+        With the depth d of a point at its onset, a border off by b = `BORDER_MM` leaves it outside with the probability
+        Phi(-d/b). Such a point enters once it has moved inwards by about b, if it does: of a displacement u that leads
+        inwards by c, the share min(1, b/c) is from before. A point that was not seen in contact in the first frame, at
+        a depth d, touched with the probability Phi(d/b): then it has also moved as far as from there to its onset.
         """
-        depth = self._border.at(indices).inside(self.results["position"][indices][:, self._doubtful])
-        inwards = np.nan_to_num(depth - self._depth)
-        share = np.where(inwards > 0, np.minimum(1, BORDER_MM / np.maximum(inwards, 1e-9)), 0)
-        square = np.nan_to_num(np.square(moved[:, self._doubtful]).sum(-1))
-        result: Points = ndtr(-self._depth / BORDER_MM) * np.square(share) * square / 2
-        return result
+        position = self.results["position"][indices][:, self._doubtful]
+        displacement = moved[:, self._doubtful]
+        then = np.where(self._seen, self._depth, 0)
+        depth = self._border.at(indices).inside(position)
+        inwards = np.maximum(np.nan_to_num(depth - then), 0) + _ELLIPSE_MM
+        later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
+        share = np.minimum(1, BORDER_MM / inwards)
+        earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
+        before = np.square(position - displacement - self._place).sum(-1)
+        result: Points = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
+        return np.nan_to_num(result)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance

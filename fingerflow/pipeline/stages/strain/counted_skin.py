@@ -89,9 +89,7 @@ class CountedSkin:
         result[touched[known]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
-    def moved(
-        self, moved: Moved, frames: NDArray[np.intp]
-    ) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
+    def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
         """Return displacements (n, P, 2) mm, covariances (n, P, 2, 2) mm^2 by image noise and times of onset, and
         variances (n, P) mm^2 by curvature, in n frames of the tracked points, followed by copies of points that are
         corners of triangles with another reference frame.
