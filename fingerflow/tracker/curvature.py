@@ -7,7 +7,7 @@ much as it should be. The error of a position component has a standard deviation
 derivatives of their size shift the mean of the window by, (n^2 - 1) / 24 times the root of the sum of their squares for
 a window of n px. All of them count, and not only the Laplacian, as a texture weights them differently.
 
-The share is from slides and presses of other prints and seeds than those of the table in `docs/accuracy.md`.
+The share is from slides and presses of other seeds and ways than those of the table in `docs/accuracy.md`.
 """
 
 from __future__ import annotations
