@@ -41,7 +41,8 @@ _FIELD_STD_EQUATION = (
 )
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
-    "from, Δ the change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the "
+    "from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), Δ_border the "
+    "change by an ellipse 0.06 mm smaller, less the noise in it, late the "
     "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
     "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
 )
@@ -410,7 +411,8 @@ STRAIN = (
     Variable(
         "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
         equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
-        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²)",
+        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what smoothing "
+        "displacements again over 2.5 windows takes from it",
     ),
     Variable(
         "strain_energy_between_points", FRAME, "mJ",

@@ -242,7 +242,9 @@ def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
     deviation = np.sqrt(np.array([[1.0], [2], [3], [4], [5], [6], [7]], np.float32))
     covered = np.array([[0], [1], [1], [0], [1], [1], [1]], dtype=bool)
     given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
-    trial = trial_of(inputs(), contact(), 7, **given)
+    series = contact()
+    series["ellipse_semi_axes"][0] = np.nan  # no contact yet, so that the point is not on its border
+    trial = trial_of(inputs(), series, 7, **given)
     run(trial, DisplacementStage(trial))
     assert values_of(trial, "onset_frame").tolist() == [4]
     np.testing.assert_allclose(values_of(trial, "displacement")[:, 0, 0], [np.nan, 0.5, 3.5, np.nan, 3.5, 12.5, 23.5])
