@@ -146,8 +146,8 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
 
 
 def _deviations_of_fits(found: Fields) -> NDArray[np.float64]:
-    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points: those
-    of gradients whose four elements err alike.
+    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
+    those of gradients whose four elements err alike.
     """
     assert found.divergence_std is not None
     assert found.curl_std is not None

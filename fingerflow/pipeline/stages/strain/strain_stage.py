@@ -152,8 +152,8 @@ class StrainStage(Stage):
         smoothed over `_SMOOTHED` windows.
 
         A window averages the displacement over itself. At the edge of slip this takes energy away, about as much as
-        averaging what is left takes away again (`_TAKEN`). It counts where skin touches from the first frame on: the energy of a
-        growing contact is that of a field which is not averaged (`contact_energy`).
+        averaging what is left takes away again (`_TAKEN`). It counts where skin touches from the first frame on: the
+        energy of a growing contact is that of a field which is not averaged (`contact_energy`).
         """
         given = self.inputs.tensor(moved)
         smooth = local_gradients(self._from_start, given, gauge_length=self._smoothed_mm).value
