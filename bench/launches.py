@@ -21,7 +21,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
 #: Operations whose result, or its size, depends on values: the host waits for them.
-_WAITS = frozenset(
+WAITS = frozenset(
     f"aten::{name}"
     for name in (
         *("_local_scalar_dense", "item", "is_nonzero", "equal", "nonzero", "nonzero_numpy", "argwhere"),
@@ -108,7 +108,7 @@ class Counter(TorchDispatchMode):
         by_mask = name.startswith(("aten::index.", "aten::index_put", "aten::_index_put")) and any(
             isinstance(index, Tensor) and index.dtype == torch.bool for index in arguments[1]
         )
-        if there and (mixed or by_mask or name in _WAITS):
+        if there and (mixed or by_mask or name in WAITS):
             raise HostWait(f"{operation}{' by a mask' if by_mask else ' with a tensor of the host' if mixed else ''}")
         result = operation(*arguments, **(options or {}))
         after = [value.is_meta for value in tree_leaves(result) if isinstance(value, Tensor)]

@@ -21,6 +21,7 @@
 #include "interface.h"
 #include "lanes.h"
 #include "parallel.h"
+#include "shared_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {
@@ -31,7 +32,7 @@ struct CellPlane {
     std::int64_t height, width, margin, pitch;
 };
 constexpr std::int64_t kCellLanes = 16;  // floats of the longest vector
-constexpr std::int64_t kCellBlock = 8;   // cells a side of a block of the flood fill
+constexpr std::int64_t kCellBlock = contact::kBlock;  // cells a side of a block of the flood fill
 
 // Weighted sums over cells: parts inside the region, and set pixels of the mask in them.
 struct CellShare {
@@ -412,10 +413,7 @@ FINGERFLOW_OTHER_SETS(cover_row)
 FINGERFLOW_OTHER_SETS(row_moments)
 namespace {
 
-constexpr float kLeastShare = 0.1f, kLeastLevel = 0.25f;
-constexpr int kFirstRounds = 2, kBorders = 2, kRounds = 4;
-constexpr float kNarrow = 1.5f, kWide = 3.0f;  // widths of the bands inside the border, in widths of the boxes
-constexpr float kThinning = 0.6f, kSolid = 0.9f;
+constexpr float kLeastLevel = 0.25f;
 
 float clamped(float value, float low, float high) { return std::min(std::max(value, low), high); }
 
@@ -431,7 +429,7 @@ public:
         left_ = lay_out(plane_, width_);
         blocks_.height = cells_of(plane_.height, 2);
         blocks_.width = cells_of(plane_.width, 2);
-        blocks_left_ = lay_out(blocks_, kWide * width_ / 2);
+        blocks_left_ = lay_out(blocks_, contact::kWide * width_ / 2);
         outline_floats_ = 2 * plane_.pitch + 2 * whole(plane_.height);
     }
 
@@ -472,23 +470,24 @@ public:
         smooth(plane_, width_, density_, other_);
         FINGERFLOW_PICK(inverse_slopes)(plane_, density_, inverse_);
         float limit = 0.25f, inner = 1;
-        for (int round = 0; round < kFirstRounds; ++round) {
+        for (int round = 0; round < contact::kFirstRounds; ++round) {
             inner = share_above(limit);
             limit = inner / 2;
         }
-        for (int border = 0; border < kBorders; ++border) {
+        for (int border = 0; border < contact::kBorders; ++border) {
             const float level = level_of(limit);
-            if (inner > kSolid) {
-                for (int round = 0; round < kRounds; ++round) limit = share_above(limit) * level;
+            if (inner > contact::kSolid) {
+                for (int round = 0; round < contact::kRounds; ++round) limit = share_above(limit) * level;
                 continue;
             }
-            band(kNarrow, narrow_);
-            band(kWide, wide_);
+            band(contact::kNarrow, narrow_);
+            band(contact::kWide, wide_);
             const auto shares_above = FINGERFLOW_PICK(shares_above);
-            for (int round = 0; round < kRounds; ++round) {
+            for (int round = 0; round < contact::kRounds; ++round) {
                 CellShare near, far;
                 shares_above(plane_, density_, inverse_, counts_, each_, narrow_, wide_, limit, &near, &far);
-                limit = clamped(share_of(near) * std::pow(share_of(near) / share_of(far), kThinning), kLeastShare, 1.0f) * level;
+                const float share = share_of(near) * std::pow(share_of(near) / share_of(far), contact::kThinning);
+                limit = clamped(share, contact::kLeastShare, 1.0f) * level;
             }
         }
         fill(limit);
@@ -502,7 +501,7 @@ public:
 
 private:
     static float share_of(const CellShare& share) {
-        return clamped(static_cast<float>(share.covered / std::max(share.parts, 1e-3)), kLeastShare, 1.0f);
+        return clamped(static_cast<float>(share.covered / std::max(share.parts, 1e-3)), contact::kLeastShare, 1.0f);
     }
 
     float share_above(float limit) const {

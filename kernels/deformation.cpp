@@ -20,7 +20,7 @@
 #include "local_fit_block.h"
 #include "local_fit_cloud.h"
 #include "parallel.h"
-#include "tracking_limits.h"
+#include "shared_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {

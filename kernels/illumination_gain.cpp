@@ -20,6 +20,7 @@
 #include "lanes.h"
 #include "parallel.h"
 #include "pixels.h"
+#include "shared_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {
@@ -108,9 +109,7 @@ FINGERFLOW_OTHER_SETS(sum_blocks)
 FINGERFLOW_OTHER_SETS(mean_within)
 namespace {
 
-constexpr std::int64_t kStep = 4;
-constexpr float kRough = 0.15f, kLit = 0.25f, kMost = 1.4f, kLeast = 0.7f, kTop = 0.03f, kNarrow = 0.02f, kBeside = 0.06f;
-constexpr float kWidths[] = {0.04f, 0.02f, 0.01f, 0.01f};
+constexpr std::int64_t kStep = contact::kLineStep;
 
 // Sums over the lit pixels of each block, of the quantities of `LitColumns`.
 struct Blocks {
@@ -123,26 +122,27 @@ float uppermost_mode(const Blocks& blocks) {
     std::vector<float> quotients(blocks.light.size());
     std::int64_t number = 0;
     for (std::size_t k = 0; k < quotients.size(); ++k) {
-        const bool lit = blocks.light[k] > kLit * full;
+        const bool lit = blocks.light[k] > contact::kLit * full;
         const float quotient = lit ? blocks.passed[k] / blocks.light[k] : 0.0f;
         const float variance = lit ? blocks.passed_squared[k] / blocks.light_squared[k] - quotient * quotient : 0.0f;
-        quotients[k] = variance < kRough * kRough ? quotient : 0.0f;
+        quotients[k] = variance < contact::kRough * contact::kRough ? quotient : 0.0f;
         number += lit;
     }
     std::vector<float> sorted = quotients;
-    const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(kTop) * static_cast<double>(sorted.size())));
+    const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(contact::kTop) * static_cast<double>(sorted.size())));
     std::nth_element(sorted.begin(), sorted.begin() + (kept - 1), sorted.end(), std::greater<float>());
     float gain = sorted[static_cast<std::size_t>(kept - 1)];
     quotients.resize((quotients.size() + 15) / 16 * 16);  // padding by zeros, which lie within no width of a gain above zero
-    for (const float width : kWidths)
+    for (const float width : contact::kWidths)
         gain = FINGERFLOW_PICK(mean_within)(quotients.data(), static_cast<std::int64_t>(quotients.size()), gain, width * gain);
     std::int64_t glass = 0, beside = 0;
     for (std::size_t k = 0; k < blocks.light.size(); ++k) {
         const float distance = quotients[k] / std::max(gain, 1e-6f) - 1;
-        glass += std::fabs(distance) <= kNarrow && blocks.light[k] > kLit * full;
-        beside += distance < -kNarrow && distance >= -kBeside;
+        glass += std::fabs(distance) <= contact::kNarrowGlass && blocks.light[k] > contact::kLit * full;
+        beside += distance < -contact::kNarrowGlass && distance >= -contact::kBesideGlass;
     }
-    const bool seen = gain > kLeast && gain < kMost && static_cast<float>(glass) >= kTop * static_cast<float>(number) && glass >= 2 * beside;
+    const bool seen = gain > contact::kLeastGain && gain < contact::kMostGain &&
+                      static_cast<float>(glass) >= contact::kTop * static_cast<float>(number) && glass >= 2 * beside;
     return seen ? gain : std::numeric_limits<float>::quiet_NaN();
 }
 

@@ -15,7 +15,7 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "parallel.h"
-#include "tracking_limits.h"
+#include "shared_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {

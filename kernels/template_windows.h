@@ -8,7 +8,7 @@
 
 #include "floats.h"
 #include "patches.h"
-#include "tracking_limits.h"
+#include "shared_limits.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {

@@ -21,8 +21,8 @@
 #include "parallel.h"
 #include "patches.h"
 #include "pixels.h"
+#include "shared_limits.h"
 #include "template_windows.h"
-#include "tracking_limits.h"
 #include "workspace.h"
 
 namespace fingerflow {

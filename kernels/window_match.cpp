@@ -7,7 +7,7 @@
 
 #include "interface.h"
 #include "parallel.h"
-#include "tracking_limits.h"
+#include "shared_limits.h"
 
 namespace fingerflow {
 namespace {

@@ -13,10 +13,9 @@ import xarray as xr
 
 from fingerflow import __version__, load_scene
 from fingerflow.engines.bundle import bundle_settings
-from fingerflow.engines.check import built_in, numbers_of
+from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
@@ -131,9 +130,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     settings = recipe.model_dump()
     size: dict[str, int] = {one: settings["views"][one] for one in ("height", "width", "bit_depth")}
-    size["points"] = recipe.tracking.points
-    numbers = numbers_of(NativeEngine(bundle_settings(settings)), built_in(**size, window_px=recipe.tracking.window_px))
-    expected = {**size, "numbers": {name: rounded(values) for name, values in numbers.items()}}
+    expected = expected_of(NativeEngine(bundle_settings(settings)), **size, points=recipe.tracking.points)
     facts = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,

@@ -34,7 +34,7 @@ _TABLE = {
     "synthetic": "errors models ops schema",
     "plot": "errors graphs recordings results schema stages",
     "report": "errors models ops plot recordings results schema synthetic",
-    "export": "__init__ engines errors graphs kernels ops schema synthetic tensors tracker",
+    "export": "__init__ engines errors graphs kernels ops schema synthetic tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
     "reproduce": "__init__ calibration errors models ops plot recordings report results schema study synthetic",

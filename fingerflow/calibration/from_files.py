@@ -74,5 +74,5 @@ def _first_frame(path: Path) -> Array:
     with open_recording(path) as recording:
         frame: Array = recording[0]
         if recording.unreadable:
-            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
+            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy or record it again")
         return frame

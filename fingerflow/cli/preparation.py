@@ -54,18 +54,13 @@ def info(
 
     Frames are not decoded, so damage in their pixels is not detected.
     """
-    from fingerflow.recordings import force_facts, open_recording
+    from fingerflow.recordings import force_facts, holds_forces, open_recording
 
-    try:
-        found = open_recording(recording)
-    except FingerflowError as not_a_recording:
-        try:
-            forces = force_facts(recording)
-        except FingerflowError as not_forces:
-            can_be_a_recording = recording.suffix.lower() in (".h5", ".hdf5")  # an HDF5 file may also hold forces
-            raise not_a_recording if can_be_a_recording or not recording.exists() else not_forces from None
+    if holds_forces(recording):
+        forces = force_facts(recording)
         columns = {} if as_json else {f"column {name}": said for name, said in forces.pop("columns").items()}
         return tell_facts(forces | columns, as_json)
+    found = open_recording(recording)
     facts = {
         "path": str(found.path),
         "frames": len(found),

@@ -1,17 +1,18 @@
-"""Self-test of an engine: results for a built-in frame are compared with those stored in the bundle.
+"""Self-test of an engine: results for a built-in frame are compared with stored results, or with those of another one.
 
-An engine with other results computes wrongly on this computer.
+An engine with other results computes wrongly on this computer. Every method of an engine whose results reach a record
+is called, with inputs that do not depend on the results of other methods where this is possible.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fingerflow.engines.engine import Array, Engine
+from fingerflow.engines.engine import STEP, Array, Engine, EnteredPoints, FrameEllipse
 from fingerflow.errors import FingerflowError
 
 # Threshold of the relative intensity loss. It lies between those of two grey levels, even if the illumination gain is
@@ -24,12 +25,19 @@ _STRETCH = np.array([[1.01, 0.004], [-0.003, 0.995]])
 _SHIFT = np.array([0.3, -0.2])
 _BESIDE = 0.2  # px, error along x and y of the predicted positions
 _MARGIN = 8  # px, distance of the tracking windows from the border of the view
-_DIFFERENT = "its numbers of the built-in frame are not those of the bundle"
+_SEMI_AXES = np.array([0.36, 0.3])  # of the contact, in widths and heights of the view
 _UNKNOWN = 7  # every 7th point has the position NaN, as a lost point has
-_FOUND = 0.8  # least share of the points whose measured position is nearer to the true than to the predicted one
-# Frames computed, alternating between two images: more than an engine computes before it captures a CUDA graph.
-_TURNS = 6
+_FEW, _MOST_FEW = 3, 16  # every 3rd point, at most 16, is among `BuiltIn.few`
+# Frames computed, alternating between two: more than an engine or ONNX Runtime computes before it replays a CUDA graph.
+_TURNS = 4
+_MOTIONS = "numbers", "reversed"  # names in bundle.json
+_DIGITS = 6
 _FLIPS = 0.01  # largest share of the values that may be finite in one of both results and NaN in the other
+_DARKER = 0.9  # light of the empty glass of the reversed motion, and of its frame relative to this glass
+# Displacements for fields: points move this many times as far as they do, so that rounding is a smaller share.
+_LARGER = 5.0
+_AWAY = np.float32(3.0)  # px along x and y, by which an outlier is put off its place
+_CERTAIN, _UNCERTAIN = np.float32(0.02), np.float32(0.5)  # px, deviations of positions
 
 
 class Tolerance(NamedTuple):
@@ -43,18 +51,30 @@ class Tolerance(NamedTuple):
     relative: bool = False
 
 
-#: Largest differences to the results stored in a bundle. Positions of engines differ by up to 2e-5 px; 1e-3 px is
-#: guaranteed. A cell at the border may be in contact for one engine only.
+_PX, _SHARE = Tolerance(1e-3, "px"), Tolerance(1e-3, "of itself", relative=True)
+_STRAIN = Tolerance(5e-5, "m/m")
+#: Largest differences to the expected results. Positions of engines differ by up to 2e-5 px; 1e-3 px is guaranteed. A
+#: cell at the border may be in contact for one engine only.
 TOLERANCES = {
-    "real_area_px": Tolerance(1e-3, "of itself", relative=True),
-    "gross_area_px": Tolerance(1e-3, "of itself", relative=True),
-    "center": Tolerance(0.1, "px"),
-    "semi_axes": Tolerance(0.1, "px"),
-    "found": Tolerance(1e-3, "px"),
-    "corrected": Tolerance(1e-3, "px"),
+    **dict.fromkeys(("real_area_px", "gross_area_px"), _SHARE),
+    **dict.fromkeys(("center", "semi_axes"), Tolerance(0.1, "px")),
+    "axis": Tolerance(0.01, ""),  # cosine and sine of twice the angle, of which pi more is the same axis
+    **dict.fromkeys(("threshold", "illumination_gain"), Tolerance(1e-3, "")),
+    "covered": Tolerance(0.0, ""),
+    "noise": _SHARE,
+    **dict.fromkeys(("found", "found_alone", "found_updated", "corrected"), _PX),
     # The frame has no noise: the residual, on which the deviation is based, is a difference of nearly equal sums.
     "deviation": Tolerance(0.05, "of itself", relative=True),
+    "warp": Tolerance(5e-4, "px/px"),
+    **dict.fromkeys(("off_neighbours", "uncertain"), Tolerance(0.0, "")),
+    "searched": Tolerance(0.05, "px"),
+    "windows": Tolerance(0.1, "grey levels"),
+    "seeded": Tolerance(0.05, "of the points"),
+    **dict.fromkeys(("fields", "fields_entered", "median", "median_entered", "fit"), _STRAIN),
+    "known_share": Tolerance(0.01, ""),
+    **dict.fromkeys(("fields_std", "median_std", "fit_std"), Tolerance(0.02, "of itself", relative=True)),
 }
+_OF_GRAPHS = tuple(name for name in TOLERANCES if not name.endswith("_std"))  # the graphs of a bundle give no others
 
 
 class BuiltIn(NamedTuple):
@@ -65,6 +85,8 @@ class BuiltIn(NamedTuple):
         key, topography: topography view of a texture, and of the same texture shifted and stretched by one per cent.
         points: (N, 2) px in `key`, NaN for none.
         expected: (N, 2) px, predicted positions of the points in `topography`.
+        few: (n,) indices of the points that are tracked alone, updated and searched for; every fourth of them is put
+            off its place for the test of outliers, and the next one is uncertain.
     """
 
     empty: Array
@@ -73,104 +95,226 @@ class BuiltIn(NamedTuple):
     topography: Array
     points: Array
     expected: Array
+    few: Array
+
+    @property
+    def truth(self) -> Array:
+        """Return the true positions (N, 2) px in `topography`."""
+        return self.expected - np.float32(_BESIDE)
+
+    def reversed(self) -> BuiltIn:
+        """Return the frame of the reversed motion, without contact and in darker light."""
+        empty, contact = (np.round(light * self.empty).astype(self.empty.dtype) for light in (_DARKER, _DARKER**2))
+        known = np.isfinite(self.points)
+        start = np.where(known, self.truth, np.float32(np.nan))
+        expected = np.where(known, self.points, self.truth) + np.float32(_BESIDE)
+        return BuiltIn(empty, contact, self.topography, self.key, start, expected, self.few + 1)
 
 
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
-    """Check that the results of an engine for the built-in frame agree with those stored in a bundle.
-
-    Frames of other content must have other results (`check_frames`).
+    """Check that the results of an engine for the built-in frame, and for its reversed motion, agree with those stored
+    in a bundle.
 
     Args:
         engine: created for the views and the number of points of the bundle.
-        expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and its results.
+        expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and the results of both
+            motions.
 
     Raises:
         FingerflowError: they differ by more than rounding explains, or `expected` is damaged.
     """
     try:
         height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
-        of_bundle = {name: np.array(expected["numbers"][name], np.float64) for name in TOLERANCES}
+        of_bundle = [{name: np.array(expected[motion][name], np.float64) for name in _OF_GRAPHS} for motion in _MOTIONS]
     except (KeyError, TypeError, ValueError) as error:
         raise FingerflowError(
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
         ) from None
-    frame = built_in(height, width, bit_depth, points, engine.settings.window_px)
-    check_frames(engine, frame)
-    for name, ours in numbers_of(engine, frame).items():
-        theirs, tolerance = of_bundle[name], TOLERANCES[name]
-        known = np.isfinite(ours), np.isfinite(theirs)
-        if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
-            found = f"{name} is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
-            raise FingerflowError(_sentence(engine, f"{_DIFFERENT} ({found})"))
-        apart, both = np.abs(ours - theirs), known[0] & known[1]
-        if tolerance.relative:
-            apart = apart / np.maximum(np.abs(theirs), 1e-6)
-        worst = float(np.max(apart[both], initial=0.0))
-        if not worst <= tolerance.most:
-            found = f"{name} is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
-            raise FingerflowError(_sentence(engine, f"{_DIFFERENT} ({found})"))
+    check_frames(engine, built_in(height, width, bit_depth, points, engine.settings.window_px), of_bundle)
 
 
-def check_frames(engine: Engine, frame: BuiltIn) -> None:
-    """Check that an engine computes each frame anew: two built-in frames in turns have their own results every time.
+def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str, Array]]) -> None:
+    """Check that an engine gives the expected results of a built-in frame and of its reversed motion, computed in
+    turns.
 
-    A recorded graph that reads the first frame for ever gives the same results for both.
+    A recorded graph that reads the first frame for ever, or a kernel that always computes wrongly, gives others.
+
+    Args:
+        engine: to be checked.
+        frame: built-in frame.
+        expected: results of both motions by name, those of `both_numbers_of` by another engine.
 
     Raises:
         FingerflowError: a result is not that of its frame.
     """
-    light = engine.light(frame.empty.astype(np.float32), None)
-    templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
-    threshold, still = np.array([THRESHOLD], np.float32), np.zeros_like(frame.points)
+    deviations = not expected[0].keys() <= set(_OF_GRAPHS)
     for turn in range(_TURNS):
-        moved = turn % 2
-        topography, expected, truth = (
-            (frame.topography, frame.expected, frame.expected - np.float32(_BESIDE))
-            if moved
-            else (frame.key, frame.points, frame.points)
-        )
-        found = engine.follow(templates, engine.images(topography[None]), expected, still).found.points[0]
-        contact = engine.contact(engine.images((frame.contact if moved else frame.empty)[None]), light, threshold)
-        apart, area = np.abs(found - truth)[np.isfinite(frame.points[:, 0])], contact.real_area_px[0]
-        if np.mean(apart < _BESIDE / 2) < _FOUND or (area > 0) != moved:
-            raise FingerflowError(
-                _sentence(
-                    engine,
-                    f"of two frames in turns one has results that are not its own: positions are off by "
-                    f"{np.median(apart):.2g} px, and {area:.0f} px are in contact",
+        shown = frame.reversed() if turn % 2 else frame
+        numbers = numbers_of(engine, shown, deviations)
+        for name, theirs in expected[turn % 2].items():
+            if difference := _difference(name, numbers[name], theirs):
+                raise FingerflowError(
+                    f"engine {engine.described}: its numbers of the built-in frame are not the expected ones ({name} "
+                    f"{difference}), so that none of its numbers can be trusted here; choose another engine or another "
+                    "provider"
                 )
-            )
 
 
-def _sentence(engine: Engine, found: str) -> str:
-    return (
-        f"engine {engine.described}: {found}, so that none of its numbers can be trusted here; choose another engine "
-        "or another provider"
-    )
+def _difference(name: str, ours: Array, theirs: Array) -> str:
+    """Return in words by how much a result differs from the expected one; an empty string if rounding explains it."""
+    tolerance = TOLERANCES[name]
+    if name == "seeded":
+        apart = np.abs(ours[:, None] - theirs).max(-1) if len(ours) and len(theirs) else np.ones((1, 1))
+        worst = float(1 - np.mean(apart.min(1) < _BESIDE) * min(len(ours), len(theirs)) / max(len(ours), len(theirs)))
+        return f"differ for {worst:.0%} {tolerance.unit}" if worst > tolerance.most else ""
+    known = np.isfinite(ours), np.isfinite(theirs)
+    if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
+        return f"is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
+    apart, both = np.abs(ours - theirs), known[0] & known[1]
+    if tolerance.relative:
+        apart = apart / np.maximum(np.abs(theirs), 1e-6)
+    worst = float(np.max(apart[both], initial=0.0))
+    if worst <= tolerance.most:
+        return ""
+    return f"is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
 
 
-def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`."""
-    light = engine.light(frame.empty.astype(np.float32), None)
-    contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
-    templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
-    nowhere = np.zeros_like(frame.expected)
-    found = engine.follow(templates, engine.images(frame.topography[None]), frame.expected, nowhere).found
-    straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(frame.points), 2, 2)).copy()
-    corrected = engine.correct(frame.points, found, templates.numbers, straight).found
+def both_numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> list[dict[str, Array]]:
+    """Compute the results of an engine for the built-in frame and for its reversed motion, as `numbers_of`."""
+    return [numbers_of(engine, one, deviations) for one in (frame, frame.reversed())]
+
+
+def expected_of(engine: Engine, height: int, width: int, bit_depth: int, points: int) -> dict[str, Any]:
+    """Compute what a bundle states for `check_engine`, by an engine whose numbers are right: the sizes of the built-in
+    frame, and the results of both motions as nested lists, with None for NaN, which JSON cannot represent.
+    """
+    size = {"height": height, "width": width, "bit_depth": bit_depth, "points": points}
+    both = both_numbers_of(engine, built_in(**size, window_px=engine.settings.window_px))
+    stated = [{name: _rounded(values) for name, values in numbers.items()} for numbers in both]
+    return {**size, **dict(zip(_MOTIONS, stated, strict=True))}
+
+
+def _rounded(values: Array) -> Any:
+    if values.ndim:
+        return [_rounded(one) for one in values]
+    return round(float(values), _DIGITS) if np.isfinite(values) else None
+
+
+def numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> dict[str, Array]:
+    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`.
+
+    With `deviations` the standard deviations of fields are among them, which the graphs of a bundle do not give.
+    """
     return {
-        **{name: getattr(contact, name)[0] for name in ("real_area_px", "gross_area_px", "center", "semi_axes")},
-        "found": found.points[0],
-        "corrected": corrected.points[0],
-        "deviation": np.sqrt(corrected.variance[0]),
+        name: np.asarray(value, np.float64)
+        for name, value in (
+            *_contact_numbers(engine, frame).items(),
+            *_point_numbers(engine, frame).items(),
+            *_field_numbers(engine, frame, deviations).items(),
+        )
     }
+
+
+def _contact_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
+    light, images = engine.light(frame.empty.astype(np.float32), None), engine.images(frame.contact[None])
+    contact = engine.contact(images, light, np.array([THRESHOLD], np.float32))
+    names = "real_area_px", "gross_area_px", "center", "semi_axes", "illumination_gain"
+    covered = engine.covered(contact.density_margin, frame.expected[None], np.eye(2, 3))[0]
+    return {
+        **{name: getattr(contact, name)[0] for name in names},
+        "axis": np.stack((np.cos(2 * contact.angle[0]), np.sin(2 * contact.angle[0]))),
+        "threshold": engine.threshold(images, light)[0],
+        "covered": np.where(covered, 1.0, np.nan),  # a point at the border may be known to one engine only
+    }
+
+
+def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
+    count, few = len(frame.points), frame.few
+    key, images = engine.key(engine.images(frame.key[None])), engine.images(frame.topography[None])
+    templates = engine.prepare(key, frame.points)
+    still, straight = np.zeros_like(frame.expected), np.broadcast_to(np.eye(2, dtype=np.float32), (count, 2, 2)).copy()
+    found = engine.follow(templates, images, frame.expected, still).found
+    corrected = engine.correct(frame.points, found, templates.numbers, straight)
+
+    start, near, unmoved = frame.points[few], frame.expected[few], still[few]
+    alone = engine.follow(templates, images, near, unmoved, few).found.points[0]
+    stretched = np.broadcast_to(_STRETCH.astype(np.float32), (len(few), 2, 2)).copy()
+    engine.update(templates, few, engine.prepare(key, start, stretched))
+    updated = engine.follow(templates, images, frame.expected, still).found.points[0]
+    windows = engine.windows(images, np.zeros(len(few), np.int64), near, stretched, STEP)
+    results = {
+        "noise": key.noise,
+        "seeded": engine.detect(images, np.ones(frame.key.shape, bool), count),
+        "found": found.points[0],
+        "found_alone": alone,
+        "found_updated": updated,
+        "corrected": corrected.found.points[0],
+        "deviation": np.sqrt(corrected.found.variance[0]),
+        "windows": windows.mean(1),
+    }
+    places = frame.truth[None].copy()
+    places[0, few[::4]] += _AWAY
+    off = found._replace(points=places, covariance=_covariance(frame))
+    judged = engine.outliers(engine.neighbours(frame.points), frame.points, off)
+    results |= zip(("off_neighbours", "uncertain"), (one[0] for one in judged), strict=True)
+    # Among points off their place a local fit depends on its weights, which it does not in a uniform stretch.
+    results["warp"] = engine.correct(frame.points, off, templates.numbers, straight).warp[0]
+    if engine.settings.search_px:
+        places, returns = engine.search(key, images, start, near)
+        results["searched"] = np.where(returns[:, None], places, np.nan)
+    return results
+
+
+def _covariance(frame: BuiltIn) -> Array:
+    """Return the covariances (1, N, 2, 2) px^2 of positions, of which some are uncertain."""
+    deviation = np.full((1, len(frame.points), 1, 1), _CERTAIN)
+    deviation[:, frame.few[1::4]] = _UNCERTAIN
+    result: Array = deviation**2 * np.eye(2, dtype=np.float32)
+    return result
+
+
+def _field_numbers(engine: Engine, frame: BuiltIn, deviations: bool) -> dict[str, Any]:
+    """Return fields, their medians, and gradients between points, from the true displacements of the points.
+
+    The length unit is chosen so that some twenty points lie within the reach of a fit.
+    """
+    size, count = np.array(frame.key.shape[::-1], np.float32), len(frame.points)
+    unit = np.float32(engine.settings.gauge_length_mm / 5 / math.sqrt(size.prod() / count))
+    reference, moved = unit * frame.points, _LARGER * unit * (frame.truth - frame.points)[None]
+    middle, semi_axes = unit * size / 2, unit * size * _SEMI_AXES
+    ellipse = FrameEllipse(*(np.array([one], np.float32) for one in (middle, semi_axes, 0.1)))
+    among = (np.arange(count) % 5 == 0)[None]
+    gradient = np.where(among[..., None, None], np.nanstd(moved) * np.eye(2), np.nan).astype(np.float32)
+    results: dict[str, Any] = {}
+    for name, entered in (("", None), ("_entered", EnteredPoints(among, gradient, None))):
+        found = engine.fields(reference, moved, ellipse, None, entered)
+        of_points = found.divergence[..., None], found.curl[..., None], found.strain, found.shear
+        results[f"fields{name}"] = np.concatenate(of_points, axis=-1)[0]
+        results[f"median{name}"] = found.median[0]
+        results["known_share"] = found.known_share[0]
+    known = np.isfinite(frame.points[:, 0])
+    fitted = reference[known], moved[:, known], reference[known] + unit
+    results["fit"] = engine.fit(*fitted, engine.settings.gauge_length_mm).gradient[0]
+    if deviations:
+        covariance = unit**2 * _covariance(frame)
+        found = engine.fields(reference, moved, ellipse, covariance)
+        results["fields_std"] = np.stack([_known(one)[0] for one in (found.divergence_std, found.curl_std)])
+        results["median_std"] = _known(found.median_std)[0]
+        fit = engine.fit(*fitted, engine.settings.gauge_length_mm, covariance[:, known, 0, 0])
+        results["fit_std"] = np.sqrt(np.einsum("qijij->qij", _known(fit.covariance)[0]))
+    return results
+
+
+def _known(values: Array | None) -> Array:
+    assert values is not None
+    return values
 
 
 def built_in(height: int, width: int, bit_depth: int, points: int, window_px: int) -> BuiltIn:
     """Create the built-in test frame of a given size, with a given number of points."""
     y, x = np.mgrid[:height, :width].astype(np.float64)
     middle = np.array([width / 2, height / 2])
-    along, across = (x - middle[0]) / (0.36 * width), (y - middle[1]) / (0.3 * height)
+    along, across = (x - middle[0]) / (_SEMI_AXES[0] * width), (y - middle[1]) / (_SEMI_AXES[1] * height)
     ridges = np.where(np.sin(0.75 * x + 0.1 * y) > -0.2, _RIDGE, _VALLEY)
     places = np.stack((x, y), -1) - _SHIFT - middle
     material = places @ np.linalg.inv(_STRETCH).T + middle
@@ -189,6 +333,7 @@ def built_in(height: int, width: int, bit_depth: int, points: int, window_px: in
         view(_texture(material[..., 0], material[..., 1])),
         start.astype(np.float32),
         moved.astype(np.float32),
+        np.arange(1, points - 1, _FEW)[:_MOST_FEW],
     )
 
 

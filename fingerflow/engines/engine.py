@@ -13,6 +13,7 @@ Array = NDArray[Any]
 # Batch size of the graphs that process a subset of the points, and largest number of points that a stream searches for
 # in one round of lost-point recovery.
 ROWS = 64
+STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
 Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a length and can be sliced by frame
 
 

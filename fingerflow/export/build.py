@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from fingerflow.engines.engine import STEP
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import (
@@ -31,7 +32,6 @@ from fingerflow.ops.tracking.deformation import Supports, supports_of
 from fingerflow.ops.tracking.outliers import Neighbours
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
-from fingerflow.tracker.subset_verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 

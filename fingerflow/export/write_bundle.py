@@ -15,11 +15,14 @@ import torch
 from tqdm import tqdm
 
 from fingerflow import __version__
+from fingerflow.engines.bundle import bundle_settings
+from fingerflow.engines.check import expected_of
+from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.carried_modules import carry_modules
-from fingerflow.export.expected import expected_numbers
 from fingerflow.export.graph_verification import Difference, verify
+from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
@@ -105,12 +108,16 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which
     describes the graphs by `models`.
     """
+    engine = TorchEngine(bundle_settings(recipe.model_dump()), torch.device("cpu"))
+    views = recipe.views
+    with torch.inference_mode(), Portable():
+        expected = expected_of(engine, views.height, views.width, views.bit_depth, recipe.tracking.points)
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
         "recipe": recipe.model_dump(),
         "graphs": models,
-        "expected": expected_numbers(recipe),
+        "expected": expected,
     }
     (folder / "bundle.json").write_text(json.dumps(about) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")

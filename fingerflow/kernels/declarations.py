@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 HEADER = Path(__file__).with_name("interface.h")
 _CODES = {"std::int64_t": "q", "std::int32_t": "i", "int": "i", "float": "f", "double": "d"}  # of Python's `struct`
-# Sources of constants that Python and C++ share: limits of tracking, median networks and tables.
-_SHARED = ("tracking_limits.py", "median_network.py", "median_rows.py")
+# Sources of constants that Python and C++ share: limits of tracking, sizes for the contact, median networks and tables.
+_SHARED = ("tracking_limits.py", "contact_sizes.py", "median_network.py", "median_rows.py")
 
 
 class Field(NamedTuple):

@@ -36,6 +36,25 @@ def symmetric(three: Tensor) -> Tensor:
     return result
 
 
+def half_angle(y: Tensor, x: Tensor) -> Tensor:
+    """Return half the angle of vectors (x, y), rad, from -pi/2 to pi/2: half of `torch.atan2(y, x)`.
+
+    An exported graph takes three more halves of the angle by square roots, and a power series of the rest, to 1e-6 rad:
+    ONNX Runtime has no arctangent for a GPU.
+    """
+    if not torch.compiler.is_exporting():
+        return torch.atan2(y, x) / 2
+    length = (x * x + y * y).sqrt().clamp_min(torch.finfo(x.dtype).tiny ** 0.5)
+    larger = ((1 + x.abs() / length) / 2).sqrt()  # the larger one of cosine and sine of half the angle
+    smaller = y.abs() / length / (2 * larger)
+    tangent = torch.where(x < 0, larger / (1 + smaller), smaller / (1 + larger))  # of a fourth of the angle
+    for _ in range(2):
+        tangent = tangent / (1 + (1 + tangent * tangent).sqrt())
+    square = tangent * tangent
+    series = 1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square / 9)))
+    return torch.where(y < 0, -8.0, 8.0) * tangent * series
+
+
 def products(left: Tensor, right: Tensor) -> Tensor:
     """Return the matrix products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
 

@@ -137,7 +137,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
         raise FingerflowError(
             f"{path} is of another recording than {inputs.recording.path}, or of other frames of it: it has "
             f"{earlier.attrs['recording']}, the scene {inputs.scene.path} {now}. Name the result of this scene, or "
-            f"compute it anew without --from"
+            f"compute it again without --from"
         )
     known: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
     older = f"{path} was written by an older version, which does not say what its stages depend on"

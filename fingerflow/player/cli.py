@@ -20,6 +20,7 @@ from fingerflow.player.options import option_parser
 from fingerflow.player.stream_player import Player
 from fingerflow.schema.unfinished import finish, remove, unfinished
 
+_COMPUTING = ("engine", "provider", "threads", "parallel_frames")  # options that a benchmark heeds
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
 
 
@@ -39,7 +40,7 @@ def main(
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
     try:
         if options.benchmark:
-            print(benchmark(options.bundle))
+            print(benchmark(options.bundle, {name: found for name in _COMPUTING if (found := getattr(options, name))}))
             return 0
         return _stream(options, forces_of)
     except FingerflowError as error:

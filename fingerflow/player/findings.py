@@ -1,14 +1,16 @@
-"""Warnings about results, such as contact, that were found in no frame of a stream."""
+"""Warnings about results, such as contact, that were found in no frame of a stream, or in too few."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 
+from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.stream_frame_quality import USABLE
 
 _WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
+_MANY = 0.05  # share of the frames with such a contact without median divergence above which this is a warning
 
 
 class Findings:
@@ -23,7 +25,8 @@ class Findings:
         self._usable = 0
         self._last = USABLE
         self._points = self._contact = False
-        self._wide = self._unknown = 0
+        self._wide = self._unknown = 0  # frames with a wide contact, and those of them without median divergence
+        self._first_unknown = self._last_unknown = -1
 
     def skip(self, status: int) -> bool:
         """Count an unusable frame by its status, an index into `FRAME_STATUS`; return whether the status differs from
@@ -33,15 +36,20 @@ class Findings:
         begins, self._last = status != self._last, status
         return begins
 
-    def count(self, tracked: int, area: float, gross_area: float, median: float) -> None:
-        """Count a usable frame: number of tracked points, real and gross area in mm^2, and median divergence."""
+    def count(self, frame: int, tracked: int, area: float, gross_area: float, median: float) -> None:
+        """Count a usable frame by its number: number of tracked points, real and gross area in mm^2, and median
+        divergence.
+        """
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
         self._contact |= area > 0
         if gross_area > _WIDE_MM2:
             self._wide += 1
-            self._unknown += math.isnan(median)
+            if math.isnan(median):
+                self._first_unknown = self._first_unknown if self._unknown else frame
+                self._last_unknown = frame
+                self._unknown += 1
 
     def missing(self, threshold_known: bool) -> list[str]:
         """Return a warning sentence for each kind of result that was found in no frame of the stream; `threshold_known`
@@ -63,10 +71,21 @@ class Findings:
             said.append(
                 "no frame showed a contact: if there was one, check [background], [views.contact] and contact.threshold"
             )
-        if self._unknown:
+        if self._unknown > _MANY * self._wide:
             said.append(
-                f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
-                f"{_WIDE_MM2:g} mm2: points are known in too little of it. Seed them where the finger touches "
-                f"([stream] region), or export a bundle with more tracking.points; status says why points are lost"
+                f"{self.unknown_medians()}. Seed points where the finger touches ([stream] region), or export a bundle "
+                "with more tracking.points; status says why points are lost"
             )
         return said
+
+    def unknown_medians(self) -> str:
+        """Return in a sentence in how many frames with a wide contact the median divergence is NaN, and why; "" if in
+        none. A few such frames are no fault: a contact that is small, or that the points have just been seeded in.
+        """
+        if not self._unknown:
+            return ""
+        return (
+            f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
+            f"{_WIDE_MM2:g} mm2, the first is {self._first_unknown}, the last {self._last_unknown}: there, points with "
+            f"a known divergence reach less than {LEAST_SHARE:.0%} of the contact"
+        )

@@ -72,7 +72,11 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     add("--when", **repeated, metavar="CONDITION", help="such as 'gross_contact_area > 20 mm2, margin 2'; needs --then")
     add("--then", **repeated, metavar="ADDRESS", help="where to send when the --when before it becomes true")
     add("--values", type=lambda text: text.split(","), metavar="NAME,...", help="that --send sends; default all")
-    add("--benchmark", action="store_true", help="tell which frame rate this PC holds, and end")
+    add(
+        "--benchmark",
+        action="store_true",
+        help="tell which frame rate this PC holds (with --engine, --threads ...)",
+    )
     add("--give-up", type=_positive, default=Settings.give_up, metavar="S", help="end after so long without a frame")
     return parser
 

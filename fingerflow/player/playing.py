@@ -30,8 +30,8 @@ def play(
         source: file, folder, "synthetic", or a camera's factory: a function that returns a function which returns the
             next frame. None for that of the options, such as ``camera="opencv:0"``, or of the scene.
         on_frame: called with the stamp and the values of each frame, in a thread of its own. While it is busy the
-            newest frame waits and older ones are left out, which the summary counts as overtaken; a file without
-            `rate` waits for it instead.
+            newest frame waits and older ones are left out, which the summary counts as overtaken; a file that is played
+            without a rate (`rate`, or frame_rate of the scene) waits for it instead.
         options: of the command line, with _ for -, such as ``rate=300``, ``scene="scene.toml"``, ``page="off"`` or
             ``send=["udp:127.0.0.1:5005"]``.
 
@@ -45,7 +45,7 @@ def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -
     loop ends the stream.
 
     Arguments and errors are those of `play`. While the loop is busy the newest frame waits and older ones are left
-    out, except those of a file without `rate`.
+    out, except those of a file that is played without a rate.
     """
     frames: Channel[LiveFrame] = Channel(1)
     player = _open(bundle, source, lambda frame, values: frames.put((frame, values)), options)

@@ -19,6 +19,7 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.camera_clock import EPOCH, CameraClock
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
+from fingerflow.player.keeping_up import KeepingUp
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData, LiveViews
 from fingerflow.player.live_forces import FrameForces
@@ -41,7 +42,6 @@ _STALL_WARNING = 2.0  # s without a frame after which a warning is logged
 _HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
-_BEHIND = 0.1  # s, longest median latency with which results count as keeping up
 _SENTENCES = {  # log messages by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
@@ -122,6 +122,10 @@ class Player:
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
         self._behind = ""  # message shown on the page: how results fall behind the camera
+        self._keeping_up = KeepingUp(LONGEST + tracker.lag)
+        # Number and time of the newest frame, and of the frame of the newest result; None before there is a frame.
+        self._newest: tuple[int, float] | None = None
+        self._measured: tuple[int, float] | None = None
         self._clock = CameraClock()
         self._stop = threading.Event()
         self._finished = threading.Event()
@@ -188,6 +192,9 @@ class Player:
         missing = self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
+        few = self._findings.unknown_medians()
+        if few and not any(few in sentence for sentence in missing):
+            log.info("%s", few)
         return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
@@ -268,7 +275,7 @@ class Player:
     # Main thread: write the log and monitor the source.
 
     def _watch(self) -> None:
-        said, processed, stalled, lost = time.perf_counter(), 0, False, 0
+        said, processed, stalled = time.perf_counter(), 0, False
         while not self._finished.wait(0.05) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
@@ -289,23 +296,21 @@ class Player:
                 recent, self._recent = self._recent, Latencies()
                 self.recent = recent.summary()
                 self.rate = (self.processed - processed) / (now - said)
-                before, lost = lost, self.dropped + self.overruns + sum(one.lost for one in self._senders)
-                self._behind = self._falls_behind(lost > before, self.processed == processed)
                 said, processed = now, self.processed
                 log.info("%s", self._line(self.recent))
+            self._behind = self._falls_behind(now)
 
-    def _falls_behind(self, loses: bool, silent: bool) -> str:
-        """Return in a few words how the results of the last second fall behind the camera, "" if they keep up; `loses`
-        tells whether frames or messages were lost, `silent` whether no result came.
+    def _falls_behind(self, now: float) -> str:
+        """Return in a few words how results fall behind the camera at a time in s, "" if they keep up or if the source
+        waits for them.
         """
-        if self._can_wait:
+        newest, measured = self._newest, self._measured
+        if self._can_wait or newest is None or measured is None:
             return ""
-        median = self.recent["median"]
-        if median is not None and median > 1e3 * _BEHIND:
-            return f"{median / 1e3:.1f} s behind"
-        if silent and self.frames_in > self.processed + self.dropped:
-            return "no result for 1 s"
-        return "frames or messages are lost" if loses else ""
+        # While the source is waited for, no frame is late that has not come.
+        age = (now if self._waiting_since is None else newest[1]) - measured[1]
+        lost = self.dropped + self.overruns, sum(one.lost for one in self._senders)
+        return self._keeping_up.said(now, age, newest[0] - measured[0], lost, self.recent["median"])
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
@@ -372,6 +377,8 @@ class Player:
         slot.fill(frame, self.scene, self.bundle, self.source_name)
         self._tracker.inspect(slot)
         self.frames_in += 1
+        self._newest = slot.number, slot.arrival
+        self._measured = self._measured or self._newest
         if self.settings.every:
             self._frames.put(slot)
         elif (overtaken := self._frames.put_newest(slot)) is not None:
@@ -459,7 +466,7 @@ class Player:
         else:
             self._layout.fill(fields, place, results)
             named = ("real_contact_area", "gross_contact_area", "median_divergence")
-            self._findings.count(outcome.tracked, *(float(results[name]) for name in named))
+            self._findings.count(slot.number, outcome.tracked, *(float(results[name]) for name in named))
         if self._forces is not None:
             for name, force in self._forces.at(slot.number, slot.arrival).items():
                 fields[name][place] = force
@@ -479,6 +486,7 @@ class Player:
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1
+        self._measured = slot.number, slot.arrival
         drawn = None
         if results is not None and not self._drawing and self.live.is_due():
             self._drawing = True

@@ -232,8 +232,8 @@ def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     banded = [curve for curve in curves if curve.std is not None]
     if banded:
         own = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
-        meaning = "; ".join(VARIABLES[name].long_name for name in own if name in VARIABLES)
-        said.append(f"Bands: {BAND_WORDS}" + (f" ({meaning})." if meaning else "."))
+        errors = dict.fromkeys(VARIABLES[name].long_name.partition(" by ")[2] for name in own if name in VARIABLES)
+        said.append(f"Bands: {BAND_WORDS}" + "".join(f", by {one}" for one in errors if one) + ".")
     counts = [int(np.isfinite(curve.values).sum()) for curve in curves]
     said.append(f"n = {max(counts)} frames.")
     return " ".join(said)

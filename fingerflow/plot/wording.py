@@ -29,9 +29,8 @@ def frame_text(frame: xr.Dataset) -> str:
 
 def definition_of(variable: Variable, more: str = "") -> str:
     """Return a sentence that defines a variable or column, for captions; `more` is appended to it."""
-    words = variable.words
-    meaning = "" if variable.long_name == words else f": {variable.long_name}"
-    return f"{sentence(words)}{meaning}{more}."
+    words, meaning = variable.words, variable.long_name
+    return f"{sentence(meaning if meaning.startswith(words) else f'{words}: {meaning}')}{more}."
 
 
 def sentence(words: str) -> str:

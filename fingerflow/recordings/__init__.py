@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from fingerflow.recordings.forces.forces import Forces as Forces
     from fingerflow.recordings.forces.open_forces import force_columns as force_columns
     from fingerflow.recordings.forces.open_forces import force_facts as force_facts
+    from fingerflow.recordings.forces.open_forces import holds_forces as holds_forces
     from fingerflow.recordings.forces.open_forces import open_forces as open_forces
     from fingerflow.recordings.frames.open_recording import open_recording as open_recording
     from fingerflow.recordings.frames.recording import Recording as Recording
@@ -18,11 +19,12 @@ _HOMES = {
     "Forces": "fingerflow.recordings.forces.forces",
     "force_columns": "fingerflow.recordings.forces.open_forces",
     "force_facts": "fingerflow.recordings.forces.open_forces",
+    "holds_forces": "fingerflow.recordings.forces.open_forces",
     "open_forces": "fingerflow.recordings.forces.open_forces",
     "open_recording": "fingerflow.recordings.frames.open_recording",
     "Recording": "fingerflow.recordings.frames.recording",
 }
-__all__ = ["Forces", "Recording", "force_columns", "force_facts", "open_forces", "open_recording"]
+__all__ = ["Forces", "Recording", "force_columns", "force_facts", "holds_forces", "open_forces", "open_recording"]
 
 
 def __getattr__(name: str) -> Any:

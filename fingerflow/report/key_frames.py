@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.plot.abscissa import varies
+from fingerflow.results.largest_load import frame_of_largest
 
 LEVELS_N = (1.0, 2.0, 3.0)
 _MOST = 5
@@ -40,7 +41,7 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
     elif pulled:
         found += _of_a_pull(result, known)
     elif varies(result, "normal_force"):
-        found += _of_a_press(result["normal_force"].values, known)
+        found += _of_a_press(result, known)
     if len(found) < 2:
         found += _of_contact(result, known)
     return _select_spaced(found, result.sizes["frame"])
@@ -58,11 +59,11 @@ def _known(result: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(area) > 0)
 
 
-def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[ReportFrame]:
-    press = np.where(known & np.isfinite(force), force, -np.inf)
-    top = int(np.argmax(press))
-    if not press[top] > 0:
+def _of_a_press(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
+    top = frame_of_largest(result, ("normal_force",), known)
+    if top is None:
         return []
+    press = np.where(known, np.nan_to_num(result["normal_force"].values), 0.0)
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
     found = [ReportFrame(top, "largest force")]
     # Put higher levels first, as they show more and are selected first.

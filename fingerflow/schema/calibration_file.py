@@ -10,7 +10,7 @@ Pixels = tuple[int, int]
 # Names of the scalar entries of a disc.
 DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")
 DISC_PAIRS = ("center", "semi_axes_px")
-_REMEDY = "Write it anew with `fingerflow calibrate`"
+_REMEDY = "Write it again with `fingerflow calibrate`"
 
 
 class CalibrationError(Exception):

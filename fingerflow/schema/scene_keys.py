@@ -146,6 +146,7 @@ class SceneKey:
         needed_by: readers that need it.
         unit: of its value, "" if it has none or the type states it.
         sample: value that the commented scene file shows where there is no default.
+        label: words for the key in forms and reports; "" where its name in words says enough.
     """
 
     type: Type
@@ -154,6 +155,7 @@ class SceneKey:
     needed_by: frozenset[Reader] = NOBODY
     unit: str = ""
     sample: Any = None
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -180,15 +182,12 @@ _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # units by the en
 
 
 def words_of(name: str, key: "SceneKey | SceneTable") -> tuple[str, str]:
-    """Return the name of a key in words and its unit, such as "window" and "px" for `window_px`; the unit is "" if the
-    key has none.
+    """Return the words for a key and its unit, such as "depth" and "mm" for `depth_mm`: its label or, without one, its
+    name; the unit is "" if the key has none.
     """
-    if name == "mm_per_px":
-        return "scale", "mm/px"
-    for end, unit in _UNITS.items():
-        if name.endswith(end):
-            return name.removesuffix(end).replace("_", " "), unit
-    return name.replace("_", " "), key.unit if isinstance(key, SceneKey) else ""
+    label, own = (key.label, key.unit) if isinstance(key, SceneKey) else ("", "")
+    end = next((end for end in _UNITS if name.endswith(end)), "")
+    return label or name.removesuffix(end).replace("_", " "), own or _UNITS.get(end, "")
 
 
 POSITIVE, FROM_0 = NumberType(above=0), Whole(least=0)
@@ -220,7 +219,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
         {
             "frames": SceneKey(File(there_for=PROCESS),
                 "recording: .cine, .mraw/.cih, TIFF, AVI/MP4/MKV, HDF5, .npy or a folder of images",
-                needed_by=PROCESS, sample="frames.cine"),
+                needed_by=PROCESS, sample="frames.cine", label="recording"),
             "frame_rate": SceneKey(NumberType(above=1e-6), "only where the recording does not state it",
                 unit="Hz", sample=300.0),
             "trigger_frame": SceneKey(FROM_0, "frame at time 0, only where the recording does not state it", sample=12),
@@ -232,8 +231,9 @@ SCENE: dict[str, SceneKey | SceneTable] = {
     "background": SceneTable(
         {
             "frames": SceneKey(File(there_for=PROCESS), "of the empty glass; several frames are averaged",
-                needed_by=BOTH, sample="empty.cine"),
-            "dark": SceneKey(File(there_for=PROCESS), "without light", sample="dark.cine"),
+                needed_by=BOTH, sample="empty.cine", label="recording of the empty glass"),
+            "dark": SceneKey(File(there_for=PROCESS), "without light", sample="dark.cine",
+                label="recording without light"),
         },
         "pictures without a finger", needed_by=PROCESS,
     ),
@@ -241,10 +241,11 @@ SCENE: dict[str, SceneKey | SceneTable] = {
         {
             "file": SceneKey(File(calibration=True), "from `fingerflow calibrate`; in place of the other keys",
                 sample="calibration.toml"),
-            "mm_per_px": SceneKey(NumberType(above=0, most=1), "of the contact view", unit="mm/px", sample=0.02),
+            "mm_per_px": SceneKey(NumberType(above=0, most=1), "of the contact view", unit="mm/px", sample=0.02,
+                label="scale"),
             # This key is used only if there is a topography view.
             "topography_to_contact": SceneKey(TransformType(), "affine map of px, topography view to contact view",
-                default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+                default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), label="map from topography to contact view"),
         },
         "scale, and place of the views on each other", needed_by=BOTH,
     ),
@@ -252,21 +253,24 @@ SCENE: dict[str, SceneKey | SceneTable] = {
         {
             "file": SceneKey(File(there_for=PROCESS), "CSV, HDF5, .mat or TDMS", needed_by=BOTH, sample="forces.csv"),
             "normal": SceneKey(Column(), "channel of the normal force: its name in the file, or its number from 1",
-                needed_by=BOTH, sample="normal_force"),
+                needed_by=BOTH, sample="normal_force", label="normal force column"),
             "tangential": SceneKey(Column(several=2), 'channel of the tangential force, or two, ["fx", "fy"]',
-                sample="tangential_force"),
+                sample="tangential_force", label="tangential force columns"),
             "units": SceneKey(Choice(("N", "mN", "g", "kgf", "V")), "of the forces, only where the file does not "
-                "state it", sample="N"),
+                "state it", sample="N", label="unit of the file"),
             "gain": SceneKey(Each(), "of the sensor, N/V where units is V; or one a channel, normal first",
-                sample=1.0),
+                sample=1.0, label="gain of the sensor"),
             "sign": SceneKey(Each(among=(1, -1)), "-1 where pressing is negative; or one a channel, [-1, 1]",
-                default=1.0, sample=1),
-            "offset": SceneKey(Each(), "reading without a load, in the unit of the file", sample=0.0),
+                default=1.0, sample=1, label="sign of each column"),
+            "offset": SceneKey(Each(), "reading without a load, in the unit of the file", sample=0.0,
+                label="reading without load"),
             "tare": SceneKey(TimeRange(), "time without contact, from the trigger: its mean is the zero; in place of "
-                "offset", unit="s", sample=[-0.5, -0.1]),
-            "trigger": SceneKey(Column(), "channel whose first rise through trigger_level is time 0", sample="trigger"),
+                "offset", unit="s", sample=[-0.5, -0.1], label="time without load"),
+            "trigger": SceneKey(Column(), "channel whose first rise through trigger_level is time 0", sample="trigger",
+                label="trigger column"),
             "trigger_level": SceneKey(NumberType(), "in the unit of that channel", sample=2.5),
-            "time": SceneKey(Column(), "column of the time, only where the file does not name it so", sample="time"),
+            "time": SceneKey(Column(), "column of the time, only where the file does not name it so", sample="time",
+                label="time column"),
             "sample_rate": SceneKey(POSITIVE, "only where the file has no time", unit="Hz", sample=1000.0),
         },
         "force sensor",
@@ -276,51 +280,56 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "appears": SceneKey(Choice(("dark", "bright")), "as skin in contact does beside the empty glass; bright "
                 "where light leaves the glass through skin alone (frustrated total internal reflection). Areas are "
                 "then those of the picture's negative, in which background.dark has no part",
-                default="dark"),
+                default="dark", label="dark or bright"),
             "median_px": SceneKey(Whole(least=3, most=15, odd=True),
                 "side of the median filter, narrower than a ridge; the paper has 9, which rounds the ends of ridges",
-                default=3),
+                default=3, label="median filter"),
             "threshold": SceneKey(Choice(("reference_frame", "per_frame"), NumberType(above=0, below=1)),
                 "relative intensity loss that is contact; the words: Otsu's at the largest force, or of each frame",
                 default="reference_frame"),
             "gross_radius_px": SceneKey(Whole(least=1, most=255), "half the distance between ridges, or a little more",
-                default=8),
+                default=8, label="half ridge spacing"),
         },
         "segmentation of real and gross contact",
     ),
     "tracking": SceneTable(
         {
-            "points": SceneKey(Whole(least=3), "most points that are tracked", default=700),
+            "points": SceneKey(Whole(least=3), "most points that are tracked", default=700, label="number of points"),
             "window_px": SceneKey(Whole(least=5, most=255, odd=True), "side of the window that is compared",
-                default=25),
-            "min_distance_px": SceneKey(POSITIVE, "least distance between two points", default=6.0),
+                default=25, label="side of windows"),
+            "min_distance_px": SceneKey(POSITIVE, "least distance between two points", default=6.0,
+                label="distance between points"),
             "points_from": SceneKey(Choice(("recorded", "enhanced")), "picture in which points are seeded; enhanced: "
-                "without background, stretched, sharpened", default="recorded"),
+                "without background, stretched, sharpened", default="recorded", label="picture for seeding"),
             "direction": SceneKey(Choice(("forward", "backward")), "of tracking; backward from the last frame",
-                default="forward"),
+                default="forward", label="direction of tracking"),
             "template": SceneKey(Choice(("keyframe", "previous")), "frame that a window is compared with; errors add "
-                "up with the previous one", default="keyframe"),
+                "up with the previous one", default="keyframe", label="windows compared with"),
             "forward_backward_limit_px": SceneKey(POSITIVE, "largest distance after tracking forward and back",
-                default=1.0),
+                default=1.0, label="limit of forward-backward error"),
             "search_px": SceneKey(FROM_0, "reach of the search for points that a jolt has carried away; 0 for none",
-                default=8),
+                default=8, label="search for lost points"),
             "gain_offset": SceneKey(Switch(), "whether windows are compared up to gain and offset of the light",
-                default=True),
+                default=True, label="allow for changes of light"),
         },
         "points on the skin",
     ),
     "fields": SceneTable(
         {
             "reference": SceneKey(Moment(("onset", "first_frame")), 'a frame of the file (120), or a time ("0.25 '
-                's"): moment from which displacement counts; onset is that of each point', default="onset"),
+                's"): moment from which displacement counts; onset is that of each point', default="onset",
+                label="displacement counts from"),
             "gauge_length_mm": SceneKey(NumberType(above=0, most=100), "diameter over which a gradient is fitted "
                 "(virtual strain gauge)", default=1.6),
             "strain": SceneKey(Choice(("green_lagrange", "as_printed", "infinitesimal")), "measure of strain; "
-                "as_printed: Willemet et al. 2021, equation 1", default="green_lagrange"),
-            "young_modulus_mpa": SceneKey(POSITIVE, "of the skin", default=1.0),
-            "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), "of the skin", default=0.4),
-            "depth_mm": SceneKey(POSITIVE, "of skin over which strain energy is integrated", default=2.0),
-            "rate_window_s": SceneKey(POSITIVE, "over which rates are fitted", default=0.05),
+                "as_printed: Willemet et al. 2021, equation 1", default="green_lagrange", label="measure of strain"),
+            "young_modulus_mpa": SceneKey(POSITIVE, "of the skin", default=1.0, label="Young's modulus"),
+            "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), "of the skin", default=0.4,
+                label="Poisson's ratio"),
+            "depth_mm": SceneKey(POSITIVE, "of skin over which strain energy is integrated", default=2.0,
+                label="depth of skin"),
+            "rate_window_s": SceneKey(POSITIVE, "over which rates are fitted", default=0.05,
+                label="time window of rates"),
         },
         "deformation of the skin, and its elasticity",
     ),
@@ -329,12 +338,12 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "criterion": SceneKey(Choice(("border", "displacement", "relative")), "of stick: no slip at all; "
                 "displacement below stuck_mm, as in the paper; or that relative to the rigid motion of the skin that "
                 "sticks",
-                default="border"),
+                default="border", label="criterion of stick"),
             "stuck_mm": SceneKey(POSITIVE, "limit of the criteria displacement and relative, and of "
                 "printed_stuck_ratio; the paper has 0.04",
-                default=0.04),
+                default=0.04, label="limit of stick"),
             "displacement": SceneKey(Choice(("points", "dense_flow")), "of tracked points, or of all skin by dense "
-                "flow, compared with the points", default="points"),
+                "flow, compared with the points", default="points", label="displacement from"),
         },
         "trial of tangential loading",
     ),
@@ -354,7 +363,8 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "camera": SceneKey(Text(), "maker and model", sample="maker, model"),
             "lens": SceneKey(Text(), "maker, focal length or magnification", sample="maker, 100 mm macro"),
             "aperture": SceneKey(POSITIVE, "f-number that the lens was set to", sample=8.0),
-            "stand_off_mm": SceneKey(POSITIVE, "from the glass to the front of the lens", sample=300.0),
+            "stand_off_mm": SceneKey(POSITIVE, "from the glass to the front of the lens", sample=300.0,
+                label="stand-off"),
             "noise_floor": SceneTable(
                 {
                     "displacement_mm": SceneKey(NumberType(least=0), "of a component of the displacement of a point",

@@ -60,10 +60,10 @@ def value_of(kind: Type, value: Any) -> Any:
             return _transform(value)
         case Switch():
             if not isinstance(value, bool):
-                raise WrongValue("it should be a valid boolean, true or false")
+                raise WrongValue("it should be true or false")
         case Text():
             if not isinstance(value, str):
-                raise WrongValue("it should be a valid string, in quotes")
+                raise WrongValue("it should be text in quotes")
     return value
 
 
@@ -75,7 +75,7 @@ def either(words: Iterable[str]) -> str:
 
 def _whole(kind: Whole, value: Any) -> int:
     if type(value) is not int:
-        raise WrongValue(f"it should be a valid integer{_without_quotes(value)}")
+        raise WrongValue(f"it should be a whole number{_without_quotes(value)}")
     _within(kind, value)
     if kind.odd and value % 2 == 0:
         raise WrongValue(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
@@ -84,7 +84,7 @@ def _whole(kind: Whole, value: Any) -> int:
 
 def _number(kind: NumberType, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongValue(f"it should be a valid number{_without_quotes(value)}")
+        raise WrongValue(f"it should be a number{_without_quotes(value)}")
     try:
         number = float(value)
     except OverflowError:
@@ -104,13 +104,13 @@ def _without_quotes(value: Any) -> str:
 
 def _within(kind: NumberType, value: float) -> None:
     if kind.above is not None and value <= kind.above:
-        raise WrongValue(f"it should be greater than {kind.above:g}")
+        raise WrongValue(f"it should be above {kind.above:g}")
     if kind.least is not None and value < kind.least:
-        raise WrongValue(f"it should be greater than or equal to {kind.least:g}")
+        raise WrongValue(f"it should be at least {kind.least:g}")
     if kind.most is not None and value > kind.most:
-        raise WrongValue(f"it should be less than or equal to {kind.most:g}")
+        raise WrongValue(f"it should be at most {kind.most:g}")
     if kind.below is not None and value >= kind.below:
-        raise WrongValue(f"it should be less than {kind.below:g}")
+        raise WrongValue(f"it should be below {kind.below:g}")
 
 
 def _choice(kind: Choice, value: Any) -> Any:
@@ -187,7 +187,7 @@ def _pixel_range(value: Any) -> tuple[int, int]:
         raise WrongValue(f"it should have at {'most' if len(value) > 2 else 'least'} 2 items, not {len(value)}")
     for place, item in enumerate(value, start=1):
         if type(item) is not int:
-            raise WrongValue(f"item {place} should be a valid integer")
+            raise WrongValue(f"item {place} should be a whole number")
     first, end = value
     if not 0 <= first < end:
         raise WrongValue("two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]")

@@ -138,15 +138,15 @@ CONTACT = (
     ),
     Variable(
         "ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
-        equation="c = ∫ x dA / A over the gross contact",
+        equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse",
     ),
     Variable(
         "ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
-        equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A",
+        equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse",
     ),
     Variable(
         "ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
-        equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A",
+        equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse",
     ),
     Variable(
         "gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
@@ -160,14 +160,18 @@ PRINTED_CONTACT = (
         "printed_contact_threshold", FRAME, "1",
         "Otsu's threshold of the intensity lost since the first instant of contact",
         equation="Otsu's threshold of I(first contact)/I₀ − I/I₀, median of 9 x 9 px", unasked=False,
+        label="contact threshold as printed",
     ),
     Variable(
         "printed_real_contact_area", FRAME, "mm2", "real contact area by the steps that Willemet et al. 2021 print",
         equation="s² Σ 1[I(first contact)/I₀ − I/I₀ > printed_contact_threshold]", unasked=False,
+        label="real contact area as printed",
     ),
     Variable(
-        "printed_eroded_contact_area", FRAME, "mm2", "the same, eroded by a unit diamond, as the lab's code has it",
+        "printed_eroded_contact_area", FRAME, "mm2",
+        "printed_real_contact_area eroded by a unit diamond, as in the code of that lab",
         equation="the same after erosion by a unit diamond", unasked=False,
+        label="real contact area as printed, eroded",
     ),
 )
 
@@ -220,7 +224,7 @@ TRACKING = (
     ),
     Variable(
         "forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4",
-        equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)",
+        equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)", label="forward-backward error",
     ),
     Variable(
         "status", FRAME_POINT, "1", "why a point has a position, or none", "u1",
@@ -251,28 +255,27 @@ TRACKING = (
 
 ENTRY = ("never", "covered", "entered", "seeded_inside")
 #: Reference instant of displacement in words. The attribute ``reference`` of a variable states it for its result.
-SINCE = "of points in contact, since each touched the glass or since fields.reference"
+SINCE = "of points in contact, since each touched the glass or since the chosen reference"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
         equation="first frame of the first three in a row that the gross contact covers the point",
+        label="frame of onset",
     ),
     Variable(
         "entry", POINT, "1",
-        "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
-        "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
-        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came: "
-        "it has no displacement",
+        "how skin came into contact: the growing contact covered it, or it moved in over a border at rest. Fields of "
+        "skin that moved in count since its own entry, F(t) F(entry)^-1 - I, those of a triangle since the last of its "
+        "points touched. Skin whose point was seeded inside has no known entry, and no displacement",
         "u1",
         equation="covered where the border of the gross contact came over the point, entered where the point "
         "moved before over the glass by more than half of what both approached each other",
-        flags=ENTRY,
+        flags=ENTRY, label="way into contact",
     ),
     Variable(
         "reference_position", ("point", "xy"), "mm",
-        "position from which displacement counts (fields.reference), by default that at onset, where the border of the "
-        "contact passed the point between two frames; of points that are touched "
-        "in passing alone, where they were then",
+        "position from which displacement counts (fields.reference): by default that at onset, when the border of the "
+        "contact passed the point between two frames. Points that touch only briefly have their position then",
         equation="X = position in the frame from which displacement counts; by onset x₀ + (x₁ − x₀) d₀/(d₀ − d₁) "
         "between the frame before and that of onset, d the depth inside the ellipse of the gross contact",
     ),
@@ -306,8 +309,9 @@ _ALONE = (
 )
 FIELDS = (
     Variable(
-        "divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4", equation="u_x + v_y",
-        shown_in=UM_PER_MM,
+        "divergence", FRAME_POINT, "1",
+        "stretch (+) or compression (-) of the skin since each point touched, or since the chosen reference", "f4",
+        equation="u_x + v_y, the divergence of the displacement", shown_in=UM_PER_MM,
     ),
     Variable(
         "curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4", equation="v_x − u_y", shown_in=UM_PER_MM,
@@ -340,7 +344,7 @@ FIELDS = (
         "field_coverage", FRAME, "1",
         "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
         equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
-        shown_in=PERCENT,
+        shown_in=PERCENT, label="contact with known fields",
     ),
     Variable(
         "median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
@@ -444,6 +448,7 @@ SLIP = (
         "stuck_ratio_std", FRAME, "1",
         "standard deviation of stuck_ratio, most of it shared by all frames; NaN if the border was not found",
         equation="√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
+        label="standard deviation of stick ratio d²",
     ),
     Variable(
         "printed_stuck_ratio", FRAME, "1",
@@ -459,6 +464,7 @@ SLIP = (
     Variable(
         "slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
         equation="share of the gross contact within half a window of a tracked point", shown_in=PERCENT,
+        label="contact seen by the windows",
     ),
     Variable(
         "slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped",
@@ -483,11 +489,13 @@ SLIP = (
         "root mean square of the part of incipient_slip that its divergence makes: natural Helmholtz-Hodge "
         "decomposition, no boundary condition (Bhatia et al. 2014)",
         equation="√(∫ |∇φ|² dA / A), ∇²φ = div of the residual displacement", shown_in=MICROMETRE,
+        label="incipient slip, irrotational part",
     ),
     Variable(
         "incipient_slip_solenoidal", FRAME, "mm",
         "root mean square of the part of incipient_slip that its curl makes",
         equation="√(∫ |∇×ψ|² dA / A), ∇²ψ = −curl of the residual displacement", shown_in=MICROMETRE,
+        label="incipient slip, solenoidal part",
     ),
     Variable(
         "skin_displacement", (*CELLS, "xy"), "mm",
@@ -499,12 +507,13 @@ SLIP = (
         "dense_flow_difference", FRAME, "mm",
         "median over tracked points of the distance between their displacement and that by dense flow",
         equation="median over tracked points of |u − u by dense flow|", shown_in=MICROMETRE, needs=("dense_flow_slip",),
+        label="difference to dense flow",
     ),
     Variable(
         "dense_flow_difference_95", FRAME, "mm",
         "95th percentile over tracked points of the distance between their displacement and that by dense flow",
         equation="95th percentile over tracked points of |u − u by dense flow|", shown_in=MICROMETRE,
-        needs=("dense_flow_slip",),
+        needs=("dense_flow_slip",), label="difference to dense flow, 95th percentile",
     ),
 )
 
@@ -540,11 +549,12 @@ STREAM = (
     ),
     Variable(
         "restart", FRAME, "1", "how often points had been seeded: points of two restarts are different points", "i4",
-        equation="count of seedings",
+        equation="count of seedings", label="seedings of points",
     ),
     Variable(
         "slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4",
         equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
+        label="non-rigid motion since touch",
     ),
     Variable(
         "slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
@@ -564,6 +574,7 @@ STREAM = (
         "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
         "entry, its neighbours from that moment",
         "u1", equation="1 where neighbours that touch have moved by an eighth of the gauge length, in the median",
+        label="moved into contact",
     ),
 )
 # fmt: on

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine, Images
+from fingerflow.engines.engine import STEP, Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.window_match import Alike, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
-STEP = 3  # px, spacing of the samples of a window: 81 in a window of 25 px
 _ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a period of 15 px a shift by 1.5 px exceeds it
 # Multiple of the median 1 - correlation over all points that is allowed if it is more, and upper bound of this limit.
 _USUAL, _MOST = 4.0, 0.2

@@ -17,6 +17,7 @@ from fingerflow.schema.scene_file import toml_remedy
 from fingerflow.schema.scene_keys import SCENE
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_template import scene_text
+from fingerflow.view.key_forms import field_name, in_words_of_page
 
 Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
@@ -89,13 +90,14 @@ class Draft:
         return str(values.get("kind", default_kind(values)))
 
     def problems(self) -> list[dict[str, str]]:
-        """Return the draft's validation problems as key and message; the message continues a sentence after the key."""
+        """Return the draft's validation problems: key, name of its field on the page, and a message that continues a
+        sentence after that name.
+        """
         _, problems = check_scene(self.values(), self.path.parent, "process")
-        found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
-        for one in found:
-            if one["said"] == MISSING:  # its remedy addresses those who edit the file by hand
-                one["said"] = _NEEDED.get(one["key"], "is needed")
-        return found
+        found = [(".".join(one.keys), one.said) for one in problems]
+        # The remedy of a missing key addresses those who edit the file by hand.
+        said = [_NEEDED.get(key, "is needed") if said == MISSING else in_words_of_page(said) for key, said in found]
+        return [{"key": key, "field": field_name(key), "said": one} for (key, _), one in zip(found, said, strict=True)]
 
     def scene(self) -> Scene:
         """Return the scene that the draft describes; raise FingerflowError if it is invalid."""

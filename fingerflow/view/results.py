@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
+from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import open_result
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
+from fingerflow.view.key_forms import in_words_of_page
 
 _SAMPLED = 24  # number of frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at the end of the range of colours
@@ -55,8 +57,8 @@ class Results:
             "frames": data.sizes["frame"],
             "first_frame": int(data["frame"][0]),
             "points": data.sizes.get("point", 0),
-            "frame_of_most_contact": self._frame_of_most_contact(),
-            "warnings": json.loads(data.attrs["warnings"]),
+            "frame_of_largest_load": self._frame_of_largest_load(),
+            "warnings": [*map(in_words_of_page, json.loads(data.attrs["warnings"]))],
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
             "maps": self._menu_entries(("frame", "point")) + self._menu_entries(("frame", "triangle")),
@@ -71,13 +73,10 @@ class Results:
             "arrow_scale": self._arrow_scale(),
         }
 
-    def _frame_of_most_contact(self) -> int:
+    def _frame_of_largest_load(self) -> int:
         """Return the index of the frame with the largest normal force, or the largest gross area; else the middle."""
-        for name in ("normal_force", "gross_contact_area"):
-            values = self._courses.get(name)
-            if values is not None and np.isfinite(values).any():
-                return int(np.nanargmax(values))
-        return int(self.data.sizes["frame"]) // 2
+        found = frame_of_largest(self.data)
+        return int(self.data.sizes["frame"]) // 2 if found is None else found
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return scalar results by name, and arrays by name (positions, displacements, regions, values of a map), of
@@ -202,7 +201,8 @@ class Results:
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
-                found.append({"key": key, "said": str(variable.attrs.get("long_name", name)), "of": dims[-1]})
+                said = in_words_of_page(str(variable.attrs.get("long_name", name)))
+                found.append({"key": key, "said": said, "of": dims[-1]})
         return found
 
     def _arrow_scale(self) -> float:

@@ -34,6 +34,7 @@ from fingerflow.view.bodies import (
 from fingerflow.view.connection import Connection
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
+from fingerflow.view.key_forms import in_words_of_page
 from fingerflow.view.open_path import open_path
 from fingerflow.view.session import Session
 
@@ -208,8 +209,8 @@ def _response(answer: Any) -> Response:
 
 
 async def _put_right(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error)}, 422)
+    return JSONResponse({"error": in_words_of_page(str(error))}, 422)
 
 
 async def _asks(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error), "asks": True}, 409)
+    return JSONResponse({"error": in_words_of_page(str(error)), "asks": True}, 409)

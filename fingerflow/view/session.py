@@ -22,7 +22,7 @@ from fingerflow.schema.views import View
 from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside, names_in
-from fingerflow.view.key_forms import forms
+from fingerflow.view.key_forms import field_name, forms, in_words_of_page
 from fingerflow.view.open_path import RESULT, Opened
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.results import Results, median_of
@@ -102,12 +102,12 @@ class Session:
             try:
                 pictures = self._pictures_of_draft()
             except FingerflowError as error:
-                facts["recording"], facts["recording_error"] = None, str(error)
+                facts["recording"], facts["recording_error"] = None, in_words_of_page(str(error))
             else:
                 facts["recording"] = _recording_facts(pictures)
                 if pictures.recording.times is None:
-                    said = "is needed: the recording does not state it (Hz)"
-                    facts["problems"].append({"key": "recording.frame_rate", "said": said})
+                    said, key = "is needed: the recording does not state it (Hz)", "recording.frame_rate"
+                    facts["problems"].append({"key": key, "field": field_name(key), "said": said})
             return facts
 
     def folder(self, at: str) -> Facts:
@@ -134,7 +134,7 @@ class Session:
                 try:
                     facts["numbers"], found = self._contact_of(self._previewer(), frame)
                 except FingerflowError as error:
-                    facts["why_no_contact"] = str(error)
+                    facts["why_no_contact"] = in_words_of_page(str(error))
                 else:
                     arrays |= found
             return packed(facts, arrays)
@@ -146,7 +146,7 @@ class Session:
         with self._lock:
             found = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
-            facts = {"frame": found.frame + first, "warnings": found.warnings}
+            facts = {"frame": found.frame + first, "warnings": [*map(in_words_of_page, found.warnings)]}
             return packed(facts, {"points": found.points.astype(np.float32)})
 
     def forces(self) -> bytes:
@@ -158,7 +158,7 @@ class Session:
             scene = previewer.scene
             facts = {
                 "first_frame": scene.recording.first_frame,
-                "warnings": previewer.warnings,
+                "warnings": [*map(in_words_of_page, previewer.warnings)],
                 "mm_per_px": scene.calibration.mm_per_px,
                 "topography_to_contact": scene.calibration.topography_to_contact,
             }
@@ -197,7 +197,8 @@ class Session:
             for key in ("mm_per_px", "topography_to_contact"):
                 draft.set(("calibration", key), None)
             draft.set(("calibration", "file"), FILE)
-            return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
+            warnings = [*map(in_words_of_page, found.warnings)]
+            return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": warnings}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
         """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
@@ -280,7 +281,7 @@ class Session:
         state = self._runs[of].state()
         if of == "process" and state["ended_well"]:
             self._result_path = self._runs[of].to
-        return state
+        return {**state, "said": [*map(in_words_of_page, state["said"])]}
 
     def _refuse_two(self) -> None:
         if any(run.state()["running"] for run in self._runs.values()):
@@ -385,7 +386,7 @@ class Session:
         said = draft.table("recording")
         frames, rate = said.get("frames"), said.get("frame_rate")
         if not isinstance(frames, str):
-            raise FingerflowError(f"{draft.path}: recording.frames names no recording")
+            raise FingerflowError("choose a recording: no file is named in [recording] frames")
         return self._pictures_of(draft.path.parent / frames, rate if isinstance(rate, float | int) else None)
 
     def _pictures_of(self, path: Path, rate: float | None) -> Pictures:

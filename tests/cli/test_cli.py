@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 
@@ -42,6 +43,14 @@ def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed)
     facts = json.loads(capsys.readouterr().out)
     assert facts["sample_rate_hz"] == pytest.approx(500)
     assert facts["columns"] == {"time": "3 samples of 0 to 4 ms", "Fz": "3 samples of 1 to 5 mN"}
+    with h5py.File(tmp_path / "forces.h5", "w") as file:
+        file["Fz"] = np.array([1.0, 5.0, 3.0])
+    assert command("info", tmp_path / "forces.h5", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["columns"] == {"Fz": "3 samples of 1 to 5 (no unit)"}
+    with h5py.File(tmp_path / "both.h5", "w") as file:
+        file["Fz"], file["frames"] = np.array([1.0, 5.0, 3.0]), np.zeros((5, 8, 10), np.uint8)
+    assert command("info", tmp_path / "both.h5", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 5
     (tmp_path / "forces.csv").write_text("nothing")
     assert command("info", tmp_path / "forces.csv") == 2
     assert "forces.csv" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from fingerflow.engines import choice
 from fingerflow.engines.capture import Captured, RecordedCall
-from fingerflow.engines.check import BuiltIn, built_in, check_frames
+from fingerflow.engines.check import BuiltIn, both_numbers_of, built_in, check_frames
 from fingerflow.engines.engine import Engine, EngineSettings, FrameEllipse
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
@@ -100,19 +100,22 @@ def test_each_frame_has_its_own_results(frame: BuiltIn) -> None:
         assert any(graph is not None for graph in module._graphs.values()), module._module
 
 
-def test_two_frames_differ_at_start(frame: BuiltIn) -> None:
-    check_frames(TorchEngine(SETTINGS, CPU), frame)
-    check_frames(captured(record), frame)
-    check_frames(captured(record_nothing), frame)
-    with pytest.raises(FingerflowError, match="not its own"):
-        check_frames(captured(record_for_ever), frame)
+def test_captured_modules_pass_the_check(frame: BuiltIn) -> None:
+    expected = both_numbers_of(TorchEngine(SETTINGS, CPU), frame, deviations=True)
+    check_frames(captured(record), frame, expected)
+    check_frames(captured(record_nothing), frame, expected)
+    with pytest.raises(FingerflowError, match="are not the expected ones"):
+        check_frames(captured(record_for_ever), frame, expected)
 
 
-def test_contact_alone_that_stands_still_is_noticed(frame: BuiltIn) -> None:
+@pytest.mark.parametrize("module", ["_contact", "_key", "_track", "_deformation", "_agreement", "_fields"])
+def test_a_module_that_stands_still_is_noticed(module: str, frame: BuiltIn) -> None:
+    """An engine is refused if a single module of it is replayed without new inputs."""
     engine = TorchEngine(SETTINGS, CPU)
-    engine._contact = Captured(engine._contact, record_for_ever)
-    with pytest.raises(FingerflowError, match="not its own"):
-        check_frames(engine, frame)
+    expected = both_numbers_of(engine, frame, deviations=True)
+    setattr(engine, module, Captured(getattr(engine, module), record_for_ever))
+    with pytest.raises(FingerflowError, match="are not the expected ones"):
+        check_frames(engine, frame, expected)
 
 
 def test_what_cannot_be_recorded_is_called(frame: BuiltIn, caplog: pytest.LogCaptureFixture) -> None:
@@ -135,8 +138,8 @@ def test_the_engine_of_a_gpu_is_checked(
     made = TorchEngine
 
     def on_processor(settings: EngineSettings, device: torch.device, *modules: Any) -> TorchEngine:
-        assert device.type == "cuda"
         assert modules in ((), (Captured,))
+        assert device.type == "cuda" or not modules  # the expected numbers are those of a processor
         return captured(record if way == "record" else record_for_ever) if modules else made(settings, CPU)
 
     monkeypatch.setattr("fingerflow.engines.torch.TorchEngine", on_processor)
@@ -153,6 +156,8 @@ def test_a_gpu_that_computes_other_numbers_is_refused(monkeypatch: pytest.Monkey
 
     def on_processor(settings: EngineSettings, device: torch.device, *modules: Any) -> TorchEngine:
         engine = captured(record_for_ever) if modules else made(settings, CPU)
+        if device.type == "cpu":
+            return engine
         follow = engine.follow
         monkeypatch.setattr(engine, "follow", lambda *given: _shifted(follow(*given)))
         return engine

@@ -58,12 +58,18 @@ def engines(bundle: Bundle) -> Both:
 
 
 def view(name: str, frame: int | str) -> Array:
-    """Return a view (1, H, W) of uint8 of a frame of the press, of the press without contact ("empty"), or of noise
-    ("noise").
+    """Return a view (1, H, W) of uint8 of a frame of the press, of the press without contact ("empty"), of noise
+    ("noise"), or of ridges two pixels wide that cover 15 % of a contact ("thin").
     """
     if frame == "noise":
         random = np.random.default_rng(1)
         return random.integers(0, 256, (1, HEIGHT, WIDTH)).astype(np.uint8)
+    if frame == "thin":
+        y, x = np.mgrid[:HEIGHT, :WIDTH]
+        across = np.abs((x + 0.3 * y) % 14 - 7) - 1.05
+        inside = np.hypot((x - WIDTH / 2) / 80, (y - HEIGHT / 2) / 60) < 1
+        glass = PRESS.views["contact"].crop(PRESS.empty())
+        return (glass * (1 - inside * (0.1 + 0.25 * (1 - np.tanh(2 * across)))))[None].astype(np.uint8)
     picture = PRESS.empty() if frame == "empty" else PRESS.render(int(frame))
     return PRESS.views[name].crop(picture)[None].astype(np.uint8)
 
@@ -111,7 +117,7 @@ def same_found(ours: Found, theirs: Found, points: Array, rtol: float = 1e-3, px
 
 
 @pytest.mark.parametrize("threshold", [0.27, np.nan])
-@pytest.mark.parametrize("frame", [FRAME, "empty", "noise"])
+@pytest.mark.parametrize("frame", [FRAME, "empty", "noise", "thin"])
 def test_contact(engines: Both, frame: int | str, threshold: float) -> None:
     def contact(engine: Any) -> Any:
         glass, dark = (PRESS.views["contact"].crop(one) for one in (PRESS.empty(), PRESS.dark()))
@@ -122,8 +128,11 @@ def test_contact(engines: Both, frame: int | str, threshold: float) -> None:
 
     places = (np.random.default_rng(0).random((1, POINTS, 2)) * (WIDTH + 20, HEIGHT + 20) - 10).astype(np.float32)
     places[0, ::7] = np.nan
-    for ours, theirs in both(engines, contact):
+    every = list(both(engines, contact))
+    for ours, theirs in every:
         same(ours, theirs, 1e-4)
+    measured = every[len(arrays.FrameContact._fields)][0]
+    assert np.isfinite(measured).all() == (frame in (FRAME, "thin"))
 
 
 def test_light_is_none_outside_a_mask_and_darkness_may_be_unknown(engines: Both) -> None:

@@ -3,44 +3,26 @@
 import json
 import os
 import re
-import shutil
 import socket
 import subprocess
 import urllib.request
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from bench.bare_environment import ONNX, make_environment, variables
+from bench.bare_environment import variables
 from fingerflow import open_stream
+from tests.export.lab_pc import ENGINES, LabPC, set_up
 
 pytestmark = pytest.mark.long
 
 FRAMES = 200
 
 
-class LabPC(NamedTuple):
-    """A Python, the folder of a bundle, and the options that choose its engine."""
-
-    python: Path
-    bundle: Path
-    options: tuple[str, ...]
-
-    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run Python with these arguments in the folder of the bundle."""
-        command = [self.python, *arguments]
-        return subprocess.run(command, cwd=self.bundle, env=variables(), capture_output=True, text=True, check=False)
-
-
-@pytest.fixture(scope="module", params=["onnx", "native"])
-def lab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LabPC:
-    folder = tmp_path_factory.mktemp("lab")
-    bundle = folder / "bundle"
-    shutil.copytree(request.getfixturevalue("bundle_of_trials"), bundle)
-    packages = ONNX if request.param == "onnx" else ("numpy",)
-    return LabPC(make_environment(folder / "env", packages), bundle, ("--engine", request.param))
+@pytest.fixture(scope="module", params=ENGINES)
+def lab(request: pytest.FixtureRequest, bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> LabPC:
+    return set_up(tmp_path_factory.mktemp("lab"), bundle_of_trials, request.param)
 
 
 @pytest.mark.parametrize("package", ["torch", "scipy", "h5py", "cv2", "tifffile"])

@@ -15,6 +15,7 @@ from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
 from fingerflow.export.recipe import GRAPHS, load_recipe
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
+from fingerflow.schema.variables import VARIABLES
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """
@@ -70,6 +71,14 @@ def test_graph_is_standard_and_says_what_it_is(name: str, bundle_of_trials: Path
     named = {one.name for one in (*model.graph.input, *model.graph.output)}
     assert named <= set(json.loads(facts["fingerflow.units"]))
     assert {"fingerflow.version", "fingerflow.recipe", "fingerflow.coordinates", "fingerflow.hash"} <= set(facts)
+
+
+def test_the_readme_states_deformation_in_the_unit_of_the_page(bundle_of_trials: Path) -> None:
+    text, unit = (bundle_of_trials / "README.md").read_text(encoding="utf-8"), VARIABLES["divergence"].shown_unit
+    assert unit.percent is not None
+    assert (
+        f"0.01 here is {0.01 * unit.factor:g} {unit.name} on the page, whose button shows {unit.percent.name}" in text
+    )
 
 
 def test_pixels_are_gathered_by_short_numbers(bundle_of_trials: Path) -> None:

@@ -64,7 +64,7 @@ KERNELS = {
     "fused_pixels": [
         ("_sum_blocks", OF_PIXELS, {"COLUMNS": 64, "BLOCK": 16}),
         ("_find_mode", {}, {"BLOCKS": 2048}),
-        ("_mark", OF_PIXELS, {"PIXELS": 1024}),
+        ("_mark", OF_PIXELS, {"PIXELS": 1024, "HIGHEST": 255.0}),
     ],
     "fused_contact": [("_segment", {"mask": "*u8"}, {"CELL": 4, "ROWS": 16, "COLUMNS": 256})],
 }

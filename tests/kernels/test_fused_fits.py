@@ -10,9 +10,10 @@ from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.templates import prepare_templates
-from tests.kernels.fused import DEVICE, Fused
+from tests.kernels.fused import DEVICE, GPU_TILES, Fused
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
+pytestmark = pytest.mark.usefixtures("tiles")
 
 FRAMES, POINTS = 2, 70
 LONG = pytest.mark.long  # the interpreter takes seconds
@@ -52,13 +53,15 @@ def noise_of(kind: str, components: int) -> Tensor | None:
 
 
 @pytest.mark.parametrize(
-    ("components", "noise", "shared"),
+    ("components", "noise", "shared", "tiles"),
     [
-        (2, "covariance", True),
-        pytest.param(4, "none", False, marks=LONG),
-        pytest.param(2, "variance", False, marks=LONG),
-        pytest.param(1, "covariance", True, marks=LONG),
+        (2, "covariance", True, ""),
+        pytest.param(4, "none", False, "", marks=LONG),
+        pytest.param(2, "variance", False, "", marks=LONG),
+        pytest.param(1, "covariance", True, "", marks=LONG),
+        pytest.param(2, "covariance", False, GPU_TILES, marks=LONG),
     ],
+    indirect=["tiles"],
 )
 def test_fits(components: int, noise: str, shared: bool, fused: Fused) -> None:
     """The kernel and the portable form give the same fits, for points shared by all frames or not, at points, between

@@ -7,22 +7,40 @@ import torch
 
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.strain import STRAIN_MEASURES
-from tests.kernels.fused import DEVICE, Fused
+from tests.kernels.fused import DEVICE, GPU_TILES, Fused
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
+pytestmark = pytest.mark.usefixtures("tiles")
 
 FRAMES, POINTS = 3, 90
 GAUGE = 60.0
 LONG = pytest.mark.long  # the interpreter takes seconds
 
 
+def test_no_points(fused: Fused) -> None:
+    """Without points no median is known, also where points that entered are kept apart."""
+    none = torch.zeros(2, 0, 2, device=DEVICE)
+    ellipse = [torch.ones(2, 2, device=DEVICE), torch.ones(2, 2, device=DEVICE), torch.zeros(2, device=DEVICE)]
+    apart = Apart(none[..., 0].bool(), none.new_zeros(2, 0, 5), none.new_zeros(2, 0, 5))
+    settings = {"gauge_length": GAUGE, "covariance": none.new_zeros(2, 0, 2, 2), "apart": apart}
+    expected = area_medians(none, none, *ellipse, **settings)
+    fused()
+    found = area_medians(none, none, *ellipse, **settings)
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)
+    assert expected.median.isnan().all()
+    assert (expected.known == 0).all()
+
+
 @pytest.mark.parametrize(
-    ("measure", "noise", "apart"),
+    ("measure", "noise", "apart", "tiles"),
     [
-        pytest.param("green_lagrange", True, True, marks=LONG),
-        ("as_printed", True, False),
-        pytest.param("infinitesimal", False, True, marks=LONG),
+        pytest.param("green_lagrange", True, True, "", marks=LONG),
+        ("as_printed", True, False, ""),
+        pytest.param("infinitesimal", False, True, "", marks=LONG),
+        pytest.param("green_lagrange", True, True, GPU_TILES, marks=LONG),
     ],
+    indirect=["tiles"],
 )
 def test_medians(measure: str, noise: bool, apart: bool, fused: Fused) -> None:
     """Medians and their deviations agree in frames with unknown points, and are NaN in a frame without an ellipse."""

@@ -4,13 +4,23 @@ import pytest
 import torch
 
 from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
-from tests.kernels.fused import DEVICE, Fused
+from tests.kernels.fused import DEVICE, GPU_TILES, Fused
 
 pytest.importorskip("triton", reason="Triton is not installed: pip install fingerflow-engine[gpu]")
+pytestmark = pytest.mark.usefixtures("tiles")
 
 
 @pytest.mark.filterwarnings("ignore:overflow")  # of NumPy in the interpreter: a plane through one neighbour
-@pytest.mark.parametrize(("frames", "points", "shared"), [(3, 150, True), (2, 90, False), (1, 6, True)])
+@pytest.mark.parametrize(
+    ("frames", "points", "shared", "tiles"),
+    [
+        (3, 150, True, ""),
+        (2, 90, False, ""),
+        (1, 6, True, ""),
+        pytest.param(2, 150, False, GPU_TILES, marks=pytest.mark.long),
+    ],
+    indirect=["tiles"],
+)
 def test_outliers(frames: int, points: int, shared: bool, fused: Fused) -> None:
     """The kernels flag the same points as the portable form, among wrong, uncertain, unknown and solitary points."""
     random = torch.Generator().manual_seed(points)

@@ -1,16 +1,15 @@
 """Tests of cameras: the clock of their time stamps, GenICam with a simulated and a real GenTL producer, and OpenCV."""
 
 import sys
-from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any, ClassVar
+from types import ModuleType
 
 import cv2
 import numpy as np
 import pytest
 from conftest import Stream
+from simulated_gentl import Harvester
 from tiny_bundle import frame
 
 from fingerflow.errors import PlayerError
@@ -66,89 +65,28 @@ def test_time_stamps_of_a_wrapper_are_those_of_the_records(stream: Stream) -> No
     assert stream.run(*stream.frames(without)).summary["time_stamps"] == "arrival"
 
 
-class Producer:
-    """Stands in for the Harvester of harvesters: one camera whose buffer is used again for every frame."""
-
-    serials: ClassVar = ["17"]
-    kind: ClassVar = "Mono8"
-    events: ClassVar[list[str]] = []
-    frames: ClassVar[list[Any]] = []
-
-    def __init__(self) -> None:
-        self.device_info_list: list[Any] = []
-        nodes = {name: SimpleNamespace(from_string=self._take(name)) for name in ("ExposureTime", "PixelFormat")}
-        self.remote_device = SimpleNamespace(node_map=SimpleNamespace(**nodes))
-        self._buffer = np.zeros(0, np.uint8)
-        self._left = iter(self.frames)
-
-    def _take(self, name: str) -> Any:
-        def take(value: str) -> None:
-            if not value:
-                raise ValueError("no value")
-            self.events.append(f"{name}={value}")
-
-        return take
-
-    def add_file(self, path: str) -> None:
-        self.events.append(Path(path).name)
-
-    def update(self) -> None:
-        self.device_info_list = [SimpleNamespace(serial_number=one) for one in self.serials]
-
-    def create(self, asked: dict[str, str]) -> "Producer":
-        self.events.append(f"create {asked['serial_number']}")
-        return self
-
-    def start(self) -> None:
-        self.events.append("start")
-
-    @contextmanager
-    def fetch(self, timeout: float) -> Any:
-        picture, stamp = next(self._left)
-        if picture is None:
-            raise TimeoutError("no buffer")
-        self._buffer = self._buffer if self._buffer.size == picture.size else np.empty(picture.size, picture.dtype)
-        self._buffer[:] = picture.ravel()
-        height, width = picture.shape
-        part = SimpleNamespace(data=self._buffer, height=height, width=width, data_format=self.kind)
-        buffer = SimpleNamespace(payload=SimpleNamespace(components=[part]))
-        if stamp is not None:
-            buffer.timestamp_ns = stamp
-        yield buffer
-        self._buffer[:] = 0  # the camera uses its buffer again
-
-    def stop(self) -> None:
-        self.events.append("stop")
-
-    def destroy(self) -> None:
-        self.events.append("destroy")
-
-    def reset(self) -> None:
-        self.events.append("reset")
-
-
 @pytest.fixture
 def producer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     module, core = ModuleType("harvesters"), ModuleType("harvesters.core")
-    core.Harvester = Producer  # type: ignore[attr-defined]
+    core.Harvester = Harvester  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "harvesters", module)
     monkeypatch.setitem(sys.modules, "harvesters.core", core)
     for name, value in (("events", []), ("frames", []), ("kind", "Mono8")):
-        monkeypatch.setattr(Producer, name, value)
+        monkeypatch.setattr(Harvester, name, value)
     file = tmp_path / "maker.cti"
     file.touch()
     return str(file)
 
 
 def test_a_gentl_camera_gives_frames_and_its_own_times(stream: Stream, producer: str) -> None:
-    Producer.frames = [(frame(contact_px=10 * k), 10**9 + 4_000_000 * k) for k in range(5)]
+    Harvester.frames = [(frame(contact_px=10 * k), 10**9 + 4_000_000 * k) for k in range(5)]
     camera = f"genicam:{producer},serial=17,ExposureTime=900,PixelFormat=Mono8"
     ended = stream.run("--camera", camera, "--policy", "every", "--frames", "5")
     records = ended.results.records
     np.testing.assert_array_equal(records["real_contact_area"], np.arange(5) * 2.5)
     np.testing.assert_allclose(records["time"], np.arange(5) * 0.004, atol=1e-9)
     assert (records["latency"] > 0).all()
-    assert Producer.events == [
+    assert Harvester.events == [
         *("maker.cti", "create 17", "ExposureTime=900", "PixelFormat=Mono8", "start", "stop", "destroy", "reset")
     ]
 
@@ -156,10 +94,10 @@ def test_a_gentl_camera_gives_frames_and_its_own_times(stream: Stream, producer:
 def test_a_gentl_camera_that_falls_silent_is_opened_again(
     stream: Stream, producer: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Producer, "frames", [(frame(), 10**6), (None, None)])
+    monkeypatch.setattr(Harvester, "frames", [(frame(), 10**6), (None, None)])
     ended = stream.run("--camera", f"genicam:{producer}", "--policy", "every", "--frames", "3")
     assert ended.summary["reconnects"] == 2
-    assert Producer.events.count("create 17") == 3
+    assert Harvester.events.count("create 17") == 3
 
 
 @pytest.mark.parametrize(
@@ -175,12 +113,12 @@ def test_what_a_gentl_camera_does_not_have_is_named(producer: str, asked: str, s
     with pytest.raises(PlayerError) as refused:
         open_camera(f"genicam:{asked.format(producer)}")
     assert said in str(refused.value)
-    assert Producer.events[-1:] in ([], ["reset"])  # nothing stays open
+    assert Harvester.events[-1:] in ([], ["reset"])  # nothing stays open
 
 
 def test_a_gentl_camera_of_colours_is_refused(producer: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Producer, "kind", "BayerRG8")
-    Producer.frames = [(frame(), None)]
+    monkeypatch.setattr(Harvester, "kind", "BayerRG8")
+    Harvester.frames = [(frame(), None)]
     with pytest.raises(PlayerError, match="gives BayerRG8: set its PixelFormat to Mono8"):
         open_camera(f"genicam:{producer}").read()
 

@@ -284,6 +284,7 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
 def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """A threshold below 0, which an engine finds in frames brighter than the empty glass, is refused."""
     monkeypatch.setattr(NativeEngine, "threshold", lambda *_: np.array([-0.127], np.float32))
+    monkeypatch.setattr("fingerflow.engines.choice.check_engine", lambda *_: None)  # it would refuse this engine
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
     assert ended.summary["threshold"] is None

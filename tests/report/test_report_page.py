@@ -133,10 +133,14 @@ def test_settings_are_sentences() -> None:
         "slip": {"stuck_mm": None},
     }
     assert settings_tables(json.dumps(stored)) == {
-        "recording": [("frames", "a.npy"), ("frame rate", "300 Hz")],
+        "recording": [("recording", "a.npy"), ("frame rate", "300 Hz")],
         "views": [("contact", "rows 0 to 511, columns 640 to 1279")],
-        "tracking": [("window", "25 px"), ("gain offset", "yes"), ("points from", "recorded")],
-        "fields": [("strain", "green lagrange"), ("gauge length", "1.6 mm"), ("young modulus", "1 MPa")],
+        "tracking": [
+            ("side of windows", "25 px"),
+            ("allow for changes of light", "yes"),
+            ("picture for seeding", "recorded"),
+        ],
+        "fields": [("measure of strain", "green lagrange"), ("gauge length", "1.6 mm"), ("Young's modulus", "1 MPa")],
     }
     turned = 1.01 * np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     rows = dict(transform_rows(json.dumps(np.hstack((turned, [[3.4], [-6.2]])).tolist())))
@@ -230,7 +234,7 @@ def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Tri
     assert names == {path.stem for path in folder.glob("*.txt")}
     assert text.count("<figcaption>") == len(names)
     caption = (folder / "median_divergence-time.txt").read_text(encoding="utf-8")
-    assert "Bands: ± 2 standard deviations (standard deviation of the median divergence" in caption.replace("\n", " ")
+    assert "Bands: ± 2 standard deviations, by the errors of the points, " in caption.replace("\n", " ")
     known = int(np.isfinite(result["median_divergence"]).sum())
     assert f"n = {known} frames." in caption
     assert f"n = {known} frames.</figcaption>" in text

@@ -77,23 +77,23 @@ def test_template_is_a_scene(folder: Path) -> None:
     [
         ("median_px = 3", "median_pix = 3", "did you mean 'median_px'"),
         ("median_px = 3", "median_px = 8", "odd"),
-        ("points = 700", "points = 2", "greater than or equal to 3"),
+        ("points = 700", "points = 2", "at least 3"),
         ("points = 700", 'points = "many"', "many"),
         ('frames = "frames.npy"', 'frames = "other.npy"', "does not exist"),
-        ("mm_per_px = 0.0325", "mm_per_px = -1", "greater than 0"),
-        ("mm_per_px = 0.0325", 'mm_per_px = "0.0325"', "valid number"),
-        ("points = 700", 'points = "700"', "'700': it should be a valid integer"),
-        ("points = 700", "points = true", "True: it should be a valid integer"),
-        ("points = 700", "points = 700.0", "700.0: it should be a valid integer"),
-        ("gauge_length_mm = 1.6", "gauge_length_mm = true", "True: it should be a valid number"),
+        ("mm_per_px = 0.0325", "mm_per_px = -1", "above 0"),
+        ("mm_per_px = 0.0325", 'mm_per_px = "0.0325"', "should be a number"),
+        ("points = 700", 'points = "700"', "'700': it should be a whole number"),
+        ("points = 700", "points = true", "True: it should be a whole number"),
+        ("points = 700", "points = 700.0", "700.0: it should be a whole number"),
+        ("gauge_length_mm = 1.6", "gauge_length_mm = true", "True: it should be a number"),
         ("gauge_length_mm = 1.6", "gauge_length_mm = nan", "finite"),
-        ("gain_offset = true", "gain_offset = 0", "0: it should be a valid boolean"),
-        ("rows = [0, 512]", "rows = [0, true]", "valid integer"),
+        ("gain_offset = true", "gain_offset = 0", "0: it should be true or false"),
+        ("rows = [0, 512]", "rows = [0, true]", "whole number"),
         ("rows = [0, 512]", "rows = [0, 5, 12]", "at most 2 items, not 3"),
         ("rows = [0, 512]", "rows = 512", "a list"),
-        ('threshold = "reference_frame"', "threshold = 2", "'per_frame', or it should be less than 1"),
+        ('threshold = "reference_frame"', "threshold = 2", "'per_frame', or it should be below 1"),
         ("[fields]", "[[fields]]", "a table"),
-        ("poisson_ratio = 0.4", "poisson_ratio = 0.5", "less than 0.5"),
+        ("poisson_ratio = 0.4", "poisson_ratio = 0.5", "below 0.5"),
         ("columns = [640, 1280]", "columns = [1280, 640]", "first < end"),
     ],
 )
@@ -111,7 +111,7 @@ def test_whole_numbers_are_numbers(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "start", "said"),
     [
-        ("points = 700", "points = 1", "points", "tracking.points is 1: it should be greater than or equal to 3"),
+        ("points = 700", "points = 1", "points", "tracking.points is 1: it should be at least 3"),
         (
             "columns = [640, 1280]",
             "columns = [-1, 1280]",
@@ -242,7 +242,7 @@ def test_a_broken_calibration_file_is_named(folder: Path) -> None:
     (folder / "calibration.toml").write_text("mm_per_px = 0\n")
     message = message_of(write(folder, calibration=FILE))
     assert (
-        "calibration.toml: this calibration has no entry 'hole'. Write it anew with `fingerflow calibrate`" in message
+        "calibration.toml: this calibration has no entry 'hole'. Write it again with `fingerflow calibrate`" in message
     )
 
 

@@ -115,7 +115,7 @@ MISTAKES = (
         _scene('"frames.npy"', '"C:\\Users\\me\\press.npy"')),
     Mistake("scene", "a quotation mark left out", PROCESS, ("at line 5", "a quotation mark is missing"),
         _scene('"frames.npy"', '"frames.npy')),
-    Mistake("scene", "scale in µm", PROCESS, ("calibration.mm_per_px", "32.5", "less than or equal to 1"),
+    Mistake("scene", "scale in µm", PROCESS, ("calibration.mm_per_px", "32.5", "at most 1"),
         _scene("mm_per_px = 0.0325", "mm_per_px = 32.5")),
     Mistake("scene", "an even window", PROCESS, ("tracking.window_px", "24", "such as 25"),
         _scene("window_px = 25", "window_px = 24")),
@@ -150,10 +150,10 @@ MISTAKES = (
     Mistake("forces", "tare in contact", PROCESS, ("normal force is -0.14 N", "Check", "tare"),
         _scene("# tare = [-0.5, -0.1]", "tare = [0.3, 0.6]")),
     Mistake("page", "text for a number", ("recording.frame_rate", "fast"),
-        ("recording.frame_rate", "'fast'", "number")),
+        ("frame rate is", "'fast'", "number")),
     Mistake("page", "a recording that is not there", ("background.frames", "glass.tif"),
-        ("background.frames", "glass.tif", "paths are relative")),
-    Mistake("page", "two signs in one field", ("forces.sign", "-1, 1"), ("forces.sign", "such as [-1, 1]")),
+        ("recording of the empty glass is", "glass.tif", "paths are relative")),
+    Mistake("page", "two signs in one field", ("forces.sign", "-1, 1"), ("sign of each column is", "such as [-1, 1]")),
     Mistake("calibration", "a picture without a ring", ("calibrate", "--ring", "empty.npy"),
         ("empty.npy", "no hole of a ring", "Check the frame")),
     Mistake("study", "a trial that is there twice", DRY_RUN, ("trials.csv", "row 3", "number the trials"),
@@ -231,7 +231,7 @@ def _said_by_page(mistake: Mistake, folder: Path) -> str:
     draft = Draft.of_file(folder / "scene.toml")
     key, value = mistake.command
     draft.set(tuple(key.split(".")), value)
-    return next((f"{one['key']}: {one['said']}" for one in draft.problems()), "")
+    return next((f"{one['field']} {one['said']}" for one in draft.problems()), "")
 
 
 def _said(command: tuple[str, ...]) -> str:

@@ -98,7 +98,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
     with opened(browser, press / "frames.npy", refused="422 (") as (page, _):
         # Frames are shown before any setting is given.
         page.wait_for_selector("#problems")
-        assert "background.frames" in text_of(page, "#problems")
+        assert "Background: recording of the empty glass is needed" in text_of(page, "#problems")
         assert "Cannot process: 3 problems in Background, Calibration, Recording" in text_of(page, "#setup-status")
         assert page.is_disabled("#process")
         show_frame(page, 9)

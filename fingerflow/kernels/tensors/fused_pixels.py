@@ -4,6 +4,8 @@ They take the steps of `ops.contact.illumination_gain` and `ops.contact.real_con
 those of the portable form bit for bit, the gain is to rounding.
 """
 
+import math
+
 import torch
 import triton
 import triton.language as tl
@@ -50,6 +52,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, share: Tenso
             *(frames.contiguous(), light.contiguous(), black.contiguous(), share.contiguous(), mask.view(torch.uint8)),
             *(height, width, len(light), len(black), size // 2),
             PIXELS=PIXELS,
+            HIGHEST=255.0 if frames.dtype == torch.uint8 else math.inf,
             enable_fp_fusion=False,  # limits are rounded as in the portable form
         )
     return mask
@@ -155,6 +158,7 @@ def _mark(
     black_batch,
     half,
     PIXELS: tl.constexpr,
+    HIGHEST: tl.constexpr,
 ):
     frame = tl.program_id(1).to(tl.int64)
     size = height * width
@@ -177,7 +181,8 @@ def _mark(
             dark = tl.load(black + at, mask=there, other=0.0)
             value = tl.load(frames + at, mask=there, other=0).to(tl.float32)
             lit = given != 0
-            number += tl.where((value < limit * tl.where(lit, given, 1.0) + dark) & lit, 1, 0)
+            # A byte at its highest value is not below any limit, as in the portable form.
+            number += tl.where((value < tl.minimum(limit * tl.where(lit, given, 1.0) + dark, HIGHEST)) & lit, 1, 0)
     most = (2 * half + 1) * (2 * half + 1) // 2
     lit = tl.load(light + pixel, mask=there, other=0.0) != 0
     tl.store(mask + frame * size + pixel, tl.where(lit & (number > most), 1, 0).to(tl.uint8), mask=there)

@@ -21,6 +21,7 @@ SMALLEST_AREA = 0.05  # least d^2 at the collapse that counts as a minimal adhes
 # for mu_s < mu_k.
 FADING_AREA = math.sqrt(CORRIDOR)
 
+_NEAR_LOSS = f"within {CORRIDOR:.0%} of that at the loss"  # in reasons: the corridor of the paper
 _SMOOTHED_S = 0.05  # s, window of the running medians, at least five frames
 _REFERENCE_S = 0.05  # s before the complete loss in which a T/N must be known
 _FEWEST = 15  # least number of frames with d^2 and T/N
@@ -132,7 +133,7 @@ def judge_trial(
     found = TrialVerdict("inconclusive", "", "inconclusive")
     found = replace(found, frames_measured=int(measured.sum()), frames_missing=int((~measured).sum()))
     if found.frames_measured < _FEWEST:
-        return replace(found, reason=f"{found.frames_measured} frames have d² and T/N; {_FEWEST} are needed")
+        return replace(found, reason=f"d² and T/N are known in {found.frames_measured} frames; {_FEWEST} are needed")
     width = max(5, 2 * round(_SMOOTHED_S / float(np.median(np.diff(when))) / 2) + 1)
     raw, area, load = area, _smoothed(area, width), _smoothed(load, width)
     if np.nanmax(area) < 0.5:
@@ -142,7 +143,7 @@ def judge_trial(
     loss = _complete_loss(area, zero)
     if loss is None:
         last = area[np.isfinite(area)][-1]
-        return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, over {zero:.2f}, its noise")
+        return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, above its noise of {zero:.2f}")
     found = replace(found, loss_frame=loss, zero_area=zero, area_noise=noise)
 
     just_before = load[(when >= when[loss] - _REFERENCE_S) & (when < when[loss])]
@@ -165,16 +166,17 @@ def judge_trial(
 
     run = _corridor_run(np.where(np.isfinite(area), load, np.nan), loss, reference)
     if run.size == 0:
-        return replace(found, reason="no frame before the complete loss has T/N inside the corridor")
+        return replace(found, reason=f"no frame before the complete loss has a T/N {_NEAR_LOSS}")
     found = replace(found, corridor_frames=(int(run[0]), int(run[-1])))
     gap = float(np.diff(when[np.append(run, loss)]).max())
     if gap > _LARGEST_GAP_S:
-        return replace(found, reason=f"{gap:.2f} s without d² or T/N inside the corridor, over {_LARGEST_GAP_S:g} s")
+        reason = f"d² or a T/N {_NEAR_LOSS} is unknown for {gap:.2f} s, longer than {_LARGEST_GAP_S:g} s"
+        return replace(found, reason=reason)
     if not np.isfinite(load[: run[0]]).any():
-        return replace(found, reason="T/N is inside the corridor from the first frame on: no loading was recorded")
+        return replace(found, reason=f"T/N is {_NEAR_LOSS} from the first frame on: no loading was recorded")
     collapse = fit_collapse(area, load, when, loss)
     if collapse is None:
-        return replace(found, reason="too few frames about the complete loss have d² and T/N")
+        return replace(found, reason="d² and T/N are known in too few frames about the complete loss")
     if area_std is not None:
         shared = np.nan_to_num(np.interp(collapse.begin, when, np.asarray(area_std, dtype=np.float64)))
         collapse = replace(
@@ -196,13 +198,13 @@ def _complete_verdict(
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
     critical, evidence = collapse.area, collapse.evidence
     outcome: Outcome = "diminishes"
-    against = f"not over {SMALLEST_AREA:g}"
+    against = f"not above {SMALLEST_AREA:g}"
     if critical > SMALLEST_AREA:
-        against = f"over {SMALLEST_AREA:g}"
+        against = f"above {SMALLEST_AREA:g}"
         if evidence <= _LEAST_EVIDENCE:
-            against += f", but a χ² of {evidence:.0f} does not tell it from fading"
+            against += f", but fading explains it as well (χ² {evidence:.0f} of {_LEAST_EVIDENCE:.0f})"
         elif critical <= collapse.area_std:
-            outcome, against = "inconclusive", against + ", but not over its deviation"
+            outcome, against = "inconclusive", against + ", but less than its standard deviation"
         else:
             outcome = "vanishes abruptly"
     abrupt = outcome == "vanishes abruptly"
@@ -211,7 +213,10 @@ def _complete_verdict(
     return replace(
         found,
         outcome=outcome,
-        reason=f"critical d² of {critical:.2f} ± {collapse.area_std:.2f}, {against}",
+        reason=(
+            f"stick ratio d² {largest:.2f} when the load reached {1 - CORRIDOR:.0%}, {FADING_AREA:.2f} had it faded; "
+            f"critical d² {critical:.2f} ± {collapse.area_std:.2f}, {against}"
+        ),
         printed_outcome=_outcome_of(largest - found.zero_area - _LARGEST_STD * found.area_noise),
         model_outcome=_outcome_of(model),
         corridor_area=largest,

@@ -13,7 +13,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
-from fingerflow.ops.tensors import constant_like
+from fingerflow.ops.tensors import constant_like, half_angle
 
 _PART = 32  # cells of a line smoothed by one matrix product
 
@@ -285,7 +285,7 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     mixed = mixed * cell**2
     spread = (half * half + mixed * mixed).sqrt()
     axes = 2 * torch.cat((middle + spread, (middle - spread).clamp_min(0)), dim=1).sqrt()
-    angle = torch.atan2(mixed, half) / 2
+    angle = half_angle(mixed, half)
     center = torch.cat((mean[:, :1] + middles[1], mean[:, 1:] + middles[0]), dim=1) * cell + (cell - 1) / 2
     return (
         torch.where(some, mass * cell**2, 0.0).squeeze(1),

@@ -96,7 +96,7 @@ def area_medians(
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
     if apart is not None:
         apart = _check_apart(apart, displacement, covariance is not None)
-    among, fields, std = (None, None, None) if apart is None else apart
+    among, fields, std = (None, None, None) if apart is None or not displacement.shape[1] else apart
     compute = _twin(reference, displacement, *frame, covariance, among, fields, std)
     if kind == torch.float32 and compute is not None:
         return AreaMedians(

@@ -158,7 +158,7 @@ def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
     highest = score.amax(1, keepdim=True)
     number = torch.arange(span * span, device=score.device)
     away = (number // span - span // 2) ** 2 + (number % span - span // 2) ** 2
-    order = away * span * span + number
+    order = (away * span * span + number).to(score.dtype)  # ONNX Runtime has no minimum of integers on a GPU
     return torch.where(score >= highest - SEARCH_TIE * highest.abs(), order, order.max() + 1).argmin(1)
 
 

@@ -129,7 +129,8 @@ function trace(live, name, title, drawn) {  // drawn: [variable, colour, name in
   const columns = here.map(([variable, style]) => [names.indexOf(variable), style, []]);
   for (const [variable] of here) {
     const place = names.indexOf("expected_" + variable);
-    if (place >= 0) columns.push([place, "#c0392b", [3, 4]]);
+    const known = place >= 0 && rows.values.some((value, i) => i % wide == place && Number.isFinite(value));
+    if (known) columns.push([place, "#c0392b", [3, 4]]);
   }
   const expected = columns.length > here.length;
   const legend = here.map(([, style, said]) => swatch(style, said));

@@ -53,6 +53,4 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
     except FingerflowError:
         raise
     except Exception as error:  # libraries do not specify what they raise for a damaged file
-        raise PlayerError(
-            f"{path}: cannot be read as frames ({first_line(error)}); copy it again, or save it anew"
-        ) from error
+        raise PlayerError(f"{path}: cannot be read as frames ({first_line(error)}); copy or save it again") from error

@@ -36,3 +36,11 @@ def read_table(path: Path) -> ForceTable:
         )
     table.sample_rate = rates.pop() if rates else None
     return table
+
+
+def dimensions(path: Path) -> list[int]:
+    """Return the number of dimensions of each data set in an HDF5 file."""
+    found: list[int] = []
+    with open_hdf5(path) as file:
+        file.visititems(lambda _, item: found.append(item.ndim) if isinstance(item, h5py.Dataset) else None)
+    return found

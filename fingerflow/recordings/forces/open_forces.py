@@ -180,6 +180,22 @@ def force_columns(path: str | PathLike[str]) -> list[str]:
     return list(_read_table(Path(path)).columns)
 
 
+def holds_forces(path: str | PathLike[str]) -> bool:
+    """Return whether a file is a force file, by its suffix; an HDF5 file, which may be a recording too, is one unless
+    one of its data sets has three dimensions.
+
+    Raises FingerflowError for an HDF5 file that is missing or unreadable.
+    """
+    location = Path(path)
+    reader = READER_OF.get(location.suffix.lower())
+    if reader != "hdf5_forces":
+        return reader is not None
+    check_file(location)
+    with reading(location, "HDF5"):
+        dimensions: list[int] = import_module("fingerflow.recordings.forces.hdf5_forces").dimensions(location)
+    return 3 not in dimensions
+
+
 def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
     """Return the properties of a force file: its sample rate in Hz and, for each column, number of samples, minimum,
     maximum and unit.

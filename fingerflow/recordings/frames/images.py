@@ -158,7 +158,7 @@ def _images_in(folder: Path) -> list[Path]:
     except OSError as error:
         raise FingerflowError(f"{folder}: cannot be listed ({first_line(error)}); make it readable") from None
     if not kinds:
-        raise FingerflowError(f"{folder}: the folder has no images; looked for {', '.join(SUFFIXES)}")
+        raise FingerflowError(f"{folder}: the folder has no images ({', '.join(SUFFIXES)}); name a file in it")
     if len(kinds) > 1:
         counts = ", ".join(f"{len(files)} {suffix}" for suffix, files in sorted(kinds.items()))
         raise FingerflowError(f"{folder}: has images of several kinds ({counts}); leave only the frames in it")

@@ -19,7 +19,7 @@ def open_frames(path: Path) -> FileRecording:
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
         if length > MOST_NPY_HEADER:
-            raise FingerflowError(f"{path}: its header should have {length} bytes, and no array has; save it anew")
+            raise FingerflowError(f"{path}: its header should have {length} bytes, and no array has; save it again")
         file.seek(0)
         try:
             version = np.lib.format.read_magic(file)
@@ -27,7 +27,7 @@ def open_frames(path: Path) -> FileRecording:
             shape, by_columns, dtype = read(file)
         except Exception as error:  # NumPy does not specify what an invalid header raises
             raise FingerflowError(
-                f"{path}: not a NumPy file of plain numbers ({first_line(error)}); copy it again, or save it anew"
+                f"{path}: not a NumPy file of plain numbers ({first_line(error)}); copy or save it again"
             ) from None
         start = file.tell()
     dtype = grey_dtype(dtype, path)

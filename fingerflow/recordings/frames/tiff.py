@@ -78,8 +78,8 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
     while 0 < offset < size:
         if offset in seen:
             raise FingerflowError(
-                f"{path}: page {len(seen)} is followed by the one at byte {offset}, which came before; copy the file "
-                "again, or export it anew"
+                f"{path}: page {len(seen)} is followed by the one at byte {offset}, which came before; copy or "
+                "export the file again"
             )
         seen.add(offset)
         handle.seek(offset)

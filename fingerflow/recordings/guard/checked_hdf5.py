@@ -45,7 +45,7 @@ def check_stored_size(values: h5py.Dataset, path: Path) -> None:
     Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are
     missing: HDF5 itself silently returns zeros for these.
     """
-    again = "copy the file again, or export it anew"
+    again = "copy or export the file again"
     with reading(path, KIND):
         claimed, stored, size = values.size * values.dtype.itemsize, values.id.get_storage_size(), path.stat().st_size
         if values.is_virtual:
@@ -76,7 +76,7 @@ def read_whole(values: h5py.Dataset, path: Path) -> np.ndarray[Any, Any]:
             except (OSError, RuntimeError) as error:
                 raise FingerflowError(
                     f"{path}: {values.name} {values.shape} has no values from {at} on ({first_line(error)}); copy the "
-                    "file again, or export it anew"
+                    "file again, or export it again"
                 ) from error
     return np.asarray(values[()])
 

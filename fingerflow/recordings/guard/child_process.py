@@ -50,7 +50,7 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
 def _answer_about(path: Path, kind: str) -> Any:
     answer = _child.ask(path, kind)
     if answer and isinstance(answer, str):
-        raise FingerflowError(f"{path}: is damaged, or no {kind} file: {answer}; copy it again, or export it anew")
+        raise FingerflowError(f"{path}: is damaged, or no {kind} file: {answer}; copy or export it again")
     return answer
 
 

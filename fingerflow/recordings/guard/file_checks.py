@@ -55,8 +55,8 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise FingerflowError(
-            f"{path}: cannot be read as {kind}, it is of another kind or damaged ({first_line(error)}); copy it again, "
-            "or export it anew"
+            f"{path}: cannot be read as {kind}, it is of another kind or damaged ({first_line(error)}); copy or "
+            "export it again"
         ) from error
 
 

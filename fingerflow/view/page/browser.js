@@ -2,16 +2,16 @@
 import { get } from "./net.js";
 import { make } from "./elements.js";
 
-// A button that puts the path of a chosen file, relative to the scene file, into `input`.
-export function browseButton(input, what) {
-  const button = make("button", { type: "button", title: "Choose a file", onclick: () => choose(input, what) }, "Browse");
+// A button that puts the path of a chosen file, relative to the scene file, into `input`; `words` say which file.
+export function browseButton(input, what, words = what) {
+  const button = make("button", { type: "button", title: "Choose a file", onclick: () => choose(input, words) }, "Browse");
   button.setAttribute("aria-label", `browse ${what}`);
   return button;
 }
 
-async function choose(input, what) {
+async function choose(input, words) {
   const place = make("p", { className: "soft" }), entries = make("div", { className: "entries" });
-  const dialog = make("dialog", { className: "browser" }, make("h2", {}, `Choose a file: ${what}`), place, entries,
+  const dialog = make("dialog", { className: "browser" }, make("h2", {}, `Choose a file: ${words}`), place, entries,
     make("button", { onclick: () => dialog.close() }, "Cancel"));
   dialog.addEventListener("close", () => dialog.remove());
   document.body.append(dialog);

@@ -56,7 +56,7 @@ function columns(key, several, send, updates) {
     const wanted = [null, ...new Set([...found.channels, ...set])], same = wanted.join() === values.join();  // else an open menu closes
     values = wanted;
     boxes.forEach((box, k) => {
-      if (!same) box.replaceChildren(...values.map(one => make("option", {}, one === null ? (k ? "no second one" : "none") : `${one}`)));
+      if (!same) box.replaceChildren(...values.map(one => make("option", {}, one === null ? (k ? "no second column" : "none") : `${one}`)));
       box.selectedIndex = values.indexOf(set[k] ?? null);
     });
   });
@@ -101,9 +101,10 @@ function row(key, form, changed, updates) {
   } else if (form.input === "choice") {
     const options = form.words.map(word => ({ key: word, label: words(word) }));
     if (form.number) options.push({ key: "number", label: "a number" });
+    if (form.default === null) options.unshift({ key: "", label: "none" });
     const range = slider && make("input", { type: "range", min: slider[0], max: slider[1], step: slider[2] });
     const shown = slider && make("output");
-    const box = select(options, form.default, value => send(value === "number" ? +range.value : value));
+    const box = select(options, form.default ?? "", value => send(value === "number" ? +range.value : value));
     box.setAttribute("aria-label", key);
     field.append(box);
     if (range) {
@@ -112,7 +113,7 @@ function row(key, form, changed, updates) {
       field.append(range, shown);
     }
     updates.push(found => {
-      const value = valueAt(found.values, key) ?? form.default;
+      const value = valueAt(found.values, key) ?? form.default ?? "";
       box.value = typeof value === "number" ? "number" : value;
       if (range && document.activeElement !== range) range.value = typeof value === "number" ? value : 0.25;
       if (range) range.disabled = shown.disabled = false;
@@ -144,7 +145,7 @@ function row(key, form, changed, updates) {
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
-    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key)));
+    if (form.input === "file") field.append(make("span", { className: "row" }, input, browseButton(input, key, form.label)));
   }
   field.append(make("small", { className: "said" }));
   return field;

@@ -64,7 +64,7 @@ class App {
     $("tab-results").className = tab === this.results ? "on" : "";
     $("about").textContent = tab === this.results ? tab.facts.path : tab.facts.recording?.path || tab.facts.draft || "";
     await this.measure();
-    const start = tab === this.results && (number === null || !this.seen) ? tab.facts.frame_of_most_contact : (number ?? 0) - tab.first;
+    const start = tab === this.results && (number === null || !this.seen) ? tab.facts.frame_of_largest_load : (number ?? 0) - tab.first;
     this.seen ||= tab === this.results;  // from then on both tabs show the same frame
     this.frame = Math.max(0, Math.min(tab.frames - 1, start));
     const first = this.show();

@@ -104,7 +104,7 @@ export class Setup {
     this.form.update({ ...facts, values: this.values, kind: this.pending.get("kind") ?? facts.kind });
     this.calibration.show(facts.calibration_picture);
     $("text").textContent = facts.text;
-    const other = facts.problems.map(({ key, said }) => make("li", {}, make("b", {}, key), ` ${said}`));
+    const other = facts.problems.map(({ field, said }) => make("li", {}, make("b", {}, field), ` ${said}`));
     const tables = [...new Set(facts.problems.map(({ key }) => title(key.split(".")[0])))].join(", ");
     const refused = other.length ? `${other.length} problem${other.length > 1 ? "s" : ""} in ${tables}`
       : facts.recording_error || this.why ? "see the error above" : "";
@@ -217,7 +217,7 @@ export class Setup {
     ];
     this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value]) =>
       make("div", {}, make("dt", {}, labelOf(name)), make("dd", {}, digits(shown(name, value)), make("small", {}, ` ${unitOf(name)}`)))));
-    const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame lies outside recording.first_frame to last_frame: it is not processed." : "");
+    const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame lies before the first or after the last frame of the scene: it is not processed." : "");
     const waits = this.facts.problems.length ? "The contact is shown once the settings are complete." : this.layer.contact ? "Loading …" : "";
     if (why || (waits && !rows.some(([, value]) => value !== undefined))) this.numbers.append(make("p", { className: "soft" }, why || waits));
     if (this.sensor) this.legend();  // its markers are those of the frame

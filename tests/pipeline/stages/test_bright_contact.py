@@ -79,7 +79,9 @@ def test_the_wrong_setting_is_named(press: Path, pictures: dict[str, Frames], ch
     """A recording with the other contrast is refused, and the refusal names the remedy."""
     cases = ((BRIGHT, pictures, "dark"), ({}, frustrated_reflection(press, pictures), "bright"))
     for replaced, arrays, remedy in cases:
-        with pytest.raises(FingerflowError, match=rf'no contact is found.* set contact\.appears = "{remedy}"'):
+        with pytest.raises(
+            FingerflowError, match=rf'no contact: at the largest force.* set contact\.appears = "{remedy}"'
+        ):
             process(changed(replaced, **arrays), ["real_contact_area"])
 
 

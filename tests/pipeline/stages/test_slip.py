@@ -235,7 +235,7 @@ def test_forces_without_a_verdict(swing: float, sign: int, reason: str, slip_tri
 def test_no_contact(slip_trials: Path, tmp_path: Path) -> None:
     empty = np.stack([rebuild_scene(slip_trials / "abrupt").empty(number) for number in range(20)])
     scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=empty)
-    with pytest.raises(FingerflowError, match="no contact is found"):
+    with pytest.raises(FingerflowError, match="no contact at the largest force"):
         process(scene, ["stuck_ratio"])
     contact = replace(scene.contact, threshold=0.3)
     scene = replace(scene, contact=contact)

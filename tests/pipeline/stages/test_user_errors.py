@@ -105,7 +105,7 @@ def test_an_empty_glass_has_no_area_and_no_point(
     for name in ("ellipse_center", "ellipse_angle", "median_divergence", "median_strain", "global_displacement"):
         assert np.isnan(result[name].values).all(), name
     assert np.isnan(result["tracked_share"].values).all()
-    assert "no contact was found in frame" in warnings_of(result)
+    assert "no contact at the largest force (frame 7): there are no points" in warnings_of(result)
     save_result(result, tmp_path / "result.h5")
     assert load_result(tmp_path / "result.h5").sizes["point"] == 0
     for name in ("table.csv", "all.mat"):
@@ -114,7 +114,8 @@ def test_an_empty_glass_has_no_area_and_no_point(
 
 
 def test_an_empty_glass_without_a_threshold_is_named(changed: Change, glass: Array) -> None:
-    with pytest.raises(FingerflowError, match=r"no contact is found.*\[views\.contact\].*threshold to a number"):
+    said = r"no contact at the largest force \(frame 7\): .* frame rate and trigger .*\[views\.contact\].*a number"
+    with pytest.raises(FingerflowError, match=said):
         process(changed(frames=glass), AREAS)
 
 

@@ -84,7 +84,7 @@ class ContactStage(Stage):
         self.warnings.extend(plausibility.of_background(self._changed(first, glass, black)[0], first + first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         changed = self._changed(self.reference_frame, glass, black)
-        reversed_contrast = plausibility.of_contrast(*changed, appears, self.reference_frame + first_frame)
+        reversed_contrast = plausibility.of_contrast(*changed, appears, self.largest_load())
         self.warnings.extend(reversed_contrast)
         self._threshold = self._fixed_threshold(reversed_contrast)
         self._largest = self._region_of(self.reference_frame)
@@ -290,7 +290,8 @@ class ContactStage(Stage):
     def _fixed_threshold(self, reversed_contrast: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
 
-        Raises FingerflowError if there is no contact; it contains the warning of a reversed contrast, if there is one.
+        Raises FingerflowError if there is no contact; it says what to check first, and contains the warning of a
+        reversed contrast, if there is one.
         """
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
@@ -300,18 +301,29 @@ class ContactStage(Stage):
         frame = self._counts(self.reference_frame)
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
+            path = self.inputs.recording.path
             if reversed_contrast:
-                raise FingerflowError(f"{self.inputs.recording.path}: no contact is found. {reversed_contrast[0]}")
+                raise FingerflowError(f"{path}: no contact: {reversed_contrast[0]}")
             light, black = (
                 one[0, 0].cpu().numpy()
                 for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
             )
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
+            clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
             raise FingerflowError(
-                f"{self.inputs.recording.path}: no contact is found. In frame {self.reference_frame}, where most "
-                f"contact was expected, "
-                + (seen if seen else "the contact view is that of the background")
-                + f"; check [views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold "
-                f"to a number."
+                f"{path}: no contact at {self.largest_load()}: {seen or 'the contact view is that of the background'}. "
+                f"Check {clocks}[views.contact] and [background] in {self.inputs.scene.path}; or set [contact] "
+                "threshold to a number"
             )
         return threshold
+
+    def _has_forces(self) -> bool:
+        normal = self.trial.stage(LoadingStage).normal
+        return normal is not None and bool(np.isfinite(np.where(self._usable, normal, np.nan)).any())
+
+    def largest_load(self) -> str:
+        """Return in words which frame is expected to have most contact: by the normal force or, where it is unknown, by
+        the darkest contact view.
+        """
+        frame = self.reference_frame + self.inputs.scene.recording.first_frame
+        return f"the largest force (frame {frame})" if self._has_forces() else f"the darkest frame ({frame})"

@@ -73,20 +73,20 @@ def of_views(offset_px: float, mm_per_px: float) -> list[str]:
     ]
 
 
-def of_contrast(brighter: float, darker: float, appears: str, frame: int) -> list[str]:
+def of_contrast(brighter: float, darker: float, appears: str, moment: str) -> list[str]:
     """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
     other way round.
 
     `brighter` and `darker` are shares of that frame's pixels beside the empty glass, after the negative of bright
-    contact was taken.
+    contact was taken; `moment` says in words which frame it is.
     """
     if not (brighter > _BRIGHTER_SHARE and brighter > darker):
         return []
     other, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
     return [
-        f"contact.appears is {appears!r}, and in frame {frame}, where most contact was expected, {brighter:.0%} of the "
-        f"contact view is {lighter} than the empty glass and {darker:.0%} changed as contact does: "
-        f'check [views.contact] and background.frames, or set contact.appears = "{other}" if the finger is there'
+        f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} changed as "
+        f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
+        f'contact.appears = "{other}" if the finger is there'
     ]
 
 

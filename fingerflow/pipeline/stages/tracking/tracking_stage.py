@@ -94,8 +94,8 @@ class TrackingStage(Stage):
         self._region = region[0, 0].cpu().numpy()
         if not self._region.any():
             self.warnings.append(
-                f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
-                f"where most of it was expected: there are no points and no deformation"
+                f"no contact at {contact.largest_load()}: there are no points and no deformation. Check frame rate and "
+                f"trigger, then the views"
             )
             self._create(0)
         if contact.skin is not None and self._view != self.inputs.scene.views.contact:
