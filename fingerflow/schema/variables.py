@@ -41,7 +41,8 @@ _FIELD_STD_EQUATION = (
 )
 _MEDIAN_STD_EQUATION = (
     "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
-    "from, Δ the change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the "
+    "from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), Δ_border the "
+    "change by an ellipse 0.06 mm smaller, less the noise in it, late the "
     "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
     "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
 )
@@ -204,8 +205,14 @@ TRACKING = (
         "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
         "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
-        "window in which dust stands out matches",
+        "window in which dust stands out matches; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n the side of the window, "
+        "over all second derivatives of both components, fitted over two windows",
         label="standard deviation of the position",
+    ),
+    Variable(
+        "position_noise_px", FRAME_POINT, "px",
+        "part of position_std_px that is not due to displacement curved within the window", "f4",
+        label="standard deviation of the position by image noise",
     ),
     Variable(
         "subset_correlation", FRAME_POINT, "1",
@@ -408,7 +415,8 @@ STRAIN = (
     Variable(
         "strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
         equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
-        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²)",
+        "to all points; elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what smoothing "
+        "displacements again over 2.5 windows takes from it",
     ),
     Variable(
         "strain_energy_between_points", FRAME, "mJ",

@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
 from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.entry import Entries
+from fingerflow.tracker.median_smoothing import smoothing_variance
 from fingerflow.tracker.onset import Touches, Touching
+from fingerflow.tracker.overlap_gain import overlap_gain
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -82,10 +85,11 @@ class FrameResults:
             self._begin(seeding, covered[0])
         self._frames += 1
         size = self._size
-        deviation = np.sqrt(found.variance)
+        noise = np.sqrt(found.variance)
+        curvature = curvature_variance(self._engine, seeding.points, found.points)
         center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        slip = self._slip.see(found.points[0], deviation[0], covered[0])
+        slip = self._slip.see(found.points[0], noise[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
             "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
@@ -95,10 +99,10 @@ class FrameResults:
             "illumination_gain": contact.illumination_gain[0],
             "position_px": found.points[0],
             "forward_backward_error": found.error[0],
-            "position_std_px": deviation[0],
+            "position_std_px": np.sqrt(found.variance + curvature)[0],
             "status": found.status[0],
             "in_contact": covered[0],
-            **self._since_onset(found, covered, ellipse),
+            **self._since_onset(found, curvature, covered, ellipse),
             "slip_residual": slip.residual * self._per_px,
             "slip_flag": slip.slipping,
         }
@@ -112,6 +116,8 @@ class FrameResults:
         self._touches = Touches(len(seeding.points))
         places = self._on_glass(seeding.points)
         self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+        window_px, gauge_px = self._engine.settings.window_px, self._engine.settings.gauge_length_mm / self._per_px
+        self._overlap = overlap_gain(seeding.points, window_px, gauge_px)
         self._of_smoothing = math.nan  # variance of the median due to gauge length and border
 
     def _on_glass(self, pixels: Array) -> Array:
@@ -123,34 +129,45 @@ class FrameResults:
             result[..., axis] = by_x * x + by_y * y + shift
         return result
 
-    def _covariance(self, now: Array, touch: Touching) -> Array:
-        """Return the covariance (1, N, 2, 2) mm^2, due to image noise, of the displacements since the onset of contact,
-        from the variance `now` (1, N) px^2 of the present positions and that at the onset, in `touch`.
+    def _covariance(self, now: Array, curvature: Array, touch: Touching) -> Array:
+        """Return the covariance (1, N, 2, 2) mm^2 of the displacements since the onset of contact, from the variances
+        (1, N) px^2 of the present positions, `now` by image noise and `curvature` by displacement that is curved within
+        windows, and that at the onset, in `touch`.
+
+        It is larger by the factor by which overlapping windows raise the variance of gradients.
         """
-        variance = touch.displacement_variance(now) * np.float32(self._per_px**2)
+        variance = (touch.displacement_variance(now) + curvature) * np.float32(self._overlap * self._per_px**2)
         result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
         return result
 
     def _smoothing_variance(
-        self, place: Array, moved: Array, around: FrameEllipse, median: float, of_points: float
+        self, place: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float
     ) -> float:
-        """Return the variance of the median divergence due to the finite gauge length and the uncertain contact border:
-        the squared changes of `median` with twice the gauge length and with a smaller ellipse, less the noise variance
-        `of_points`.
+        """Return the variance of the median divergence of `fields` due to the finite gauge length and the uncertain
+        contact border: that of `smoothing_variance`, from the change of the median with twice the gauge length, and the
+        squared change with a smaller ellipse, less the variance `of_points` by the errors of points.
 
         In a space of half the size the gauge length counts twice.
         """
         half = around._replace(center=around.center / 2, semi_axes=around.semi_axes / 2)
         smaller = around._replace(semi_axes=around.semi_axes - np.float32(BORDER_MM))
-        others = [
-            self._engine.fields(*given).median[0, 0]
+        wide, inner = (
+            float(self._engine.fields(*given).median[0, 0] - fields.median[0, 0])
             for given in ((place / 2, moved / 2, half), (place, moved, smaller))
-        ]
-        return sum(max(float(other - median) ** 2 - of_points, 0.0) for other in others)
+        )
+        assert fields.divergence_std is not None
+        known = fields.divergence_std[0][np.isfinite(fields.divergence_std[0])]
+        single = np.median(known) if len(known) else math.nan
+        by_gauge = float(smoothing_variance(wide, of_points, single, fields.divergence[0]))
+        return by_gauge + max(inner**2 - of_points, 0.0)
 
-    def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
+    def _since_onset(
+        self, found: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
+    ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the median divergence over the contact ellipse; return them by result name.
+
+        `curvature` (1, N) px^2 is the variance of the positions that `found` does not hold.
         """
         position = self._on_glass(found.points)
         border = Border(*ellipse)
@@ -168,7 +185,7 @@ class FrameResults:
         # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
         covariance = None
         if entered is None and self._engine.name != "onnx":
-            covariance = self._covariance(found.variance, touch)
+            covariance = self._covariance(found.variance, curvature, touch)
         fields = self._engine.fields(place, moved, around, covariance, entered)
         deviation = math.nan
         # The deformation of skin before points were seeded again on it is not known.
@@ -176,7 +193,7 @@ class FrameResults:
         if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2
             if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
-                self._of_smoothing = self._smoothing_variance(place, moved, around, fields.median[0, 0], of_points)
+                self._of_smoothing = self._smoothing_variance(place, moved, around, fields, of_points)
             deviation = math.sqrt(of_points + self._of_smoothing + _rank_variance(fields))
         return {
             "divergence": fields.divergence[0],

@@ -25,6 +25,7 @@ from fingerflow.engines.engine import (
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
+from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, known_of
 from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
 from fingerflow.tracker.subset_verification import Verification
@@ -193,6 +194,14 @@ class Points:
             done += count
         found = steps[0] if len(steps) == 1 else FoundPoints(*map(np.concatenate, zip(*steps, strict=True)))
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
+
+    def curvature_variance(self, found: FoundPoints, around: FoundPoints | None = None) -> NDArray[np.float32]:
+        """Return the variance (n, N) px^2 of the positions `found` (n, N) by displacement since the key frame that is
+        curved within windows; `around` (n, A) is the result of the surrounding points.
+        """
+        around = nothing_found(len(found.points)) if around is None else around
+        places = np.concatenate((found.points, around.points), axis=1)
+        return curvature_variance(self._engine, self._every, places)[:, : len(self)]
 
     def look(self, image: Images, guess: Array) -> FoundPoints:
         """Track the points in one image near guessed positions (N, 2), without updating motion or templates.

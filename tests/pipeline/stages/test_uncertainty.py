@@ -129,7 +129,7 @@ def exact(motion: Motion, points: NDArray[np.float64], found: RunContext, places
         since = positions(motion, points, batch.indices[:, None].astype(float)) - reference
         since[~known[batch.indices]] = np.nan
         moved.results["displacement"][batch.indices] = since
-        return Moved(since, np.zeros(since.shape[:2], np.float32))
+        return Moved(since, *np.zeros((2, *since.shape[:2]), np.float32))
 
     moved.begin, moved.step = begun, step  # type: ignore[method-assign]
     return measured(trial, moved)
@@ -242,7 +242,9 @@ def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
     deviation = np.sqrt(np.array([[1.0], [2], [3], [4], [5], [6], [7]], np.float32))
     covered = np.array([[0], [1], [1], [0], [1], [1], [1]], dtype=bool)
     given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
-    trial = trial_of(inputs(), contact(), 7, **given)
+    series = contact()
+    series["ellipse_semi_axes"][0] = np.nan  # no contact yet, so that the point is not on its border
+    trial = trial_of(inputs(), series, 7, **given)
     run(trial, DisplacementStage(trial))
     assert values_of(trial, "onset_frame").tolist() == [4]
     np.testing.assert_allclose(values_of(trial, "displacement")[:, 0, 0], [np.nan, 0.5, 3.5, np.nan, 3.5, 12.5, 23.5])

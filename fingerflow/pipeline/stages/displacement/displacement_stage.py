@@ -35,10 +35,12 @@ class Moved(NamedTuple):
     Attributes:
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
         variance: (n, N) mm^2, of a component, by image noise.
+        curvature: (n, N) mm^2, of a component, by displacement that is curved within windows.
     """
 
     displacement: Points
     variance: NDArray[np.float32]
+    curvature: NDArray[np.float32]
 
 
 class DisplacementStage(Stage):
@@ -116,14 +118,19 @@ class DisplacementStage(Stage):
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
         self._common = common_frame(self.results["position"], self.results["status"], first, backward)
         if self.since.frame is not None:
-            self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
+            self._fixed = _Fixed(
+                *(self._in_reference(name) for name in ("position", "position_px", "position_noise_px"))
+            )
         self._border = Border.of(self.trial.stage(ContactStage).series)
         begin = int(usable[0])
         here = self.results["position"][begin : begin + 1]
         depth = self._border.at(slice(begin, begin + 1)).inside(here)[0]
-        touches = self.results["in_contact"][begin : begin + 1][0] & np.isfinite(depth) & (self._fixed is None)
-        self._doubtful = np.flatnonzero(touches & (depth < 3 * BORDER_MM))
-        self._depth = depth[self._doubtful]
+        self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
+        self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
+        self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
+        self._curvature_then = np.zeros(points, np.float32)
+        if self.since.frame is not None:
+            self._curvature_then = self._curvature(np.array([self.since.frame]))[0]
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
@@ -154,7 +161,7 @@ class DisplacementStage(Stage):
         moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
         self.results["displacement"][batch.indices] = moved.displacement
         # Root mean square error of a component.
-        square = moved.variance + self._of_onset
+        square = moved.variance + moved.curvature + self._of_onset
         square[:, self._doubtful] += self._entered_unseen(moved.displacement, batch.indices)
         self.results["displacement_std"][batch.indices] = np.sqrt(square)
         # Component by component (the lab's script takes the x median twice).
@@ -169,17 +176,28 @@ class DisplacementStage(Stage):
         self.results.put("global_displacement_vector", self._vector, self._attributes)
         self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
 
-    def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames."""
-        variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self.mm_per_px)) ** 2
+    def tracked_variance(self, indices: NDArray[np.intp], name: str = "position_std_px") -> NDArray[np.float32]:
+        """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
+        is the result variable of the standard deviation.
+        """
+        variance: NDArray[np.float32] = (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """Return the covariance (n, N, 2, 2) mm^2 of the displacements of N points in n frames; NaN if unknown."""
+        """Return the covariance (n, N, 2, 2) mm^2 of the displacements of N points in n frames, without that by
+        curvature; NaN if unknown.
+        """
         result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
         for component in range(2):
             result[..., component, component] += moved.variance
         return result
+
+    def _curvature(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the variance (n, N) mm^2 of a displacement component by displacement that is curved within windows: 0
+        in the reference frame of all points, if there is one.
+        """
+        whole, noise = (self.tracked_variance(indices, f"position_{of}_px") for of in ("std", "noise"))
+        return abs(np.maximum(whole - noise, 0) - self._curvature_then)
 
     def _find_onsets(self) -> None:
         touch = Touches(self.results["position"].shape[1])
@@ -230,7 +248,7 @@ class DisplacementStage(Stage):
         `touch` holds the onset of each point and is updated.
         """
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
-        variance = self.results["position_std_px"][indices] ** 2
+        variance = self.results["position_noise_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
         if len(some) == len(indices):
             touching = touch.add_frames(indices, covered, position, variance, self._border.at(indices))
@@ -253,22 +271,28 @@ class DisplacementStage(Stage):
         noise = self._noise(variance, touching)
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
-        return Moved(moved, noise)
+        return Moved(moved, noise, self._curvature(indices))
 
     def _entered_unseen(self, moved: Points, indices: NDArray[np.intp]) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
-        which may have touched later.
+        which may have touched earlier or later than was seen.
 
-        With the depth d of a point then, a border off by b = `BORDER_MM` leaves it outside with the probability
-        Phi(-d/b). Such a point enters once it has moved inwards by about b: of a displacement u that leads inwards by
-        c, the share min(1, b/c) is from before.
+        With the depth d of a point at its onset, a border off by b = `BORDER_MM` leaves it outside with the probability
+        Phi(-d/b). Such a point enters once it has moved inwards by about b, if it does: of a displacement u that leads
+        inwards by c, the share min(1, b/c) is from before. A point that was not seen in contact in the first frame, at
+        a depth d, touched with the probability Phi(d/b): then it has also moved as far as from there to its onset.
         """
-        depth = self._border.at(indices).inside(self.results["position"][indices][:, self._doubtful])
-        inwards = np.nan_to_num(depth - self._depth)
-        share = np.where(inwards > 0, np.minimum(1, BORDER_MM / np.maximum(inwards, 1e-9)), 0)
-        square = np.nan_to_num(np.square(moved[:, self._doubtful]).sum(-1))
-        result: Points = ndtr(-self._depth / BORDER_MM) * np.square(share) * square / 2
-        return result
+        position = self.results["position"][indices][:, self._doubtful]
+        displacement = moved[:, self._doubtful]
+        then = np.where(self._seen, self._depth, 0)
+        depth = self._border.at(indices).inside(position)
+        inwards = np.maximum(np.nan_to_num(depth - then), 0) + _ELLIPSE_MM
+        later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
+        share = np.minimum(1, BORDER_MM / inwards)
+        earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
+        before = np.square(position - displacement - self._place).sum(-1)
+        result: Points = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
+        return np.nan_to_num(result)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance
@@ -321,7 +345,7 @@ class DisplacementStage(Stage):
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
         # The square of a measured speed is too large by the variance of the speed, which follows from those of both
         # positions.
-        errors = self.mm_per_px * at_frames(self.results["position_std_px"], every % frames)
+        errors = self.mm_per_px * at_frames(self.results["position_noise_px"], every % frames)
         noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)

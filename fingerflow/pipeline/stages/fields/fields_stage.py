@@ -84,7 +84,8 @@ class FieldsStage(Stage):
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
         ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
-        covariance = displacement.covariance(moved) * self._gain[:, None, None]
+        covariance = displacement.covariance(moved._replace(variance=moved.variance + moved.curvature))
+        covariance *= self._gain[:, None, None]
         entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
         given = self._reference, shift, ellipse, covariance, entered

@@ -13,8 +13,10 @@ from fingerflow.graphs import GrossEllipse
 from fingerflow.graphs.fields_graph import Fields
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.median_smoothing import smoothing_variance
 
 EVERY = 8  # frames between two evaluations, interpolated linearly, as skin and contact change slowly
 
@@ -24,9 +26,7 @@ class MedianBias:
 
     It has four parts:
 
-    - the difference to medians with twice the gauge length. For smoothing alone it is three times the error, which is
-      proportional to the square of the length. Where the contact has skin of two kinds, the median lies in the flank of
-      one distribution and is shifted by the noise of single fits, of which twice the length has a quarter.
+    - the error by the gauge length (`smoothing_variance`), from the difference to medians with twice the length.
     - the difference to medians over an ellipse that is smaller by the uncertainty of the border's position.
     - where fields are known only in a share of the contact, the median of all of it lies between the quantiles
       1/2 +- (1 - share) / (2 share) of the known values: anywhere, so that the deviation is half of their difference
@@ -64,9 +64,8 @@ class MedianBias:
         beside = None if entered is None else Apart(entered[some], _stack_components(found)[some].mT, None)
         center, semi_axes, angle = (one[some] for one in ellipse)
         median, variance = found.median[some], found.median_std[some].square()
-        square = torch.zeros_like(median)
-        for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
-            other = area_medians(
+        wide, inner = (
+            area_medians(
                 self._reference.to(displacement),
                 displacement[some],
                 center,
@@ -75,9 +74,18 @@ class MedianBias:
                 gauge_length=gauge,
                 measure=self._measure,
                 apart=beside,
-            )
-            square += ((other.median - median).square() - variance).clamp_min(0)
-        self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
+            ).median
+            - median
+            for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM))
+        )
+        by_gauge = smoothing_variance(
+            wide.cpu().numpy(),
+            variance.cpu().numpy(),
+            _deviations_of_fits(found)[some],
+            _stack_components(found)[some].cpu().numpy(),
+        )
+        by_border = (inner.square() - variance).clamp_min(0).cpu().numpy()
+        self._seen[np.searchsorted(self._looks, batch.indices[some])] = by_gauge + by_border
 
     def variance(self) -> NDArray[np.float64]:
         """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, without the part due to
@@ -135,6 +143,17 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
     if entered is not None:
         result[some] += squared_half_range(np.sqrt(came[some, None]))
     return result
+
+
+def _deviations_of_fits(found: Fields) -> NDArray[np.float64]:
+    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
+    those of gradients whose four elements err alike.
+    """
+    assert found.divergence_std is not None
+    assert found.curl_std is not None
+    divergence, curl = (nanmedian(one.cpu().numpy()) for one in (found.divergence_std, found.curl_std))
+    of_element = np.sqrt((divergence**2 + curl**2) / 4)
+    return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
 
 
 def _stack_components(found: Fields) -> Tensor:

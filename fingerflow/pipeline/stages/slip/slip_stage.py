@@ -184,12 +184,12 @@ class SlipStage(Stage):
         return np.asarray(places[np.isfinite(places).all(-1)])
 
     def _deviation_of(self, frame: int) -> float:
-        """Return the median over all points of the standard deviation, px, of a displacement component in one frame;
-        NaN if it is unknown.
+        """Return the median over all points of the standard deviation, px, of a displacement component by image noise
+        in one frame; NaN if it is unknown.
         """
-        if "position_std_px" not in self.results:
+        if "position_noise_px" not in self.results:
             return math.nan
-        return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
+        return float(nanmedian(self.results["position_noise_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
         """Return whether the edge of the view cuts off a contact region, so that part of the contact is invisible.

@@ -58,4 +58,4 @@ class MarkerDisplacementStage(DisplacementStage):
         self.results["displacement"][batch.indices] = displacement
         self.results["displacement_std"][batch.indices] = np.sqrt(variance)
         self._vector[batch.indices] = nanmedian(displacement)
-        return Moved(displacement, variance)
+        return Moved(displacement, variance, np.zeros_like(variance))

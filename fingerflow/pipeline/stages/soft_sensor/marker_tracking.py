@@ -52,6 +52,7 @@ class MarkerTrackingStage(TrackingStage):
             "position": self.inputs.on_glass(pixels),
             "position_px": pixels,
             "position_std_px": np.sqrt(variance),
+            "position_noise_px": np.sqrt(variance),  # a marker has no window that skin bends
             "subset_correlation": np.full(status.shape, np.nan),  # NaN, since a marker has no window
             "forward_backward_error": np.full(status.shape, np.nan),
             "status": status,

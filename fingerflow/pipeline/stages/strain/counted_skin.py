@@ -53,7 +53,7 @@ class CountedSkin:
             return at_frames(results[name], since, self._points)
 
         self._then = then("position")
-        self._variance = (then("position_std_px") * stage.mm_per_px) ** 2
+        self._variance = (then("position_noise_px") * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
         self.places_px = np.concatenate([places, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
@@ -89,22 +89,29 @@ class CountedSkin:
         result[touched[known]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
-    def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm and covariances (n, P, 2, 2) mm^2 in n frames of the tracked points,
-        followed by copies of points that are corners of triangles with another reference frame.
+    def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
+        """Return displacements (n, P, 2) mm, covariances (n, P, 2, 2) mm^2 by image noise and times of onset, and
+        variances (n, P) mm^2 by curvature, in n frames of the tracked points, followed by copies of points that are
+        corners of triangles with another reference frame.
         """
         stage, points = self._stage, self._points
         covariance = stage.covariance(moved)
         if not len(points):
-            return moved.displacement, covariance
+            return moved.displacement, covariance, moved.curvature
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
         own = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
         noise = np.where(
-            frames[:, None] == self._since, 0, (stage.tracked_variance(frames)[:, points] + self._variance) / 2
+            frames[:, None] == self._since,
+            0,
+            (stage.tracked_variance(frames, "position_noise_px")[:, points] + self._variance) / 2,
         )
         added = (noise[..., None, None] * np.eye(2)).astype(np.float32)
-        return np.concatenate([moved.displacement, own], axis=1), np.concatenate([covariance, added], axis=1)
+        return (
+            np.concatenate([moved.displacement, own], axis=1),
+            np.concatenate([covariance, added], axis=1),
+            np.concatenate([moved.curvature, moved.curvature[:, points]], axis=1),
+        )
 
 
 def _triangulate(places: Points) -> NDArray[np.int32]:

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_strains
-from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
+from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
@@ -26,6 +27,11 @@ from fingerflow.tracker.contact_border import BORDER_MM, Border
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
 # RMS over four presses of synthetic skin at half to twice the usual deformation.
 _INSIDE = 0.3
+# Windows, gauge length over which displacements are smoothed again, to see what a window has taken from the energy.
+_SMOOTHED = 2.5
+# Energy that windows have taken, as a share of what smoothing again takes: RMS over four slides of other seeds and ways
+# than those of the table in `docs/accuracy.md`.
+_TAKEN = 0.7
 
 
 class StrainStage(Stage):
@@ -95,25 +101,24 @@ class StrainStage(Stage):
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
+        # Later onsets on the border of a slide have other references, so that displacements jump there.
+        begins = skin.since[: len(moved.onset)]
+        here = np.pad(begins == begins[begins >= 0].min(initial=len(self.trial)), (0, len(skin.since) - len(begins)))
+        self._from_start = self.inputs.tensor(np.where(here[:, None], skin.reference, np.nan))[None]
+        scale = self.inputs.topography_mm_per_px
+        self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
-        moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
+        moved, covariance, curvature = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         touching = self._sum_of_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= batch.indices[:, None] >= self._skin.begins
-        found = triangle_strain(
-            self._reference,
-            self._corners,
-            self.inputs.tensor(moved),
-            self.inputs.tensor(covariance),
-            torch.from_numpy(touching).to(self.inputs.device),
-            self._shared,
-            measure=self._settings.strain,
-            young_modulus_mpa=self._settings.young_modulus_mpa,
-            poisson_ratio=self._settings.poisson_ratio,
-        )
+        # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
+        # counts in the deviations.
+        whole = covariance + curvature[..., None, None] * np.eye(2, dtype=np.float32)
+        found, stated = (self._strain_of(self.inputs.tensor(moved), one, touching) for one in (covariance, whole))
         for name, values in (
             ("strain", found.strain),
-            ("strain_std", found.strain_std),
+            ("strain_std", stated.strain_std),
             ("strain_energy_density", found.density),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
@@ -122,11 +127,45 @@ class StrainStage(Stage):
             both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
-        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), found.energy_std)
+        deviation = stated.energy_std.cpu().numpy()
+        if not self._begins_free:
+            deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, touching))
+        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), deviation)
+
+    def _strain_of(
+        self, moved: torch.Tensor, covariance: NDArray[np.floating], touching: NDArray[np.bool_]
+    ) -> TriangleStrain:
+        return triangle_strain(
+            self._reference,
+            self._corners,
+            moved,
+            self.inputs.tensor(covariance),
+            torch.from_numpy(touching).to(self.inputs.device),
+            self._shared,
+            measure=self._settings.strain,
+            young_modulus_mpa=self._settings.young_modulus_mpa,
+            poisson_ratio=self._settings.poisson_ratio,
+        )
+
+    def _lost_by_smoothing(self, moved: NDArray[np.float64], touching: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return by how much the strain energies (n,) of n frames fall if the displacements `moved` (n, P, 2) mm are
+        smoothed over `_SMOOTHED` windows.
+
+        A window averages the displacement over itself. At the edge of slip this takes energy away, about as much as
+        averaging what is left takes away again (`_TAKEN`). It counts where skin touches from the first frame on: the
+        energy of a growing contact is that of a field which is not averaged (`contact_energy`).
+        """
+        given = self.inputs.tensor(moved)
+        smooth = local_gradients(self._from_start, given, gauge_length=self._smoothed_mm).value
+        again = torch.where(smooth.isfinite(), smooth, given)
+        exact = np.zeros((*moved.shape, 2), np.float32)
+        first, second = (self._strain_of(one, exact, touching).energy for one in (given, again))
+        result: NDArray[np.float64] = (first - second).clamp_min(0).cpu().numpy()
+        return result
 
     def _sum_up(
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
-        between_std: torch.Tensor,
+        between_std: NDArray[np.float64],
     ) -> None:  # fmt: skip
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
         triangles between points, and that of all skin in contact.
@@ -138,7 +177,7 @@ class StrainStage(Stage):
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
         strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
-        squares = (between_std.cpu().numpy(), self._missing.add_frames(density, touching), strip)
+        squares = (between_std, self._missing.add_frames(density, touching), strip)
         deviation = np.sqrt(sum(np.square(one) for one in squares))
         self._between[frames], self._between_std[frames] = between, deviation
         rim = beside * self._rim_area(position, touching, border)

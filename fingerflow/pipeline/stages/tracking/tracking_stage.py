@@ -129,28 +129,33 @@ class TrackingStage(Stage):
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
         every: list[FoundPoints] = []
+        curved: list[NDArray[np.float32]] = []
         if not self._seeded:
             first = self._seed(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             rest = [(yield from self._seeded[0].follow(images[1:]))] if len(images) > 1 else []
             every.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
+            curved.append(self._seeded[0].curvature_variance(every[0]))
         else:
             for points, numbers in zip(self._seeded, self._around, strict=True):
                 around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
                 every.append((yield from points.follow(images, around)))
+                curved.append(points.curvature_variance(every[-1], around))
         found = beside(every)
         before, last = found.status.shape[1], len(images) - 1
         new = self._seed_new(images[last:], margin[last], found.of(slice(last, None)))
         if new is not None:
             found = beside([found, _extend_to_batch(len(images), new)])
+            curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = found.points, found.error, found.status
         covered = yield Call(self._engine.covered, (margin, found.estimate, self._matrix))
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
-            "position_std_px": np.sqrt(found.variance),
+            "position_std_px": np.sqrt(found.variance + np.concatenate(curved, axis=1)),
+            "position_noise_px": np.sqrt(found.variance),
             "subset_correlation": np.where(seen, np.concatenate([one.correlation for one in self._seeded]), np.nan),
             "forward_backward_error": error,
             "status": status,

@@ -1,0 +1,50 @@
+"""Variance of a tracked position by displacement that is curved within the window of the point.
+
+A window matches where the displacement, weighted by the slopes of its texture, is that of its centre on average. The
+tracker corrects for a uniform mean over the window, with second derivatives that are fitted over several windows. At
+the edge of slip the displacement bends within one window, and both assumptions fail: the correction is off by about as
+much as it should be. The error of a position component has a standard deviation of about `_SHARE` of what second
+derivatives of their size shift the mean of the window by, (n^2 - 1) / 24 times the root of the sum of their squares for
+a window of n px. All of them count, and not only the Laplacian, as a texture weights them differently.
+
+The share is from slides and presses of other seeds and ways than those of the table in `docs/accuracy.md`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine
+
+Array = NDArray[Any]
+
+_SHARE = 0.8
+_GAUGE = 2.0  # windows, gauge length of the fits
+
+
+def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[np.float32]:
+    """Return the variance (n, N) px^2 of a position component in n frames by displacement that is curved within the
+    windows of N points; 0 where too few neighbours are known.
+
+    Args:
+        engine: computes the fits, and gives the side of a window.
+        start: (N, 2) px, positions in the key frame; NaN for no point.
+        points: (n, N, 2) px, tracked positions; NaN for lost points.
+    """
+    window = engine.settings.window_px
+    known = np.flatnonzero(np.isfinite(start).all(-1))
+    result = np.zeros(points.shape[:2], np.float32)
+    if not len(known):
+        return result
+    places = start[known]
+
+    def gradient(values: Array) -> Array:
+        return engine.fit(places, values, places, _GAUGE * window).gradient
+
+    slopes = gradient(points[:, known] - places)
+    squares = sum(np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2))
+    result[:, known] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
+    return result
