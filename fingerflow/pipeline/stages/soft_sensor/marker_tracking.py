@@ -35,7 +35,7 @@ class MarkerTrackingStage(TrackingStage):
     def begin(self) -> None:
         self._markers = self.trial.stage(MarkerStage)
         for variable in TRACKING:
-            if "point" in variable.dims and (variable.unasked or variable.name in self.trial.asked):
+            if "point" in variable.dims and self.trial.stores(variable):
                 self.results.create(variable.name, point=self._markers.points.shape[1])
         self._last = np.where(np.isfinite(self._markers.rest), self._markers.rest, -1.0)
 

@@ -188,7 +188,7 @@ class TrackingStage(Stage):
 
     def _create(self, points: int, noise: float = math.nan) -> None:
         for variable in TRACKING:
-            if "point" in variable.dims and (variable.unasked or variable.name in self.trial.asked):
+            if "point" in variable.dims and self.trial.stores(variable):
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
                 self.results.create(variable.name, about, point=points)
 
@@ -277,8 +277,7 @@ class TrackingStage(Stage):
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
         room for the results.
         """
-        given = [one for stage in self.trial.planned for one in stage.gives]
-        given = [one for one in given if one.unasked or one.name in self.trial.asked]
+        given = [one for stage in self.trial.planned for one in stage.gives if self.trial.stores(one)]
         why = ""
         if points + more == MOST_SEEDED * self._settings.points:
             why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
