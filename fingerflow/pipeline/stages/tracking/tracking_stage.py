@@ -159,7 +159,8 @@ class TrackingStage(Stage):
         }.items():
             self.results[name][indices] = values
         if _CORRECTION in self.trial.asked:
-            self.results[_CORRECTION][indices] = self._corrections(len(images))
+            corrections = self._corrections(len(images))
+            self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), corrections, np.nan)
         tracked = status[:, :before] == TrackStatus.TRACKED
         self._share[indices] = tracked.mean(1)
         self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
