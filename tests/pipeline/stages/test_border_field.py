@@ -75,3 +75,16 @@ def test_derivatives_of_functions() -> None:
     slopes = np.stack([functions_at(places + one) - functions_at(places - one) for one in step]) / 2e-6
     expected = (slopes * np.repeat(shares / 2 / 40, 40)[:, None]).mT @ slopes
     np.testing.assert_allclose(FUNCTIONS.squares, expected, atol=1e-8 * abs(expected).max())
+
+
+@pytest.mark.parametrize("numbers", [3, 30])
+def test_few_points_of_unequal_errors_have_a_field(numbers: int) -> None:
+    """Three or thirty points, one three million times more exact than the rest, have finite coefficients: rounding leaves
+    the normal equations positive definite at every prior scale.
+    """
+    each = [one_fit(numbers, 1e-2, 0.3, seed) for seed in range(20)]
+    places, moved, weight = (np.stack(one) for one in zip(*each, strict=True))
+    weight[:, 0] = 1e17
+    found = FUNCTIONS.fit(places, moved, weight)
+    assert np.isfinite(found.coefficients).all()
+    assert np.isfinite(found.covariance).all()

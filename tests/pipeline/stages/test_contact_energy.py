@@ -127,3 +127,20 @@ def test_nothing_is_known_without_points_or_border() -> None:
     assert np.isnan(measured(contact, contact.displacement * np.nan, 1e-3)).all()
     unknown = contact._replace(border=contact.border._replace(semi_axes=np.full((1, 2), np.nan)))
     assert np.isnan(measured(unknown, contact.displacement, 1e-3)).all()
+
+
+@pytest.mark.parametrize("std_mm", [0.0, 1e-18, 1e-7])
+def test_point_at_its_onset_leaves_the_energy_unchanged(std_mm: float) -> None:
+    """A point that has just touched, whose displacement has no error or one by rounding alone, changes the energy by
+    less than its deviation.
+    """
+    contact = contact_of(PRESS, 30)
+    whole = ContactEnergy(Solid("green_lagrange", 1.0, 0.4), np.zeros((0, 2), int), np.zeros(0), len(contact.position))
+    counts = np.ones((1, len(contact.position)), dtype=bool)
+    moved, variance = contact.displacement[None].copy(), np.full(counts.shape, 7e-4**2)
+    known = whole.of_frames(contact.position[None], moved, variance, counts, contact.border)
+    last = int(contact.border.inside(contact.position[None])[0].argmin())
+    moved[0, last], variance[0, last] = 0, std_mm**2
+    found = whole.of_frames(contact.position[None], moved, variance, counts, contact.border)
+    assert abs(found.energy[0] - known.energy[0]) < known.deviation[0]
+    assert found.deviation[0] == pytest.approx(known.deviation[0], rel=0.2)

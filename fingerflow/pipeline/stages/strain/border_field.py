@@ -24,6 +24,9 @@ _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this
 _SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # mm^2, candidates for t^2; the first and the last one bound the search
 # Fibonacci numbers: offsets of the first two of 55 steps between scales at which the likelihood is compared.
 _PROBES = 21, 34
+# Rounding changes the eigenvalues of the normal equations by up to 8e-16 of the largest sum (points of 3 to 550, weights
+# that differ by up to 1e6): a share that keeps them positive also where the prior is wide.
+_ROUNDING = 1e-14
 _TOGETHER = 8  # number of frames for whose points a processor's cache holds all powers
 # Numbers of radii and angles of the quadrature, which is exact for the energy density of polynomials of this degree.
 _RADII, _ANGLES = 10, 24
@@ -118,7 +121,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
     """
     functions = normal.shape[1] - 2
     diagonal = np.einsum("nkk->nk", normal)
-    sums = diagonal[:, :functions].copy()
+    sums = diagonal[:, :functions] + _ROUNDING * diagonal[:, :functions].max(1, keepdims=True)
     diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
 
     def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
