@@ -173,6 +173,9 @@ class SlipStage(Stage):
         return np.asarray(self.results["deformation_correction_px"][frames][:, self._known] @ self._of_px.T)
 
     def _at_points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+        """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
+        contact cells.
+        """
         return self._at_points(motion, grid), self._over_cells(motion, grid)
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
