@@ -216,7 +216,7 @@ def test_results_of_threads_are_their_own() -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: graphs were replayed by the processor")
-def test_on_a_gpu(frame: BuiltIn) -> None:
+def test_replayed_graphs_agree_with_ordinary_calls_on_a_gpu(frame: BuiltIn) -> None:
     device = torch.device("cuda")
     ordinary, replayed = TorchEngine(SETTINGS, device), TorchEngine(SETTINGS, device, Captured)
     check_frames(replayed, frame)

@@ -184,7 +184,7 @@ def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Data
     assert warnings_of(result) == []
 
 
-def test_only_what_is_needed_runs(slip_trials: Path) -> None:
+def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     """Only the stages that an output needs are run; a press gives slip outputs if they are requested."""
     slip = load_scene(slip_trials / "abrupt" / "scene.toml")
     press = replace(slip, kind="press")
