@@ -2,15 +2,14 @@
 
 import argparse
 import importlib
-import json
 import pkgutil
 import time
-from datetime import date
 from pathlib import Path
 from typing import Any
 
 from bench import suites
-from bench.environment import describe, share_cores
+from bench.environment import share_cores
+from bench.record import write_record
 from bench.rows import Skipped, as_table
 
 FIGURES = Path(__file__).parent / "figures"
@@ -32,15 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
     share_cores()
     measured = {name: _run(name, options.quick) for name in options.suite or known}
     if options.json is not None:
-        record = {
-            "date": date.today().isoformat(),
-            "remark": options.remark,
-            "quick": options.quick,
-            **describe(),
-            "suites": measured,
-        }
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_record(options.json, measured, options.remark, options.quick)
 
 
 def _run(name: str, quick: bool) -> dict[str, Any]:

@@ -24,7 +24,7 @@ extensions = [
     "plain_docstrings",
     "generated_pages",
 ]
-exclude_patterns = ["site", "build_tools", "gallery", "release", "generated/scripts"]
+exclude_patterns = ["site", "build_tools", "gallery", "release", "generated/scripts", "generated/tables"]
 
 # Docstrings are plain text in which `this` is code.
 default_role = "code"

@@ -1,9 +1,11 @@
 """Tests of the examples for other programs, run by these programs if they are installed."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,8 +16,9 @@ from fingerflow.results.tables import export_map
 from fingerflow.results.tables.grid_maps import maps_of
 from tests.small_trials import TINY_PRESS, write_small
 
-pytestmark = pytest.mark.long
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+PAGE = ROOT / "docs" / "other_programs.md"
 IMAGEJ = Path("/usr/share/java/ij.jar")  # from the Debian package imagej
 
 
@@ -33,13 +36,37 @@ def run(*command: str) -> str:
     return ended.stdout
 
 
+def test_the_example_for_matlab_reads_what_a_result_has(trial: tuple[Path, xr.Dataset]) -> None:
+    """Every variable that the example reads is an array of the file with the unit that the example states."""
+    text = (EXAMPLES / "read_result.m").read_text(encoding="utf-8")
+    read = dict(re.findall(r"ncread\(path, '(\w+)'\);? *(?:% (\S+))?", text))
+    assert len(read) == text.count("ncread(path") == 5
+    stated = {"time": "s", "gross_contact_area": "mm^2", "median_divergence": "um/mm", "displacement": "um,"}
+    assert {name: unit for name, unit in read.items() if name in stated} == stated
+    units = {"time": "s", "gross_contact_area": "mm2", "median_divergence": "1", "displacement": "mm"}
+    with h5py.File(trial[0] / "result.h5") as file:
+        assert {name: file[name].attrs["units"] for name in units} == units
+        assert {name: file[name].shape for name in read} == {name: trial[1][name].shape for name in read}
+
+
+@pytest.mark.long
+def test_octave_runs_the_page(trial: tuple[Path, xr.Dataset]) -> None:
+    """The block for MATLAB of the page of other programs runs in Octave and prints the largest contact."""
+    here = _octave()
+    folder, result = trial
+    (block,) = re.findall(r"```matlab\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    # The lines that draw are left out: they need a screen.
+    block = re.sub(r"^(plot|xlabel).*\n", "", block, flags=re.MULTILINE).replace("'examples'", f"'{EXAMPLES}'")
+    frame = int(result["gross_contact_area"].values.argmax())
+    area, time, spread = (float(result[name][frame]) for name in ("gross_contact_area", "time", "median_divergence"))
+    said = run(*here, f"cd('{folder}'); {block}").splitlines()[-1]
+    assert said == f"{area:.1f} mm^2 at {time:.2f} s, median divergence {1e3 * spread:.1f} um/mm"
+
+
+@pytest.mark.long
 def test_octave_reads_a_result(trial: tuple[Path, xr.Dataset]) -> None:
     """Octave reads a result with the file that MATLAB uses as well."""
-    if shutil.which("octave") is None:
-        pytest.skip("Octave is not installed here")
-    here = ["octave", "--no-gui", "--quiet", "--eval"]
-    if run(*here, "disp(numel(pkg('list', 'netcdf')))").strip() != "1":
-        pytest.skip("Octave has no package netcdf here")
+    here = _octave()
     folder, result = trial
     code = f"addpath('{EXAMPLES}'); t = read_result('{folder / 'result.h5'}'); "
     said = run(*here, code + "printf('%.9g ', t.contact, t.farthest, size(t.displacement))").splitlines()
@@ -51,6 +78,17 @@ def test_octave_reads_a_result(trial: tuple[Path, xr.Dataset]) -> None:
     assert said[0] == f"{result.sizes['frame']} frames, {result.sizes['point']} points"
 
 
+def _octave() -> list[str]:
+    """Return the command that runs code in Octave with its package netcdf; skip the test where they are not here."""
+    if shutil.which("octave") is None:
+        pytest.skip("Octave is not installed here")
+    here = ["octave", "--no-gui", "--quiet", "--eval"]
+    if run(*here, "disp(numel(pkg('list', 'netcdf')))").strip() != "1":
+        pytest.skip("Octave has no package netcdf here")
+    return here
+
+
+@pytest.mark.long
 def test_imagej_measures_a_map(trial: tuple[Path, xr.Dataset]) -> None:
     missing = [name for name in ("java", "xvfb-run") if shutil.which(name) is None]
     if missing or not IMAGEJ.is_file():

@@ -3,10 +3,10 @@
 The recording is a synthetic press, two views of 512 x 640 px, played forwards and backwards by a camera module that
 waits for the time of each frame, adds noise of one grey level and gives its own time stamp. The player of the bundle of
 `export/exact.toml` runs as on a lab PC. A trigger is due wherever the recorded gross area rises through 20 mm²:
-`expected` counts them in the records. `median_ms`, `p99_ms` and `worst_ms` run from the camera's stamp to the receipt,
-in this process, of the datagram or of the byte at the other end of a pseudo-terminal. The row `results` has the
-latencies from the stamp to the result, of all frames. Two processes share the cores; `load` is how many processes the
-machine had to run.
+`expected` counts them in the records. Latencies run from the camera's stamp to the receipt, in this process, of the
+datagram or of the byte at the other end of a pseudo-terminal; in the row `results` to the result, of all frames.
+`p50_ms` is the median, `p99_ms` the latency that 1 % exceed. Two processes share the cores; `load` is how many
+processes the machine had to run.
 """
 
 import json
@@ -17,13 +17,16 @@ import sys
 import tempfile
 import threading
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter
 
 from bench.bare_environment import variables
-from bench.rows import Row, Skipped
+from bench.drawing import BLUE, GREEN, RED, Mark, saved_axes, scale_by_powers
+from bench.rows import Row, Skipped, number
 from bench.streams import exported
 from fingerflow.player import read_results
 from fingerflow.player.camera_clock import unix_now
@@ -31,6 +34,8 @@ from fingerflow.synthetic import Press, write_recording
 
 RATE, FRAMES, LIMIT = 300, 120, 20.0  # frames/s, frames of the press, mm²
 RECIPE = Path(__file__).parents[2] / "export" / "exact.toml"
+# Shares of latencies, in %, that do not exceed the quantiles of a row.
+SHARES = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 98, 99, 99.5, 99.8, 99.9)
 _CAMERA = '''
 import time
 
@@ -100,25 +105,57 @@ def measure(folder: Path, bundle: Path, frames: int) -> list[Row]:
     messages = [json.loads(data) for _, data in found[0]]
     taken = [message["camera_time"] for message in messages]
     bytes_ = [when for when, data in found[1] if data == b"1"]
+    processed = records["latency"][np.isfinite(records["latency"])]
     rows: list[Row] = [
-        {"way": "results", "frames": summary["processed"], "overruns": summary["overruns"]}
-        | {f"{name}_ms": value for name, value in summary["latency_ms"].items()}
+        {"way": "results", "expected": frames, "received": summary["processed"], "lost": frames - summary["processed"]}
+        | _quantiles(1e3 * processed)
     ]
     for way, received in (("UDP", [when for when, _ in found[0]]), ("serial line", bytes_)):
         late = 1e3 * (np.array(received) - np.array(taken[: len(received)]))
-        rows.append(
-            {
-                "way": way,
-                "expected": expected,
-                "received": len(received),
-                "lost": expected - len(received),
-                "median_ms": float(np.median(late)),
-                "p99_ms": float(np.quantile(late, 0.99)),
-                "worst_ms": float(late.max()),
-                "load": os.getloadavg()[0],
-            }
-        )
+        counts = {"expected": expected, "received": len(received), "lost": expected - len(received)}
+        rows.append({"way": way} | counts | _quantiles(late) | {"load": os.getloadavg()[0]})
     return rows
+
+
+def _quantiles(late: np.ndarray[Any, Any]) -> dict[str, float]:
+    """Return the quantiles of latencies in ms, as many as their number resolves, and the largest."""
+    shares = [share for share in SHARES if share <= 100 * (1 - 1 / len(late))]
+    found = {f"p{share}_ms": float(np.percentile(late, share)) for share in shares}
+    return found | {"worst_ms": float(late.max())}
+
+
+_WAYS = {
+    "results": ("frames, to the result", Mark(BLUE)),
+    "UDP": ("triggers, to the receipt by UDP", Mark(RED)),
+    "serial line": ("triggers, to the byte from a pseudo-terminal", Mark(GREEN, "s", filled=False)),
+}
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw the share of frames and triggers that take longer than a latency."""
+    with saved_axes(path, 3.2, width=7.0) as (axes,):
+        for row in rows:
+            name, mark = _WAYS[str(row["way"])]
+            count, shares = number(row, "received"), [share for share in SHARES if f"p{share}_ms" in row]
+            late = [*(number(row, f"p{share}_ms") for share in shares), number(row, "worst_ms")]
+            longer = [*(100 - share for share in shares), 100 / count]
+            axes.plot(late, longer, label=f"{count:,.0f} {name}", **mark.style)
+        for axis in (axes.xaxis, axes.yaxis):
+            scale_by_powers(axis)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g} %"))
+        axes.axvline(1e3 / RATE, color="0.7", linewidth=0.8, zorder=0)
+        axes.annotate(
+            "next frame",
+            (1e3 / RATE, 1),
+            (3, 0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            color="0.4",
+        )
+        axes.set(xlabel="latency from the camera's time stamp (ms)", ylabel="share that takes longer")
+        axes.legend(frameon=False, fontsize=8)
 
 
 class _Receipts:

@@ -1,4 +1,4 @@
-"""Pages and figures that the build of the site writes: outputs, keys of a scene, measurements, both papers."""
+"""Pages, figures and tables that the build of the site writes: outputs, keys, measurements, both papers."""
 
 import importlib
 import json
@@ -6,6 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from measured_tables import tables
+
+from bench.record import RESULTS, newest_suites
 from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
 from fingerflow.reproduce.paper_page import read_results
@@ -14,7 +17,7 @@ from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
 
 HERE = Path(__file__).resolve().parents[1]
-RESULTS = HERE.parent / "bench" / "results"
+SUITES = HERE.parent / "bench" / "suites"
 REPRODUCED = HERE / "reproduced"
 
 
@@ -104,9 +107,9 @@ def measurements_page() -> str:
     lines = [
         "# Measurements in full",
         "",
-        "What `python -m bench <suite>` has written to `bench/results`, row by row; this page is made of these files "
-        "when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column "
-        "does not say.",
+        "What `python -m bench <suite>` and `python -m tests.silent <group>` have written to `bench/results`, row by "
+        "row; this page is made of these files when the site is built. {doc}`/accuracy` says what they mean. Times in "
+        "ms, lengths in px where the column does not say.",
         "",
     ]
     for path in sorted(RESULTS.glob("*.json"), reverse=True):
@@ -125,7 +128,7 @@ def measurements_page() -> str:
             columns = list(dict.fromkeys(name for row in rows for name in row))
             about = found["about"].partition("\n\n")[0].replace("\n", " ")
             lines += [f"({path.stem}-{suite})=", f"### {path.stem}: {suite}", "", _cell(about), ""]
-            lines += [f"    python -m bench {suite}", ""]
+            lines += [f"    {found.get('command', f'python -m bench {suite}')}", ""]
             lines += _table(
                 [_cell(name) for name in columns], ([as_text(row.get(name)) for name in columns] for row in rows)
             )
@@ -137,17 +140,14 @@ def draw_figures(folder: Path) -> None:
     leave a figure that is newer than its rows.
     """
     folder.mkdir(exist_ok=True, parents=True)
-    newest = {suite: path for path in sorted(RESULTS.glob("*.json")) for suite in _suites(path)}
-    for suite, path in newest.items():
-        module, figure = importlib.import_module(f"bench.suites.{suite}"), folder / f"{suite}.png"
+    for name, (path, suite) in newest_suites().items():
+        figure = folder / f"{name}.png"
+        if not (SUITES / f"{name}.py").exists():
+            continue  # a group of tests.silent
+        module = importlib.import_module(f"bench.suites.{name}")
         drawn = figure.stat().st_mtime if figure.exists() else 0.0
         if hasattr(module, "draw") and drawn < max(path.stat().st_mtime, Path(module.__file__).stat().st_mtime):
-            module.draw(_suites(path)[suite]["rows"], figure)
-
-
-def _suites(path: Path) -> dict[str, Any]:
-    """Return what the file of a run of the bench holds for each suite."""
-    return json.loads(path.read_text(encoding="utf-8"))["suites"]
+            module.draw(suite["rows"], figure)
 
 
 def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -199,10 +199,13 @@ PAGES = {
 
 
 def write(folder: Path) -> None:
-    """Write the pages and figures. An unchanged page is not touched, so that Sphinx does not read it again."""
+    """Write the pages, figures and tables. An unchanged page is not touched, so that Sphinx does not read it again."""
     draw_figures(folder / "figures")
-    for name, page in PAGES.items():
-        path, text = folder / f"{name}.md", page()
+    (folder / "tables").mkdir(exist_ok=True)
+    texts = {name: page() for name, page in PAGES.items()}
+    texts |= {f"tables/{name}": "\n".join(_table(rows[0], rows[1:])) for name, rows in tables()}
+    for name, text in texts.items():
+        path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 

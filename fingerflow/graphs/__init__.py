@@ -2,6 +2,7 @@
 
 from fingerflow.graphs.contact_graph import Contact, ContactGraph
 from fingerflow.graphs.fields_graph import Entered, Fields, FieldsGraph, GrossEllipse
+from fingerflow.graphs.image_steps import MedianFilter, NormalizeIllumination
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph
@@ -18,5 +19,7 @@ __all__ = [
     "KeyGraph",
     "Light",
     "LightGraph",
+    "MedianFilter",
+    "NormalizeIllumination",
     "TrackGraph",
 ]

@@ -548,7 +548,7 @@ STREAM = (
     ),
     Variable(
         "slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
-        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > √(|a + d|² + |b|²)",
+        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > 2 √(|a + d|² + |b|²)",
         label="slip",
     ),
     Variable(

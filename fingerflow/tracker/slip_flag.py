@@ -12,6 +12,7 @@ Array = NDArray[Any]
 
 _FEWEST = 12  # least number of points in contact for a fit of five coefficients
 _RAISED = 2.0  # factor on the noise of a point above which the flag is raised
+_ALL_ROUND = 2.0  # factor on the spread: the whole rim is ahead, its last part by a third of its first part
 _NEAREST = 4  # number of previous points from which a new one takes its displacement, weighted by distance
 _FRAMES = 3  # number of consecutive frames before the flag is raised or withdrawn
 
@@ -34,14 +35,16 @@ class SlipFlag:
     Displacement counts from the position of each point when its contact began. Under a tangential force the rim slips
     first, everywhere in the direction of the force: the displacement is an even function of the position in the
     contact. Skin that spreads under a growing normal force moves outward, which is an odd function. Skin that shifts
-    as a whole while the contact grows has moved furthest in the middle, which touched first. `rim_motion` separates
-    them.
+    as a whole while the contact grows has moved furthest in the middle, which touched first. In a rolling contact skin
+    of the earlier press lies on one side, moved, and skin that has just touched on the other, which is half even and
+    half odd. `rim_motion` separates them.
 
     The flag is raised where the rim is ahead of the middle, in the direction of the mean displacement, by more than
-    twice the noise of a point and by more than skin has spread. It stays while this lead, or the residual of a rigid
-    motion, exceeds twice the noise. It appears two frames after the first frame that shows slip, plus the latency of a
-    frame. On trials of `fingerflow.synthetic.PartialSlip` it is raised when 5 to 11 % of the contact have slipped, and
-    in presses in no frame (tests/player/test_slip_in_a_stream.py).
+    twice the noise of a point and by more than twice the spread of the skin: the whole rim is then ahead. It stays
+    while this lead, or the residual of a rigid motion, exceeds twice the noise. It appears two frames after the first
+    frame that shows slip, plus the latency of a frame. On trials of `fingerflow.synthetic.PartialSlip` it is raised
+    when 5 to 11 % of the contact have slipped, and in presses and rolls in no frame (`python -m tests.silent
+    slip_flag`).
 
     Torsion about the centre of the contact is odd and does not raise the flag. A shift of the whole contact during a
     press hides as much slip as it has moved the middle ahead of the rim. At a reseeding each new point takes over the
@@ -108,7 +111,7 @@ class SlipFlag:
         # Too few points in contact neither raise nor withdraw the flag: comparisons with NaN are False.
         unknown = self._held or (math.isnan(residual) and bool(covered.any()))
         stays = unknown or max(ahead, residual) > noise
-        above = stays if self.slipping else ahead > max(noise, spread)
+        above = stays if self.slipping else ahead > max(noise, _ALL_ROUND * spread)
         self._run = self._run + 1 if above != self.slipping else 0
         if self._run >= _FRAMES:
             self.slipping, self._run = above, 0

@@ -121,3 +121,11 @@ def test_versions_are_equal() -> None:
     recipe = (ROOT / "docs" / "release" / "recipe.yaml").read_text(encoding="utf-8")
     assert f"  version: {fingerflow.__version__}\n" in recipe
     assert f"## {fingerflow.__version__}" in changes
+
+
+def test_the_conda_recipe_has_the_dependencies() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = (ROOT / "docs" / "release" / "recipe.yaml").read_text(encoding="utf-8")
+    names = {"torch": "pytorch", "opencv-contrib-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+    needed = [re.split("(?=>=)", one) for one in project["dependencies"]]
+    assert not [name for name, least in needed if f"    - {names.get(name, name)} {least}\n" not in recipe]

@@ -1,25 +1,21 @@
-"""Tests of the slip flag in a played stream: it stays 0 in a press and while nothing slips, and is raised soon after
-slip begins.
+"""Tests of the slip flag in a played stream: it stays 0 in a press, in a roll and while nothing slips, and is raised
+soon after slip begins.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from fingerflow import player
 from fingerflow.kernels.library import is_present
-from fingerflow.synthetic import ChainPress, PartialSlip, Press, SyntheticScene, rebuild_scene
+from fingerflow.synthetic import PartialSlip, rebuild_scene
+from tests.silent.slip_flag import FLICKER, MOST_FALSE, quiet_scenes, records_of
 from tests.small_trials import HEIGHT, WIDTH, recipe_of_trials, write_library_bundle, write_scene_of_bundle
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 
 STILL = 20
-SMALL: dict[str, Any] = {
-    "n_frames": 60, "frame_rate": 60.0, "frames_before_trigger": 6,
-    "frame_shape": (HEIGHT, 2 * WIDTH), "finger": (3.2, 2.7),
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -67,28 +63,15 @@ def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip
     assert records["slip_flag"][raised:].all()
 
 
-@pytest.mark.parametrize(
-    "press",
-    [
-        Press(shift=(0.2, -0.1), drag=0.08, semi_axes=(2.3, 1.9), **SMALL),
-        ChainPress(friction=0.1, elements=501, **SMALL),
-        ChainPress(friction=1.0, parameters="fitted", elements=501, **SMALL),
-    ],
-    ids=["shifted", "slippery", "soft"],
-)
-@pytest.mark.parametrize("flicker", [0.0, 0.1])
-def test_a_press_raises_no_flag(press: SyntheticScene, flicker: float, tmp_path: Path) -> None:
-    """The flag is raised in fewer than one in a hundred frames of a press, also if the light changes by a tenth."""
-    file = write_scene_of_bundle(tmp_path / "press", press)
-    frames = np.load(tmp_path / "press" / "frames.npy")
-    light = 1 + flicker * np.sin(np.arange(len(frames)))
-    np.save(tmp_path / "press" / "frames.npy", np.clip(np.rint(frames * light[:, None, None]), 0, 255).astype("u1"))
-    bundle = write_library_bundle(tmp_path / "bundle", recipe_of_trials())
-    options = ["--output", str(tmp_path / "results"), "--page", "off", "--threads", "1"]
-    assert player.main([str(bundle), "--scene", str(file), *options]) == 0
-    records = np.asarray(player.read_results(tmp_path / "results").records)
+@pytest.mark.parametrize("flicker", [0.0, FLICKER])
+@pytest.mark.parametrize("name", quiet_scenes(60))
+def test_a_press_or_roll_raises_no_flag(name: str, flicker: float, tmp_path: Path) -> None:
+    """The flag is raised in fewer than one in a hundred frames of a press or a roll, also if the light changes by a
+    tenth.
+    """
+    records = records_of(quiet_scenes(60)[name], flicker, tmp_path)
     assert np.nanmax(records["slip_residual"]) > 0.004  # the skin has spread by more than noise
-    assert records["slip_flag"].mean() < 0.01
+    assert records["slip_flag"].mean() < MOST_FALSE
 
 
 def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[PartialSlip, np.ndarray]) -> None:

@@ -184,6 +184,23 @@ def test_frames_outside_the_forces_are_nan_and_counted():
     assert len(record.warnings) == 1  # warned once
 
 
+def test_a_trigger_within_a_step_leaves_the_first_frame_covered() -> None:
+    """A record that begins with the first frame covers it, although its trigger rises half a step before a sample: the
+    first sample is then half a step late.
+    """
+    times = np.arange(-250, 9501) / 10_000
+    record = Forces(
+        Path("f.csv"), times, {"x": np.ones(times.size), "t": 5.0 * (times >= 0)}, {"x": "N", "t": "V"}, "t"
+    )
+    aligned = record.align(2.5)
+    assert aligned.times[0] == pytest.approx(-0.02495, abs=1e-12)
+    np.testing.assert_allclose(aligned.resample(np.arange(-1, 39) / 40)["x"], 1, rtol=1e-12)
+    assert aligned.warnings == []
+    late = aligned.resample(np.arange(-1, 39) / 40 - 2e-6)["x"]  # by 2 % of a step more
+    assert np.isnan(late[0])
+    assert np.isfinite(late[1:]).all()
+
+
 def test_forces_that_cover_no_frame():
     with pytest.raises(FingerflowError, match=r"0 to 1\.4999 s, the frames from 10\.2137 to 11\.2104 s"):
         forces(x=np.ones(TIMES.size)).resample(FRAMES + 10)

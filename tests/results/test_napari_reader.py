@@ -94,7 +94,7 @@ def test_a_result_without_its_recording_has_its_points(trial: tuple[Path, xr.Dat
 
 
 def test_the_manifest_is_valid_and_names_what_is_read() -> None:
-    npe2 = pytest.importorskip("npe2", reason="npe2, napari's plug-in engine, is not installed: pip install npe2")
+    npe2 = pytest.importorskip("npe2", reason="npe2 is not installed: pip install -e '.[dev]'")
     manifest = npe2.PluginManifest.from_file(MANIFEST)
     (reader,) = manifest.contributions.readers
     suffixes = {suffix for some in READERS.values() for suffix in some} | {".zarr"}
@@ -106,7 +106,9 @@ def test_the_manifest_is_valid_and_names_what_is_read() -> None:
 
 def test_napari_draws_the_layers(trial: tuple[Path, xr.Dataset]) -> None:
     """The layers are drawn in napari's viewer model, which needs no window."""
-    components = pytest.importorskip("napari.components", reason="napari is not installed: pip install napari")
+    components = pytest.importorskip(
+        "napari.components", reason="napari is no part of the extra dev: pip install napari"
+    )
     layer_of: Callable[..., Any] = pytest.importorskip("napari.layers").Layer.create
     viewer = components.ViewerModel()
     read = get_reader(str(trial[0] / "result.h5"))

@@ -1,8 +1,14 @@
-"""`python -m tests.silent GROUP`: run the cases of a group and print their table."""
+"""`python -m tests.silent GROUP`: run the cases of a group, print their table, and write it to bench/results.
+
+The documentation makes its tables of these files, so that a new run and a build of the site are all that a changed
+number needs.
+"""
 
 import sys
+import time
 from importlib import import_module
 
+from bench.record import RESULTS, write_record
 from tests.silent.case import Case
 
 
@@ -10,10 +16,17 @@ def main() -> None:
     """Run the group named on the command line."""
     if len(sys.argv) != 2:
         raise SystemExit("python -m tests.silent GROUP, the name of a module of tests/silent with a function cases()")
-    rows = [Case._fields, *import_module(f"tests.silent.{sys.argv[1]}").cases()]
+    group, start = sys.argv[1], time.perf_counter()
+    module = import_module(f"tests.silent.{group}")
+    found = list(module.cases())
+    rows = [Case._fields, *found]
     widths = [max(len(row[column]) for row in rows) for column in range(len(Case._fields))]
     for row in rows:
         print("  ".join(value.ljust(width) for value, width in zip(row, widths, strict=True)).rstrip())
+    if found:
+        seconds = round(time.perf_counter() - start, 1)
+        suite = {"about": module.__doc__, "command": f"python -m tests.silent {group}", "seconds": seconds}
+        write_record(RESULTS / f"silent-{group}.json", {group: suite | {"rows": [one._asdict() for one in found]}})
 
 
 if __name__ == "__main__":

@@ -121,8 +121,8 @@ class Forces:
         """
         frame_rate, sample_rate = _rate(wanted), _rate(times)
         # A sample represents half a step on both sides, so the record covers half a step before its first and after its
-        # last sample.
-        margin = 0.0 if sample_rate is None else 0.5 / sample_rate
+        # last sample. A trigger that rises within a step puts a frame at the very end of it: 1 % of a step is rounding.
+        margin = 0.0 if sample_rate is None else 0.505 / sample_rate
         covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
         if not covered.all():
             self._warn(

@@ -79,8 +79,8 @@ def test_derivatives_of_functions() -> None:
 
 @pytest.mark.parametrize("numbers", [3, 30])
 def test_few_points_of_unequal_errors_have_a_field(numbers: int) -> None:
-    """Three or thirty points, one three million times more exact than the rest, have finite coefficients: rounding leaves
-    the normal equations positive definite at every prior scale.
+    """Three or thirty points, one three million times more exact than the rest, have finite coefficients: rounding
+    leaves the normal equations positive definite at every prior scale.
     """
     each = [one_fit(numbers, 1e-2, 0.3, seed) for seed in range(20)]
     places, moved, weight = (np.stack(one) for one in zip(*each, strict=True))

@@ -24,8 +24,8 @@ _SMOOTHNESS = 4  # the prior standard deviation of a coefficient falls with this
 _SCALES = 10 ** (np.arange(56) / 4 - 8.25)  # mm^2, candidates for t^2; the first and the last one bound the search
 # Fibonacci numbers: offsets of the first two of 55 steps between scales at which the likelihood is compared.
 _PROBES = 21, 34
-# Rounding changes the eigenvalues of the normal equations by up to 8e-16 of the largest sum (points of 3 to 550, weights
-# that differ by up to 1e6): a share that keeps them positive also where the prior is wide.
+# A share of the largest sum that keeps the normal equations positive definite also where the prior is wide: rounding
+# changes their eigenvalues by up to 8e-16 of that sum (3 to 550 points, weights that differ by up to 1e6).
 _ROUNDING = 1e-14
 _TOGETHER = 8  # number of frames for whose points a processor's cache holds all powers
 # Numbers of radii and angles of the quadrature, which is exact for the energy density of polynomials of this degree.

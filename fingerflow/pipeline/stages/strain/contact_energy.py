@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 _RADIUS_MM = 0.012  # standard deviation of the mean radius of a border from `steady_border`, measured on presses
 # Displacement, mm, by which tracking errs over the whole contact alike: skin looks different once it touches.
 _COMMON_MM = 4e-4
-# Smallest standard deviation, mm, of the displacement of a point in the fit. In the frame of its onset a point has moved
-# by definition not at all, and its displacement would outweigh that of all other points.
+# Smallest standard deviation, mm, of the displacement of a point in the fit. In the frame of its onset a point has by
+# definition not moved at all, and its displacement would outweigh that of all other points.
 _LEAST_MM = 1e-5
 # Two strips along the border, of this width. A field that vanishes at the border has an RMS displacement in the outer
 # one of 0.38 times that in the inner one; measured on presses, with the border's error, 0.4 to 0.65.

@@ -1,0 +1,170 @@
+"""Tables of measured numbers for the pages of the site, made from the newest rows of each suite in bench/results."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from bench.record import newest_suites
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+def deviations(rows: Rows) -> list[list[str]]:
+    """Return errors over stated deviations by quantity, on presses and on slides, recorded and live."""
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        kind, _, quantity = row["case"].partition(": ")
+        scenes, _, live = kind.partition(", ")
+        ratio, *shares = re.findall(r"[\d.]+", row["number"])
+        name = quantity.replace("_", " ") + (", live" if live else "")
+        found.setdefault(name, {})[scenes] = f"{ratio}; {', '.join(shares)} %"
+    return [["", "presses", "slides"], *([name, *_of(cells, "presses", "slides")] for name, cells in found.items())]
+
+
+def live(rows: Rows) -> list[list[str]]:
+    """Return rates and latencies of the player, by recipe and engine."""
+    table = [["recipe, engine", "frames/s as fast as it goes", "two frames at once", "at a camera's rate: latency"]]
+    for recipe, engine in dict.fromkeys((row["recipe"], row["engine"]) for row in rows):
+        some = [row for row in rows if (row["recipe"], row["engine"]) == (recipe, engine)]
+        free = {row["side_by_side"]: row for row in some if row["asked_hz"] is None}
+        (paced,) = (row for row in some if row["asked_hz"] is not None)
+        rates = [f"{free[at]['slowest_hz']:.0f} to {free[at]['fastest_hz']:.0f}" if at in free else "" for at in (1, 2)]
+        lost = f"{paced['dropped']} dropped" if paced["dropped"] else "none dropped"
+        late = ", ".join(f"{paced[f'{of}_ms']:.3g}" for of in ("median", "p99", "worst"))
+        table.append([f"{recipe}, {engine}", *rates, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
+    return table
+
+
+def gpu_counts(rows: Rows) -> list[list[str]]:
+    """Return launches and bytes of each step of a frame, in its portable form and with kernels of Triton."""
+    head = (
+        "launches, portable form",
+        "by kernels of Triton",
+        "of the host, captured",
+        "MB moved",
+        "by kernels of Triton",
+    )
+    names = {"contact": "contact", "tracking": "points found, window 21", "outliers": "outliers"}
+    names |= {"deformation": "deformation", "fields": "fields with deviations and medians", "frame": "together"}
+    one = {row["work"]: row for row in rows if row["recordings"] == 1}
+    table = [["a frame of 512 x 640 px, 700 points", *head]]
+    for name, words in names.items():
+        plain, fused = one[name], one.get(f"{name}, fused", {})
+        counts = plain["launches"], fused.get("launches"), plain["launches_captured"]
+        table.append(
+            [words, *(_count(count) for count in counts), *(_megabytes(row.get("MB")) for row in (plain, fused))]
+        )
+    return table
+
+
+def gpu_rates(rows: Rows) -> list[list[str]]:
+    """Return predicted frames per second of named GPUs, by number of recordings and form of the kernels."""
+    devices = [name.removesuffix(" captured") for name in rows[0] if name.endswith(" captured")]
+    table = [["predicted frames/s", *devices]]
+    forms = {"frame": "portable form", "frame, fused": "kernels of Triton"}
+    for row in sorted((row for row in rows if row["work"] in forms), key=lambda row: row["work"]):
+        for way, words in {"eager": "call by call", "captured": "captured"}.items():
+            if way == "captured" or (row["recordings"] == 1 and row["work"] != "frame"):
+                count = "one recording" if row["recordings"] == 1 else f"{row['recordings']} recordings"
+                rates = [f"{row[f'{device} {way}']:,.0f}" for device in devices]
+                table.append([f"{count}, {forms[row['work']]}, {words}", *rates])
+    return table
+
+
+def wrong_points(rows: Rows) -> list[list[str]]:
+    """Return the share of accepted positions that a fault makes wrong, and the error of the energy, by experiment."""
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        trial, _, fault = row["case"].partition(": ")
+        if trial in ("press", "slide"):
+            wrong, energy, unknown = re.findall(r"[\d.]+%?|nan", row["number"])
+            known = "" if unknown == "0%" else f", NaN in {unknown.removesuffix('%')} % of the frames"
+            cells = found.setdefault(fault, {})
+            energy = "not stated" if energy == "nan" else energy + known
+            cells |= {trial: f"{wrong.removesuffix('%')} %", f"{trial}, energy": energy}
+    columns = "press", "press, energy", "slide", "slide, energy"
+    return [
+        ["fault", "press", "energy", "slide", "energy"],
+        *([name, *_of(cells, *columns)] for name, cells in found.items()),
+    ]
+
+
+def bad_frames(rows: Rows) -> list[list[str]]:
+    """Return how many bad frames of each kind are excluded, recorded and live, and how far the others are off."""
+    found: dict[str, dict[str, list[tuple[int, int, float]]]] = {}
+    for row in rows:
+        kind, _, case = row["case"].partition(": ")
+        if kind in ("recorded", "live"):
+            excluded, count, off = re.findall(r"[\d.]+", row["number"])
+            fault = re.sub(r"^\d+ ", "", case)
+            found.setdefault(fault, {}).setdefault(kind, []).append((int(excluded), int(count), float(off)))
+    alike: dict[tuple[str, ...], list[str]] = {}  # faults by their cells
+    for fault, kinds in found.items():
+        cells = tuple(cell for kind in ("recorded", "live") for cell in _excluded(kinds.get(kind, [])))
+        alike.setdefault(cells, []).append(fault)
+    head = ["frames", "recorded: excluded", "others", "live: excluded", "others"]
+    return [head, *(["; ".join(faults), *cells] for cells, faults in alike.items())]
+
+
+def _excluded(runs: Sequence[tuple[int, int, float]]) -> tuple[str, str]:
+    if not runs:
+        return "", ""
+    excluded, count = (sum(run[place] for run in runs) for place in (0, 1))
+    return "all" if excluded == count else f"{excluded} of {count}", f"{max(run[2] for run in runs):.1f}"
+
+
+def slip_flag(rows: Rows) -> list[list[str]]:
+    """Return the share of the frames in which the slip flag is up, by scene without slip and light."""
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        scene, _, light = row["case"].rpartition(", ")
+        if scene:
+            found.setdefault(scene, {})[light] = row["number"].removesuffix(" of the frames").replace("%", " %")
+    lights = list(dict.fromkeys(light for cells in found.values() for light in cells))
+    return [["slip flag up in", *lights], *([scene, *_of(cells, *lights)] for scene, cells in found.items())]
+
+
+def closed_loop(rows: Rows) -> list[list[str]]:
+    """Return what is lost between camera and trigger, and latencies, by way out."""
+    names = {
+        "results": "frames, to the result",
+        "UDP": "triggers, to the receipt by UDP",
+        "serial line": "triggers, to the byte from a pseudo-terminal",
+    }
+    table = [["", "number", "lost", "median, ms", "98 %, ms", "longest, ms"]]
+    for row in rows:
+        late = [f"{row[name]:.3g}" if name in row else "" for name in ("p50_ms", "p98_ms", "worst_ms")]
+        table.append([names[row["way"]], f"{row['expected']:,}", str(row["lost"]), *late])
+    return table
+
+
+def _of(cells: Mapping[str, str], *names: str) -> list[str]:
+    return [cells.get(name, "") for name in names]
+
+
+def _count(value: float | None) -> str:
+    return "" if value is None else f"{value:,.0f}"
+
+
+def _megabytes(value: float | None) -> str:
+    return "" if value is None else f"{value:.2g}" if value < 10 else f"{value:.0f}"
+
+
+#: Each table with the suite whose rows it shows; the file of a table is named after its function.
+TABLES: Mapping[Callable[[Rows], list[list[str]]], str] = {
+    deviations: "deviations",
+    live: "stream",
+    gpu_counts: "gpu",
+    gpu_rates: "gpu",
+    wrong_points: "points",
+    bad_frames: "frames",
+    slip_flag: "slip_flag",
+    closed_loop: "closed_loop",
+}
+
+
+def tables() -> Iterator[tuple[str, list[list[str]]]]:
+    """Yield the name and the cells, with the head first, of each table."""
+    newest = newest_suites()
+    for table, suite in TABLES.items():
+        yield table.__name__, table(newest[suite].suite["rows"])
