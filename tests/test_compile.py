@@ -89,7 +89,7 @@ def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])
-def test_by_the_compiler_that_comes_with_torch(name: str) -> None:
+def test_ops_compiled_by_inductor_agree(name: str) -> None:
     """Results of inductor, which writes loops of its own, agree to the rounding of sums."""
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler here")
@@ -98,7 +98,7 @@ def test_by_the_compiler_that_comes_with_torch(name: str) -> None:
 
 @needs_kernels
 @pytest.mark.parametrize("name", ["median_filter", "local_gradients - variance", "track_points", "detect_corners"])
-def test_for_batches_of_any_size(name: str) -> None:
+def test_compiled_ops_take_batches_of_any_size(name: str) -> None:
     compiled_as_it_is(name, "aot_eager", dynamic=True)
 
 

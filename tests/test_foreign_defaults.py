@@ -61,7 +61,7 @@ def test_default_device(name: str) -> None:
 
 
 @pytest.mark.parametrize("setting", ["dtype(torch.float64)", "dtype(torch.bfloat16)", 'device("meta")'])
-def test_imported_and_first_called_under_them(setting: str) -> None:
+def test_ops_are_independent_of_default_dtype_and_device_at_import(setting: str) -> None:
     """Tensors made once, at import or in the first call, have their own dtype and device whatever the defaults are
     then.
     """

@@ -53,7 +53,7 @@ def test_a_disk_fills_up_while_others_write_to_it(tmp_path: Path, monkeypatch: p
     assert (tmp_path / "ballast").stat().st_size == 100
 
 
-def test_what_is_left_behind_is_seen(tmp_path: Path) -> None:
+def test_temporary_files_of_a_killed_command_are_recognised(tmp_path: Path) -> None:
     (tmp_path / "press").mkdir()
     before = kills._names(tmp_path)
     (tmp_path / "result.h5").touch()

@@ -13,15 +13,16 @@ The answers follow from the truth, the metrics from the pictures by `process` an
   Strain energy and strain rate rise with the divergence: by ranks, which the area goes by, they can come as near to
   it as chance among 56 trials reaches.
 
-Rows `all` count studies. The metrics of every press are kept in `results/simulated_studies.csv`: a run that was
-interrupted goes on, and one that is complete renders nothing.
+Rows `all` count studies. The metrics of every press are kept in `results/simulated_studies.csv`, so that an interrupted
+run goes on. One stored press of each study is measured again: if its metrics differ, because the renderer or the
+pipeline has changed since, all presses of that study are measured again.
 """
 
 import csv
 import hashlib
 import math
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ FELT: tuple[Felt, ...] = ("divergence", "real_contact_area")
 STATISTICS = ("d_prime", "auc", "criterion")
 _POPULATION = replace(DESIGN, participants=2000, trials=4, seed=1_000_000)
 _RESAMPLES = 2000
+_ROUNDING = 1e-5  # relative difference of metrics that six stored digits allow
 
 
 def run(quick: bool) -> list[Row]:
@@ -71,9 +73,9 @@ def measured(design: Design, store: Path) -> dict[str, NDArray[np.float64]]:
     """Return the metrics of the comparison presses of a study; those not in the store are rendered and processed."""
     presses = draw_presses(design).pairs()[1]
     count = presses.force.size
-    known = _stored(store, design)
-    left = [number for number in range(count) if number not in known]
     with one_thread():
+        known = _valid(store, design, presses)
+        left = [number for number in range(count) if number not in known]
         for number in tqdm(left, desc=f"study {design.seed}", unit="press"):
             known[number] = _metrics(design, presses, number)
             _keep(store, design, number, known[number])
@@ -154,13 +156,34 @@ def _metrics(design: Design, presses: Presses, number: int) -> dict[str, float]:
     return {name: math.nan if row[name] is None else float(row[name]) for name in OBSERVED}
 
 
+def _valid(store: Path, design: Design, presses: Presses) -> dict[int, dict[str, float]]:
+    """Return the stored metrics of a study by number of the press, if one of its presses, measured again, still has
+    them.
+
+    Otherwise the study is removed from the store, and the new metrics of that press are returned.
+    """
+    known = _stored(store, design)
+    if not known:
+        return known
+    number = min(known)
+    now = _metrics(design, presses, number)
+    before, after = ([one[name] for name in OBSERVED] for one in (known[number], now))
+    if np.allclose(before, after, rtol=_ROUNDING, atol=0, equal_nan=True):
+        return known
+    _remove(store, design)
+    _keep(store, design, number, now)
+    return {number: now}
+
+
 def _stored(store: Path, design: Design) -> dict[int, dict[str, float]]:
     """Return the stored metrics of a study by number of the press."""
     return {
-        int(row["press"]): {name: float(row[name]) for name in OBSERVED}
-        for row in _lines(store)
-        if row["study"] == str(design.seed) and row["design"] == _mark(design)
+        int(row["press"]): {name: float(row[name]) for name in OBSERVED} for row in _lines(store) if _is_of(row, design)
     }
+
+
+def _is_of(row: dict[str, str], design: Design) -> bool:
+    return row["study"] == str(design.seed) and row["design"] == _mark(design)
 
 
 def _lines(store: Path) -> Iterator[dict[str, str]]:
@@ -175,11 +198,22 @@ def _mark(design: Design) -> str:
     return hashlib.sha256(repr(pictures).encode()).hexdigest()[:8]
 
 
+def _remove(store: Path, design: Design) -> None:
+    """Remove all presses of a study from the store."""
+    others = [row for row in _lines(store) if not _is_of(row, design)]
+    store.unlink()
+    _append(store, others)
+
+
 def _keep(store: Path, design: Design, number: int, metrics: dict[str, float]) -> None:
+    row: dict[str, Any] = {"design": _mark(design), "study": design.seed, "press": number}
+    _append(store, [row | {name: f"{value:.6g}" for name, value in metrics.items()}])
+
+
+def _append(store: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     begun = store.exists()
     with store.open("a", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, ("design", "study", "press", *OBSERVED), lineterminator="\n")
         if not begun:
             writer.writeheader()
-        row: dict[str, Any] = {"design": _mark(design), "study": design.seed, "press": number}
-        writer.writerow(row | {name: f"{value:.6g}" for name, value in metrics.items()})
+        writer.writerows(rows)

@@ -202,6 +202,14 @@ TRACKING = (
         "template, F its deformation, g the gradient of T without its parts along a constant and along T",
     ),
     Variable(
+        "deformation_correction_px", ("frame", "point", "xy"), "px",
+        "what the correction for the deformation of the skin has subtracted from the position at which a window was "
+        "registered: their sum shows the mean displacement over the window",
+        "f4",
+        equation="D (F F₀⁻¹ − I) + (n² − 1)/24 ∇²u, D the lean of the template, F₀ its deformation, n px its side",
+        unasked=False,
+    ),
+    Variable(
         "position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
         equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
         "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "

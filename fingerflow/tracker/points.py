@@ -98,6 +98,8 @@ class Points:
     Attributes:
         motion: position and speed of the points.
         start: (N, 2) px, reference positions in the key frame.
+        correction: (n, N, 2) px, by frame of the last `follow` (at first in the key frame): position at which the
+            template of a point was registered less the position corrected for the deformation of the skin.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Points:
         around = np.zeros((0, 2), np.float32) if around is None else around
         self._every = np.concatenate((points, around)).astype(np.float32)
         self.motion = motion or PointMotion.at_rest(points)
+        self.correction: Array = np.zeros((1, *points.shape), np.float32)
         self._verification = Verification(engine, image, points)
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         # Deformation gradient at the last check, and the inverse of that in the templates.
@@ -182,16 +185,21 @@ class Points:
         """
         around = nothing_found(len(images)) if around is None else around
         steps: list[FoundPoints] = []
+        corrections: list[Array] = []
         done = 0
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
             now = slice(done, done + count)
             step = yield from self._step(images[now], around.of(now))
+            assert self._last is not None
+            registered, corrected = self._last.found.estimate, self._last.found.points
+            corrections.append(registered - corrected)
             if not self._knowledge.ahead:
                 step = yield from self._verified(images[now], step)
             steps.append(step)
             done += count
+        self.correction = np.concatenate(corrections)
         found = steps[0] if len(steps) == 1 else FoundPoints(*map(np.concatenate, zip(*steps, strict=True)))
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
 

@@ -452,7 +452,7 @@ def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Pat
         engine.fit(np.zeros((3, 2)), np.zeros((1, 3, 2)), np.zeros((3, 2)), 1.6)
 
 
-def test_it_needs_no_torch(bundle: Bundle) -> None:
+def test_the_onnx_engine_runs_without_torch(bundle: Bundle) -> None:
     """The ONNX engine runs where torch, scipy, cv2 and onnx cannot be imported."""
     code = """
 import sys

@@ -72,7 +72,7 @@ def test_calls_are_one_until_a_recording_ends() -> None:
     assert run_together([]) == []
 
 
-def test_those_that_need_more_small_steps_catch_up() -> None:
+def test_recordings_with_more_steps_catch_up_before_the_next_joined_call() -> None:
     engine = Doubling()
     assert run_together([corrected(engine, 1, 3), corrected(engine, 5, 1)]) == [16, 20]
     assert engine.made == [("follow", [1, 5]), ("follow", [2]), ("follow", [4]), ("correct", [8, 10])]
@@ -111,7 +111,7 @@ def test_engines_of_other_kinds_are_asked_by_themselves() -> None:
     assert [one.made, other.made] == [[("follow", [1, 3])], [("follow", [2])]]
 
 
-def test_each_is_computed_when_the_memory_of_all_is_free_again() -> None:
+def test_recordings_are_computed_one_by_one_where_memory_is_too_small_for_all() -> None:
     engine = Doubling(1)
     assert run_together([followed(engine, 3), followed(engine, 4)]) == [6, 8]
     assert engine.made == [("follow", [3]), ("follow", [4])]

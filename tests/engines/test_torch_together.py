@@ -145,7 +145,7 @@ def leaves(result: Any) -> list[Array]:
         *(correct_of, outliers_of, windows_of),
     ],
 )
-def test_as_each_by_itself(engine: TorchEngine, given: Callable[[TorchEngine], Many]) -> None:
+def test_joined_calls_equal_separate_calls(engine: TorchEngine, given: Callable[[TorchEngine], Many]) -> None:
     method = given.__name__.split("_")[0]
     found = engine.begun(method, given(engine))()
     for one, arguments in zip(found, given(engine), strict=True):
@@ -157,7 +157,9 @@ def test_as_each_by_itself(engine: TorchEngine, given: Callable[[TorchEngine], M
             np.testing.assert_allclose(ours, theirs, CLOSE["rtol"], size * CLOSE["atol"])
 
 
-def test_those_of_other_sizes_are_called_by_themselves(engine: TorchEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_views_of_another_size_are_computed_in_a_call_of_their_own(
+    engine: TorchEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     given = contact_of(engine)
     smaller = tuple(one[..., :160] for one in (given[1][0], *given[1][1]))
     given[1] = smaller[0], type(given[1][1])(*smaller[1:]), given[1][2]

@@ -87,7 +87,7 @@ for capability, ones in ((87, ()), (90, ONES)):
 @pytest.mark.parametrize(
     "module", ["fused_tracking", "fused_fits", "fused_medians", "fused_outliers", "fused_pixels", "fused_contact"]
 )
-def test_it_compiles_for_gpus_that_are_not_here(module: str, tmp_path: Path) -> None:
+def test_fused_kernels_compile_for_absent_gpus(module: str, tmp_path: Path) -> None:
     """The compiled kernel fits into the shared memory that a block has on every GPU."""
     environment = {key: value for key, value in os.environ.items() if key != "TRITON_INTERPRET"}
     environment["TRITON_CACHE_DIR"] = str(tmp_path)

@@ -117,7 +117,7 @@ def test_positions_corrected_for_deformation(fused: Fused) -> None:
     assert (expected.points - points).abs().nan_to_num().max() > 0.01
 
 
-def test_where_it_is_used(fused: Fused) -> None:
+def test_fused_fits_serve_single_precision_and_windows_that_fit(fused: Fused) -> None:
     fused()
     given = torch.zeros(1, 3, 2)
     assert kernels.fused_serves(given, None)

@@ -161,7 +161,7 @@ def test_recordings_of_several_frames(fused: Callable[[], None], monkeypatch: py
     assert (tracked[2] & tracked[3]).any()
 
 
-def test_none_at_all(fused: Callable[[], None]) -> None:
+def test_fused_tracking_of_no_points_gives_empty_results(fused: Callable[[], None]) -> None:
     fused()
     templates = prepare_templates(views(0, torch.uint8), points(), 11)
     none = Templates(*(one[:, :0] for one in templates))
@@ -169,7 +169,7 @@ def test_none_at_all(fused: Callable[[], None]) -> None:
     assert found.points.shape == (RECORDINGS, 0, 2)
 
 
-def test_where_it_is_used(fused: Callable[[], None]) -> None:
+def test_fused_tracking_serves_single_precision_outside_tracing(fused: Callable[[], None]) -> None:
     fused()
     samples = torch.zeros(1, 3, 3, 121)
     assert kernels.fused_tracking_serves(samples)

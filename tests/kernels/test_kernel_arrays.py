@@ -202,7 +202,7 @@ assert "torch" not in sys.modules
 """
 
 
-def test_without_torch(tmp_path: Path) -> None:
+def test_kernels_on_arrays_give_the_same_bits_without_torch(tmp_path: Path) -> None:
     """In a process that cannot import torch, kernels on NumPy arrays give the same bits as on tensors here."""
     given, found = tmp_path / "given.npz", tmp_path / "found.npz"
     np.savez(given, frames=FRAME, points=POINTS, variance=ONES)

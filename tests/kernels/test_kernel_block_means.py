@@ -21,7 +21,9 @@ def portable(frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> BlockMeans:
 
 @pytest.mark.parametrize("dtype", [*kernels.FRAME_KINDS, torch.float64, torch.int16])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_same_means(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], dtype: torch.dtype) -> None:
+def test_compiled_block_means_agree_with_the_portable_form(
+    monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], dtype: torch.dtype
+) -> None:
     """Means of integers are equal bit for bit; sums of floats run in another order, and torch adds in float32."""
     frames = images(shape, dtype, "random")
     found = block_means(frames[:, 0].numpy())

@@ -39,7 +39,7 @@ def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tens
 
 @pytest.mark.parametrize("dtype", kernels.FRAME_KINDS)
 @pytest.mark.parametrize("median", [1, 3, 9, 15])
-def test_same_contact(instruction_set: int, dtype: torch.dtype, median: int) -> None:
+def test_compiled_contact_agrees_with_its_graph(instruction_set: int, dtype: torch.dtype, median: int) -> None:
     for lights, radius in ((1, 8), (5, 3)):
         frames, light, black = contact_frames(5, 130, 170, dtype, lights)
         limits = torch.tensor([0.7, 0.75, torch.nan, 0.72, 1.3])

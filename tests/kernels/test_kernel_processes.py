@@ -115,7 +115,7 @@ def main(method):
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_in_workers_of_a_data_loader(method: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_kernels_run_in_workers_of_a_data_loader(method: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     if method == "fork" and not hasattr(__import__("os"), "fork"):
         pytest.skip("no fork here")
     folder = tmp_path_factory.mktemp("loaded")
@@ -128,7 +128,7 @@ def test_in_workers_of_a_data_loader(method: str, tmp_path_factory: pytest.TempP
     assert ran.stdout == "right\n", ran.stdout + ran.stderr
 
 
-def test_from_several_threads_at_once() -> None:
+def test_threads_get_the_results_of_their_own_frames() -> None:
     """Each of several threads gets the results of its own frames, and its own exception."""
     run("""
         wrong = []

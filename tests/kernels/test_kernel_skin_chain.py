@@ -34,7 +34,7 @@ def same(found: PressedChain, expected: PressedChain) -> None:
 
 
 @pytest.mark.parametrize("elements", [5, 40])
-def test_same_press(
+def test_compiled_press_of_the_chain_agrees_with_the_portable_form(
     instruction_set: int, portable: Portable, torch_threads: Callable[[int], None], elements: int
 ) -> None:
     torch_threads(1)
@@ -48,7 +48,9 @@ def test_same_press(
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 1.5])
-def test_same_laws(instruction_set: int, portable: Portable, exponent: float) -> None:
+def test_compiled_friction_laws_agree_with_the_portable_form(
+    instruction_set: int, portable: Portable, exponent: float
+) -> None:
     skin = replace(PARAMETERS["lab"], friction_exponent=exponent)
 
     def call() -> PressedChain:

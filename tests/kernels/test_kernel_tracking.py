@@ -64,7 +64,7 @@ def test_followed_in_one_call_as_one_after_the_other() -> None:
         np.testing.assert_allclose(one, other, rtol=0, atol=2e-4)
 
 
-def test_templates_of_either_form() -> None:
+def test_compiled_templates_agree_with_the_portable_form() -> None:
     image, points = skin_of_bytes((0, 0)), points_inside(count=20)
     points[0, 3] = torch.nan
     warp = torch.tensor([[1.05, 0.02], [-0.03, 0.97]]).expand(1, 20, 2, 2)

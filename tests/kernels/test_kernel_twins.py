@@ -45,7 +45,7 @@ def in_double(tensor: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("name", TWINS)
-def test_both_forms_agree(name: str, instruction_sets: list[int], portable: Portable) -> None:
+def test_compiled_twins_agree_with_portable_ops(name: str, instruction_sets: list[int], portable: Portable) -> None:
     twin = TWINS[name]
     for op, given in twin.calls():
         same = changed(given, in_double) if twin.in_double else given

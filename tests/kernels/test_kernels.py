@@ -55,14 +55,14 @@ class _Module(torch.nn.Module):
         return self.function(frame)  # type: ignore[operator, no-any-return]
 
 
-def test_environment_turns_them_off() -> None:
+def test_an_environment_variable_turns_kernels_off() -> None:
     code = "from fingerflow.kernels import tensors as kernels; import torch; print(kernels.serve(torch.zeros(1)))"
     environment = {**os.environ, "FINGERFLOW_KERNELS": "0"}
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "False"
 
 
-def test_says_once_that_they_are_absent(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_absent_kernels_are_reported_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(library, "_path", lambda: None)
     monkeypatch.delenv("FINGERFLOW_KERNELS", raising=False)
     library._library.cache_clear()

@@ -87,7 +87,7 @@ def same(found: FrameFields, expected: graphs.Fields, atol: dict[str, float], rt
 @pytest.mark.parametrize("entered", [False, True])
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize(("points", "references"), [(700, 1), (700, FRAMES), (60, 1), (4, 1), (0, 1)])
-def test_same_fields(
+def test_compiled_fields_agree_with_the_portable_form(
     portable: Portable, points: int, references: int, noisy: bool, entered: bool, measure: str
 ) -> None:
     """With compiled kernels, fields agree to the rounding of cosines and of sums of four numbers. Against the portable

@@ -39,7 +39,7 @@ def test_a_mirrored_press_to_rounding(pressed: PressedChain) -> None:
     assert pressed.bone[:, 0].abs().max() < 1e-17
 
 
-def test_both_halves_are_one_skin(pressed: PressedChain) -> None:
+def test_displacement_is_continuous_at_the_middle_of_the_chain(pressed: PressedChain) -> None:
     """Displacement is continuous at the middle; the published term in nu moves both halves apart as blocks."""
     along = pressed.displacement[..., 0].diff(dim=-1)
     middle = along.shape[-1] // 2

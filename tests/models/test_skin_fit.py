@@ -27,7 +27,7 @@ def holds(interval: tuple[float, float] | None, truth: float) -> bool:
     return interval[0] < truth < interval[1]
 
 
-def test_both_from_both_curves() -> None:
+def test_friction_and_stiffness_are_fitted_to_both_curves() -> None:
     kept = 0
     for seed in range(4):
         found = fit_skin(LOADS, *curves(0.06, SOFTER, seed), **ERRORS, elements=201)

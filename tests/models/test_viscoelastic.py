@@ -70,7 +70,7 @@ def test_differentiable() -> None:
     assert torch.autograd.gradcheck(strain, (stress, rate))
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_wrong_times_shapes_and_rates_are_refused() -> None:
     time, stress = torch.tensor([0.0, 1.0, 1.0]), torch.zeros(3, 2)
     with pytest.raises(ValueError, match=r"smallest step of 0\.0 s"):
         viscoelastic_strain(stress, stress, time)

@@ -246,5 +246,5 @@ def test_an_interrupt_ends_all(
     assert not torch.is_inference_mode_enabled()
 
 
-def test_of_nobody_there_is_nothing() -> None:
+def test_processing_no_recordings_gives_no_results() -> None:
     assert process_together([]) == []

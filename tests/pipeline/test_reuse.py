@@ -125,7 +125,7 @@ def test_each_setting_gives_what_a_fresh_run_gives(folder: Path, change: str, ra
     assert_same(again, fresh)
 
 
-def test_into_the_file_that_it_is_from(folder: Path, tmp_path: Path, ran: set[str]) -> None:
+def test_a_result_can_be_reused_and_replaced_in_its_own_file(folder: Path, tmp_path: Path, ran: set[str]) -> None:
     path = tmp_path / "result.h5"
     path.write_bytes((folder / "result.h5").read_bytes())
     scene = scene_with(folder, "gauge_length_mm = 1.6", "gauge_length_mm = 1.2")

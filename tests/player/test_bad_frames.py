@@ -308,7 +308,7 @@ def test_what_stays_is_the_new_state(small: Small) -> None:
     assert np.isfinite(played.records["real_contact_area"][43:]).all()
 
 
-def test_nothing_found_is_said(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
     """The player says so where all frames are dark, and where no frame shows a contact."""
     small.play(np.full_like(small.frames[:8], 8))
     said = capsys.readouterr().out

@@ -73,7 +73,9 @@ def test_a_disk_that_stays_full_is_an_error_after_half_a_minute(path: Path, disk
     assert path.read_bytes() == b"0123"
 
 
-def test_at_the_end_and_with_much_in_memory_it_waits(path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_waits_for_disk_space_at_its_end_and_when_memory_is_full(
+    path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = PatientFile(path)
     monkeypatch.setattr(patient_file, "_MOST", 10)
 

@@ -104,7 +104,7 @@ def test_only_the_printed_address_opens_the_page(page: Page) -> None:
     ["Host: evil.example:{port}\r\n", "Host: 127.0.0.1.evil.example\r\n", "", "Host: {host}\r\nHost: evil.example\r\n"],
 )
 @pytest.mark.parametrize("line", ["GET /live", "POST /restart"])
-def test_other_names_are_not(page: Page, hosts: str, line: str) -> None:
+def test_requests_to_other_host_names_are_refused(page: Page, hosts: str, line: str) -> None:
     """Requests to other host names are refused: a site whose name points to this computer reads nothing and restarts
     nothing.
     """

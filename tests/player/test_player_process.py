@@ -57,7 +57,7 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
-def test_an_interrupt_ends_it_cleanly(python: Path, stream: Stream) -> None:
+def test_an_interrupt_ends_the_player_cleanly(python: Path, stream: Stream) -> None:
     command, environment = _command(python, stream, "--source", "synthetic", "--rate", "300")
     with subprocess.Popen(command, env=environment, cwd=stream.bundle, stderr=subprocess.PIPE, text=True) as running:
         deadline = time.monotonic() + 60

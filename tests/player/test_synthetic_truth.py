@@ -44,7 +44,7 @@ def test_the_divergence_is_that_of_the_closed_form(
     assert fitted == pytest.approx(_closed_form(progress), abs=tolerance)
 
 
-def test_before_anything_has_moved_it_is_0() -> None:
+def test_the_true_divergence_is_0_before_the_press() -> None:
     assert median_divergence(0.0, 0.0, SHAPE, 64.0) == pytest.approx(0, abs=1e-12)
 
 

@@ -178,7 +178,7 @@ def test_colours_are_not_those_of_torn_triangles(trials: list[Trial]) -> None:
     assert plot.colour_limit(result.assign(strain=torn), "exx", [15]) <= 3 * middle * (1 + 1e-9)
 
 
-def test_what_is_not_known_is_said(trials: list[Trial]) -> None:
+def test_figures_say_which_results_are_unknown_or_absent(trials: list[Trial]) -> None:
     _, result = trials[0]
     empty = result.assign(strain_energy=result["strain_energy"] * np.nan, divergence=result["divergence"] * np.nan)
     assert "not known in any frame" in [one.get_text() for one in plot.strain_energy(empty).texts]

@@ -261,6 +261,6 @@ def test_frame_times_that_are_none(frames):
     ("times", "samples", "named"),
     [([], 0, "no samples"), ([0, 1, np.inf], 3, "is inf"), ([0, 1, 2], 2, "'x' has 2 samples for 3")],
 )
-def test_times_that_are_none(times, samples, named):
+def test_wrong_times_of_forces_are_refused(times, samples, named):
     with pytest.raises(FingerflowError, match=named):
         forces(np.array(times, float), x=np.zeros(samples))

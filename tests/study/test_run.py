@@ -226,7 +226,7 @@ def test_a_tenth_of_the_files_is_damaged(study: Manifest, lab: Path, scheduler: 
     assert load_result(result).equals(load_result(undisturbed.results / other.name / result.name))
 
 
-def test_only_and_a_pattern_that_fits_nothing(study: Manifest, scheduler: str) -> None:
+def test_only_runs_matching_trials_and_refuses_a_pattern_without_any(study: Manifest, scheduler: str) -> None:
     assert set(_run(study, scheduler, only="02_*")) == {entry.name for entry in study.trials if entry.name[:2] == "02"}
     with pytest.raises(FingerflowError, match="no trial has such a name"):
         plan_run(study, only="03_*")

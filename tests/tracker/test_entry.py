@@ -22,7 +22,9 @@ Row = tuple[float, ...]
         pytest.param(0.05, (0.3, 0.0), (0.3, 0.0), True, id="a contact that grows as it carries skin along"),
     ],
 )
-def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bool) -> None:
+def test_points_slide_into_contact_where_skin_moves_faster_than_the_border(
+    grows: float, slides: Row, drifts: Row, expected: bool
+) -> None:
     """Points slid into contact if the skin moves faster than the border, and were covered otherwise.
 
     The parameters are the motion of border and skin in 10 frames, mm, at the left of a tilted ellipse. The motion of

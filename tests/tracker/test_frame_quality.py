@@ -95,7 +95,7 @@ def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2])
-def test_a_lamp_that_flickers_is_none(share: float) -> None:
+def test_flickering_light_is_no_bad_frame_once_it_is_known(share: float) -> None:
     """Of a lamp that flickers by up to a fifth at 115 Hz, at 300 frames/s, at most nine frames count as bad, until the
     flicker is known.
     """

@@ -96,13 +96,13 @@ def test_motion_and_light_that_stay_are_none(skin: Frames) -> None:
 
 @pytest.mark.parametrize("period", [2.1, 2.618, 3.0, 3.3, 7.0])
 @pytest.mark.parametrize("share", [0.05, 0.2])
-def test_a_lamp_that_flickers_is_none(skin: Frames, period: float, share: float) -> None:
+def test_flickering_light_is_no_return_of_a_frame(skin: Frames, period: float, share: float) -> None:
     light = 1 + share * np.sin(2 * np.pi * np.arange(FRAMES) / period)
     assert found(skin * light[:, None, None]) == []
 
 
 @pytest.mark.parametrize("period", [2, 3, 4, 6, 8, 12])
-def test_skin_that_vibrates_is_none(skin: Frames, period: int) -> None:
+def test_vibrating_skin_is_no_return_of_a_frame(skin: Frames, period: int) -> None:
     shift = np.round(4 * np.sin(2 * np.pi * np.arange(FRAMES) / period + 0.3)).astype(int)
     assert found(np.stack([np.roll(frame, k, 1) for frame, k in zip(skin, shift, strict=True)])) == []
 

@@ -97,7 +97,7 @@ def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None
         ("frame_distances", "LONGEST", 2, "spoiled", {"frame_status", "real_contact_area"}),
     ],
 )
-def test_a_constant_is_one_for_both(
+def test_constants_of_the_tracker_change_live_and_recorded_results(
     trials: dict[str, Trial],
     as_they_are: dict[str, Both],
     monkeypatch: pytest.MonkeyPatch,

@@ -117,7 +117,7 @@ def test_a_frame_of_another_moment_costs_one_search() -> None:
     assert not _found(resolved).any()
 
 
-def test_what_is_gone_costs_nothing() -> None:
+def test_lost_points_are_searched_for_only_while_their_speed_is_trusted() -> None:
     """Points that are gone cost one search in each of the first `TRUSTED` frames, while their speed is trusted, and
     none later.
     """

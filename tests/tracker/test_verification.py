@@ -286,7 +286,7 @@ def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "scene.toml"
 
 
-def test_a_press_loses_no_point_to_it(scene_path: Path) -> None:
+def test_verification_rejects_no_point_of_a_press(scene_path: Path) -> None:
     result = process(scene_path, ["status", "window_differs_share"])
     assert TRACK_STATUS[TrackStatus.WINDOW_DIFFERS] == "window_differs"
     assert not (result["status"].values == TrackStatus.WINDOW_DIFFERS).any()

@@ -14,7 +14,7 @@ SLOW = 300  # s, enough for a busy machine
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt cannot be sent to one process alone")
-def test_it_serves_until_it_is_interrupted(processed: Path) -> None:
+def test_the_view_serves_until_interrupted(processed: Path) -> None:
     command = [sys.executable, "-m", "fingerflow", "view", str(processed / "result.h5"), "--no-browser"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None

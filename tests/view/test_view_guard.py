@@ -71,7 +71,9 @@ def test_the_page_and_its_files_are_answered_and_may_load_nothing_from_elsewhere
         ({"Sec_Fetch_Site": "same-origin"}, 200),
     ],
 )
-def test_others_are_refused(served: Served, cookie: str, headers: dict[str, str], status: int) -> None:
+def test_requests_are_answered_or_refused_by_host_and_origin(
+    served: Served, cookie: str, headers: dict[str, str], status: int
+) -> None:
     assert ask(served, "/api/setup", Cookie=cookie, **headers)[0] == status
 
 

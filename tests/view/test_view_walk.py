@@ -72,7 +72,7 @@ def is_as_true(folder: Path, finger: SyntheticScene) -> None:
     assert float(result["tracked_share"][LAST]) > 0.95
 
 
-def test_by_the_page_alone(browser: Any, files: Path, finger: SyntheticScene) -> None:
+def test_raw_files_are_processed_by_the_page_alone(browser: Any, files: Path, finger: SyntheticScene) -> None:
     seen: list[str] = []
     pictures: dict[str, bytes] = {}
     with Served(files / "press.tif") as served:
@@ -113,7 +113,9 @@ def _middle_of_contact(picture: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.asarray(grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)])
 
 
-def test_in_a_few_lines_of_python(files: Path, finger: SyntheticScene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_raw_files_are_processed_by_the_lines_of_the_docs(
+    files: Path, finger: SyntheticScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The lines of Python of docs/own_recording.md, fewer than 15, process the raw files and write the report."""
     (block,) = _BLOCK.findall((DOCS / "own_recording.md").read_text(encoding="utf-8"))
     assert len([line for line in block.splitlines() if line.strip()]) < 15

@@ -110,19 +110,6 @@ def correct_points(
     )
 
 
-def window_bulge(start: Tensor, displacement: Tensor, window: int, gauge_px: float) -> Tensor:
-    """Return the difference, px (K, N, 2), between the mean displacement over the window of each point and the
-    displacement of its centre, which `correct_points` subtracts.
-
-    Displacements are (K, N, 2) px, of points at (1 or K, N, 2) px. Their sum with the result is again what the windows
-    show: the mean displacement over each of them. It is 0 where the neighbours do not determine it.
-    """
-    supports = supports_of(start, gauge_px)
-    _, outer = neighbour_planes(start, displacement, gauge_px, supports.outer)
-    gradient, _ = _extrapolated(start, displacement, outer, gauge_px, supports)
-    return _bulge(start, gradient, window, gauge_px, supports.outer).mT
-
-
 def supports_of(start: Tensor, gauge_px: float) -> Supports:
     """Return the weights of points at positions (1 or B, N, 2) px in the local fits around each of them, over the gauge
     length `gauge_px` (diameter of the fit) and over its inner part.

@@ -64,6 +64,10 @@ class RunContext:
         assert isinstance(found, kind)
         return found
 
+    def stores(self, variable: Variable) -> bool:
+        """Return whether this run stores a variable of a planned stage: an optional one only where it is asked for."""
+        return variable.unasked or variable.name in self.asked
+
     def __len__(self) -> int:
         return len(self.inputs.times)
 
@@ -145,7 +149,7 @@ class Stage:
     def restore(self, earlier: xr.Dataset) -> None:
         """Copy the results of the stage from an earlier result, instead of computing them by `begin` to `derive`."""
         for variable in self.gives:
-            if variable.name in earlier and (variable.unasked or variable.name in self.trial.asked):
+            if variable.name in earlier and self.trial.stores(variable):
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
                 given = {str(name): one for name, one in values.attrs.items() if not str(name).startswith("flag_")}
@@ -156,8 +160,8 @@ class Stage:
     def derive(self) -> None:
         """Compute, after `finish`, the variables that are defined by formulas of other variables."""
         for variable in self.gives:
-            wanted = variable.unasked or variable.name in self.trial.asked
-            if variable.formula is not None and wanted and all(name in self.results for name in variable.of):
+            known = self.trial.stores(variable) and all(name in self.results for name in variable.of)
+            if variable.formula is not None and known:
                 # A quotient with the divisor 0 is NaN or infinite, without a warning.
                 with np.errstate(divide="ignore", invalid="ignore"):
                     values = variable.formula(*(self.results[name][:] for name in variable.of))

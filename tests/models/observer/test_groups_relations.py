@@ -49,7 +49,7 @@ def test_the_likelihood_ratio_is_that_of_the_fitted_mixture() -> None:
     assert found.bic_two == pytest.approx(-2 * two + 4 * math.log(21))
 
 
-def test_too_few_to_split() -> None:
+def test_too_few_or_equal_participants_form_no_groups() -> None:
     few = participant_groups([1.0, 2.0, np.nan, 3.0])
     assert few.groups == 0
     assert few.missing == 1

@@ -33,7 +33,7 @@ def scene(shape: tuple[int, int, int], dtype: torch.dtype, bits: int = 8) -> tup
     [(torch.uint8, 8), (torch.uint16, 16), (torch.int32, 12), (torch.float32, 8), (torch.float64, 10)],
 )
 @pytest.mark.parametrize("shape", [(2, 61, 47), (1, 40, 131), (3, 9, 70)])
-def test_is_the_median_of_the_intensity_loss(
+def test_the_mask_is_the_median_of_the_intensity_loss_above_0(
     size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]
 ) -> None:
     frames, light, black = scene(shape, dtype, bits)

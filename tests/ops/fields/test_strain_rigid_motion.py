@@ -31,7 +31,7 @@ def test_a_rigid_motion_leaves_nothing(angle: float) -> None:
     torch.testing.assert_close(residual, torch.zeros_like(points), atol=1e-13, rtol=0)
 
 
-def test_it_is_the_least_squares_minimum() -> None:
+def test_the_rigid_residual_is_the_least_squares_minimum() -> None:
     points = cloud()
     displacement = rigid_displacement(points, 0.3) + wobble(points, 1.0)
     weights = 0.1 + torch.rand(1, 30, generator=torch.Generator().manual_seed(17), dtype=torch.float64)

@@ -69,7 +69,7 @@ def test_deviations_are_those_of_many_copies(together: float) -> None:
     assert float(found.energy.mean() - true.energy) == pytest.approx(0, abs=4 * float(stated.energy_std) / copies**0.5)
 
 
-def test_nothing_touches_or_there_is_none() -> None:
+def test_strain_energy_is_nan_without_contact_and_0_without_triangles() -> None:
     found = triangle_strain(
         POINTS, TRIANGLES, moved(2), torch.zeros(2, 7, 2, 2, dtype=torch.float64), torch.zeros(2, 5).bool()
     )

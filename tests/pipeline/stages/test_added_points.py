@@ -110,7 +110,7 @@ def test_backward(folder: Path) -> None:
     assert_displacement_since_onset(result, points)
 
 
-def test_again_from_a_result(folder: Path, result: xr.Dataset) -> None:
+def test_a_reused_result_with_another_gauge_length_equals_a_fresh_run(folder: Path, result: xr.Dataset) -> None:
     """A run that reuses an earlier result with another gauge length equals a fresh run bit for bit."""
     scene = load_scene(edit_scene(folder, {"gauge_length_mm = 1.6": "gauge_length_mm = 1.2"}, "gauge.toml"))
     fresh, again = process(scene), process(scene, earlier=folder / "result.h5")

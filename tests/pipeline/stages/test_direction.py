@@ -33,7 +33,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, xr.Dataset]:
     }
 
 
-def test_both_directions_agree(results: dict[str, xr.Dataset]) -> None:
+def test_forward_and_backward_tracking_agree(results: dict[str, xr.Dataset]) -> None:
     """The medians of both directions agree to 6 % and the energies to 10 %. Measured: 5.3 and 7.3 %; 400 instead of 700
     points change the medians by 4 to 8 % and the energies by 0.5 %.
     """
@@ -42,7 +42,7 @@ def test_both_directions_agree(results: dict[str, xr.Dataset]) -> None:
         assert abs(backward / forward - 1) < limit, name
 
 
-def test_both_give_the_truth(results: dict[str, xr.Dataset]) -> None:
+def test_forward_and_backward_tracking_give_the_true_divergence(results: dict[str, xr.Dataset]) -> None:
     """Both directions give the true median divergence of 34 um/mm to 6 % at 40 frames/s."""
     truth = PRESS.truth.medians(39).divergence
     for direction in DIRECTIONS:

@@ -16,7 +16,7 @@ def scene(press: Path) -> Scene:
     return load_scene(press / "scene.toml")
 
 
-def test_it_runs_only_where_it_is_asked_for(scene: Scene) -> None:
+def test_the_printed_contact_runs_only_where_requested(scene: Scene) -> None:
     assert "printed_contact" not in plan(None, scene).names
     assert plan(["printed_real_contact_area"], scene).names == ("loading", "frame_check", "contact", "printed_contact")
 

@@ -25,7 +25,7 @@ def test_a_linear_field_is_exact_whoever_is_lost() -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 1, 40])
-def test_it_is_the_thin_plate_through_the_points_that_are_there(lost: int) -> None:
+def test_the_surface_is_the_thin_plate_spline_of_the_known_points(lost: int) -> None:
     moved = bent(POINTS)
     gone = np.random.default_rng(1).permutation(len(POINTS))[:lost]
     moved[gone] = np.nan

@@ -50,14 +50,13 @@ class DenseFlowSlipStage(SlipStage):
 
     name = "dense_flow_slip"
     instead = True
+    reads = ("gross_contact_region",)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
     # Multiple of the noise for `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um.
     clear = 3.0
 
     def begin(self) -> None:
-        # (2, 2) matrix from px of the topographic view to mm.
-        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px
         self._usable = self.trial.stage(FrameCheckStage).usable
         self._flow: SkinFlow | None = None
         self._flow_deviation, self._median, self._most, self._apart = np.full((4, len(self.trial)), np.nan)
@@ -167,8 +166,8 @@ class DenseFlowSlipStage(SlipStage):
     def _motion(self, frames: Any) -> NDArray[Any]:
         return np.asarray(self.results["skin_displacement"][frames])
 
-    def _shown(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
-        return self._at_points(motion, grid), self._over_cells(motion, grid)
+    def _measured(self, frames: Any) -> NDArray[Any]:
+        return self._motion(frames)
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         return np.asarray(grid.at_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.models.partial_slip import (
     CurveComparison,
     FrictionFit,
@@ -26,7 +25,6 @@ from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.contact.components import largest_component
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.ops.tracking.deformation import window_bulge
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.series import nanmedian
@@ -84,7 +82,7 @@ class SlipStage(Stage):
 
     name = "slip"
     gives = SLIP
-    reads = ("gross_contact_region",)
+    reads: ClassVar[tuple[str, ...]] = ("gross_contact_region", "deformation_correction_px")
     needs = ("views.topography",)
     after = (LoadingStage, ContactStage, TrackingStage)
     follows_border = True
@@ -107,6 +105,8 @@ class SlipStage(Stage):
         step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
         self._speed_step = max(1, round(_SPEED_S / 2 / step))
+        # (2, 2) matrix from px of the topographic view to mm.
+        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px
 
     def begin(self) -> None:
         contact = self.trial.stage(ContactStage)
@@ -134,6 +134,8 @@ class SlipStage(Stage):
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
+        border = self._border if self._settings.criterion == "border" else None
+        measured = motion if border is None else self._measured(batch.indices)
         for k, frame in enumerate(batch.indices):
             region = regions[k] > 0
             if not region.any() or not np.isfinite(self._area[frame]):
@@ -144,8 +146,8 @@ class SlipStage(Stage):
             if len(seen):
                 distance, _ = cKDTree(seen).query(self._grid.places[region])
                 self._coverage[frame] = (distance <= self._reach).mean()
-            if self._settings.criterion == "border" and self._border is not None:
-                self._border.gather(*self._shown(motion[k], self._grid), region)
+            if border is not None:
+                border.gather(*self._at_points_and_cells(measured[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> RampResponse:
         """Return the function that predicts the displacement which tracking, averaging over a window, measures at
@@ -157,18 +159,24 @@ class SlipStage(Stage):
         """Return the displacement (n, N, 2) mm of the skin at N points since the first frame; NaN if unknown."""
         return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
 
-    def _shown(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
-        """Return the displacement in one frame as windows measure it near a slip border, without the correction for
-        curvature: (N, 2) mm at points and (rows, columns, 2) mm over contact cells.
+    def _measured(self, frames: Any) -> NDArray[Any]:
+        """Return the displacement (n, N, 2) mm since the first frame that the windows of N points show near a slip
+        border: its mean over each window.
 
-        The tracker corrects displacements for a curvature that it measures over most of the contact. Beside a border
-        of slip the curvature is another one, so the correction is taken back.
+        The tracker subtracts a correction for a curvature that it measures over most of the contact. Beside a border of
+        slip the curvature is another one, so the correction is left out.
         """
-        px = self.inputs.topography_mm_per_px
-        start, moved = (torch.from_numpy(one)[None] for one in (grid.points / px, motion / px))
-        window = self.inputs.scene.tracking.window_px
-        means = motion + px * window_bulge(start, moved, window, WARP_GAUGE_PX)[0].numpy()
-        return means, grid.displacement(means)
+        return np.asarray(self._motion(frames) + self._correction(frames) - self._correction(slice(0, 1)))
+
+    def _correction(self, frames: Any) -> NDArray[Any]:
+        """Return the correction (n, N, 2) mm for the deformation of the skin, which the tracker has subtracted."""
+        return np.asarray(self.results["deformation_correction_px"][frames][:, self._known] @ self._of_px.T)
+
+    def _at_points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+        """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
+        contact cells.
+        """
+        return self._at_points(motion, grid), self._over_cells(motion, grid)
 
     def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
@@ -248,6 +256,7 @@ class SlipStage(Stage):
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
+        measured = self._measured(slice(start, stop)) if criterion is self._border else None
         regions = self.results["gross_contact_region"][slice(first, end)] > 0
         printed = Length(grid, self._settings.stuck_mm, relative=False)
         stuck = np.zeros(regions.shape, dtype=bool)
@@ -257,13 +266,13 @@ class SlipStage(Stage):
                 continue
             # Take as many frames on either side, so that the median has no lag.
             beside = min(self._beside, frame, len(self.trial) - 1 - frame)
-            around = motion[frame - beside - start : frame + beside + 1 - start]
-            # Use a frame only together with its mirror frame: where one side is lost, the other alone would give a lag.
-            settled = nanmedian(np.where(np.isfinite(around[::-1]), around, np.nan)[None])[0]
-            moved, displacement = self._at_points(settled, grid), self._over_cells(settled, grid)
+            around = slice(frame - beside - start, frame + beside + 1 - start)
+            moved, displacement = self._at_points_and_cells(_settled(motion[around]), grid)
             if not np.isfinite(displacement[grid.known]).all():
                 continue
-            shown = self._shown(settled, grid) if criterion is self._border else (moved, displacement)
+            shown = (moved, displacement)
+            if measured is not None:
+                shown = self._at_points_and_cells(_settled(measured[around]), grid)
             fine = _largest(criterion.stuck(*shown, regions[k]))
             self._ratio[frame] = grid.share(fine, regions[k])
             self._printed[frame] = grid.share(_largest(printed.stuck(moved, displacement, regions[k])), regions[k])
@@ -365,6 +374,14 @@ class SlipStage(Stage):
                 f"area is NaN. Points were lost there, or skin came into contact that was in no point's window: raise "
                 f"[tracking] points or search_px"
             )
+
+
+def _settled(motion: NDArray[Any]) -> NDArray[Any]:
+    """Return the median (N, 2) of displacements (n, N, 2) over the frames around a frame.
+
+    A frame is used only together with its mirror frame: where one side is lost, the other alone would give a lag.
+    """
+    return np.asarray(nanmedian(np.where(np.isfinite(motion[::-1]), motion, np.nan)[None])[0])
 
 
 def _largest(fine: Mask) -> Mask:

@@ -36,7 +36,7 @@ class MarkerTrackingStage(TrackingStage):
     def begin(self) -> None:
         self._markers = self.trial.stage(MarkerStage)
         for variable in TRACKING:
-            if "point" in variable.dims:
+            if "point" in variable.dims and self.trial.stores(variable):
                 self.results.create(variable.name, point=self._markers.points.shape[1])
         self._last = np.where(np.isfinite(self._markers.rest), self._markers.rest, -1.0)
 
@@ -53,12 +53,14 @@ class MarkerTrackingStage(TrackingStage):
             "position_px": pixels,
             "position_std_px": np.sqrt(variance),
             "position_noise_px": np.sqrt(variance),  # a marker has no window that skin bends
-            "subset_correlation": np.full(status.shape, np.nan),  # NaN, since a marker has no window
+            "deformation_correction_px": np.zeros(pixels.shape),  # 0, since a marker has no window
+            "subset_correlation": np.full(status.shape, np.nan),  # NaN, for the same reason
             "forward_backward_error": np.full(status.shape, np.nan),
             "status": status,
             "in_contact": touches,
         }.items():
-            self.results[name][frames] = values
+            if name in self.results:
+                self.results[name][frames] = values
         self._share[frames] = (status == TrackStatus.TRACKED).mean(1)
 
     def finish(self) -> None:

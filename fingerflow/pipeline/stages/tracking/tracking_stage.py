@@ -31,6 +31,7 @@ _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
 _IMPULSE, _BEYOND_NOISE = 0.2, 8.0
 _FEWEST = 3  # least number of points for a gradient
+_CORRECTION = "deformation_correction_px"
 MOST_SEEDED = 3  # largest number of points seeded in a recording, as a multiple of `tracking.points`
 
 
@@ -162,6 +163,9 @@ class TrackingStage(Stage):
             "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
         }.items():
             self.results[name][indices] = values
+        if _CORRECTION in self.trial.asked:
+            corrections = self._corrections(len(images))
+            self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), corrections, np.nan)
         tracked = status[:, :before] == TrackStatus.TRACKED
         self._share[indices] = tracked.mean(1)
         self._differs[indices] = (status[:, :before] == TrackStatus.WINDOW_DIFFERS).mean(1)
@@ -177,9 +181,20 @@ class TrackingStage(Stage):
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
 
+    def _corrections(self, frames: int) -> NDArray[np.float32]:
+        """Return the corrections (n, N, 2) px of all points in the last `frames` frames; 0 in frames up to the one in
+        which a point was seeded.
+        """
+        result = np.zeros((frames, sum(map(len, self._seeded)), 2), np.float32)
+        first = 0
+        for points in self._seeded:
+            result[frames - len(points.correction) :, first : first + len(points)] = points.correction
+            first += len(points)
+        return result
+
     def _create(self, points: int, noise: float = math.nan) -> None:
         for variable in TRACKING:
-            if "point" in variable.dims:
+            if "point" in variable.dims and self.trial.stores(variable):
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
                 self.results.create(variable.name, about, point=points)
 
@@ -268,8 +283,7 @@ class TrackingStage(Stage):
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
         room for the results.
         """
-        given = [one for stage in self.trial.planned for one in stage.gives]
-        given = [one for one in given if one.unasked or one.name in self.trial.asked]
+        given = [one for stage in self.trial.planned for one in stage.gives if self.trial.stores(one)]
         why = ""
         if points + more == MOST_SEEDED * self._settings.points:
             why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
