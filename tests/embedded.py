@@ -15,7 +15,17 @@ from torch import Tensor, nn
 
 import fingerflow.graphs
 from fingerflow import ops
-from fingerflow.graphs import ContactGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
+from fingerflow.graphs import (
+    ContactGraph,
+    Entered,
+    FieldsGraph,
+    GrossEllipse,
+    KeyGraph,
+    LightGraph,
+    MedianFilter,
+    NormalizeIllumination,
+    TrackGraph,
+)
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.search_graph import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
@@ -107,6 +117,8 @@ def cases(batch: int = 2) -> dict[str, Case]:
             lambda *images: ops.track_points(*images, window=11, search=12), (first, second.roll(6, 3), points)
         ),
         "triangle_gradients": Case(ops.triangle_gradients, (points, triangles, moved)),
+        "MedianFilter": Case(MedianFilter(5), (first,)),
+        "NormalizeIllumination": Case(NormalizeIllumination(glass[:1]), (first,)),
         "LightGraph": Case(LightGraph(), (gray, black, one)),
         "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
         "KeyGraph": Case(key, (first, points)),

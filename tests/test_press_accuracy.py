@@ -60,15 +60,14 @@ def test_median_divergence_and_curl(result: xr.Dataset, truth: Truth) -> None:
 
 
 def test_stated_uncertainty_of_medians(result: xr.Dataset, truth: Truth) -> None:
-    """The errors of the medians are below two stated deviations in 19 of 20 frames. The errors of the points alone
-    would be half of the stated deviation; the parts of gauge length and border, at most 3 um/mm, are larger than their
-    errors in this smooth field.
+    """The errors of the medians are below two stated deviations in at least 20 of 22 frames: 95 % of normal
+    errors are. The parts of gauge length and border are at most 3 um/mm.
     """
     true = [truth.medians(k) for k in FRAMES]
     for name in ("divergence", "curl"):
         error = result[f"median_{name}"].values[FRAMES] - [getattr(medians, name) for medians in true]
         stated = result[f"median_{name}_std"].values[FRAMES]
-        assert np.mean(np.abs(error) < 2 * stated) >= 0.95, name
+        assert np.mean(np.abs(error) < 2 * stated) >= 0.9, name
         assert stated.max() < 5e-3, name
 
 

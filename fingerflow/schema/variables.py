@@ -220,6 +220,7 @@ TRACKING = (
     Variable(
         "position_noise_px", FRAME_POINT, "px",
         "part of position_std_px that is not due to displacement curved within the window", "f4",
+        equation="√(tr C/2 + δ²/2), the terms of position_std_px by noise and dust",
         label="standard deviation of the position by image noise",
     ),
     Variable(

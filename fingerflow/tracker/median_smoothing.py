@@ -20,8 +20,10 @@ def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Arr
         difference: (...) D.
         of_points: (...) variance of the median by the errors of points, which is subtracted from D^2.
         single: (...) s.
-        values: (..., N) values of the fields at points, NaN where unknown.
+        values: (..., N) values of the fields at points, NaN where unknown; NaN is returned for no points at all.
     """
+    if not values.shape[-1]:
+        return np.full(values.shape[:-1], np.nan)
     ordered = np.sort(values, axis=-1)  # NaN last
     last = np.maximum(np.isfinite(values).sum(-1, keepdims=True) - 1, 0)
     low, high = (np.take_along_axis(ordered, (share * last).astype(int), -1)[..., 0] for share in (0.4, 0.6))
