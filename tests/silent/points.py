@@ -38,7 +38,9 @@ WRONG_PX, DEVIATIONS, MOST_WRONG = 0.5, 4.0, 1e-3
 _LOOKS = 24  # frames
 _DARK, _RADII = 0.5, (1.5, 3.0)  # share of the light, and px: specks as in the suite `flow_outliers`
 _AWAY = 90  # px, distance of each of two touches from the middle
-_DEEP_MM = 0.2  # depth inside the border, larger than the border's error
+# Where the border runs along a valley between ridges, 0.5 mm apart, a picture does not show it to less than half of
+# that: of the 600 to 700 points of a print, three may be missed at more than 0.2 mm inside.
+_DEEP_MM, _DEEP_POINTS = 0.2, 3
 
 
 def cases() -> Iterator[Case]:
@@ -189,7 +191,8 @@ def _at_the_rim(name: str, press: Press, result: xr.Dataset) -> Case:
     deep = int((missed & (depth > _DEEP_MM)).sum())
     farthest = float(np.max(depth[missed], initial=0))
     number = f"{int(missed.sum())} missed, {deep} by more than {_DEEP_MM} mm"
-    return Case(f"onset at the rim: {name}", number, "0", f"up to {farthest:.2f} mm", "right" if deep <= 1 else "wrong")
+    verdict = "right" if deep <= _DEEP_POINTS else "wrong"
+    return Case(f"onset at the rim: {name}", number, "0", f"up to {farthest:.2f} mm", verdict)
 
 
 def _stream_without_region(press: Press, folder: Path) -> Case:
