@@ -262,7 +262,8 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
         with monkeypatch.context() as patch:
             patch.setattr(child_process.child_reader, "__file__", str(script))
             patch.setattr(child_process, "_child", child_process._ChildProcess())
-            with pytest.raises(FingerflowError, match=rf"a\.h5: is damaged, or no hdf5 file: .*{said}.*copy or export it again"):
+            message = rf"a\.h5: is damaged, or no hdf5 file: .*{said}.*copy or export it again"
+            with pytest.raises(FingerflowError, match=message):
                 open_recording(tmp_path / "a.h5")
             child_process._child.close()
     assert len(open_recording(tmp_path / "a.h5")) == 6
