@@ -84,7 +84,9 @@ def _truth(study: PressStudy, column: str, unit: str) -> str:
 
 _CHANCE = "the presses of this study are few"
 # Of 448 presses 15; the true divergence within their contact is up to 1.4.
-_STRETCHED = "few presses, of over 7 N at low friction, whose skin the chain stretches by up to 130 %, store 5 to 100 mJ"
+_STRETCHED = (
+    "few presses, of over 7 N at low friction, whose skin the chain stretches by up to 130 %, store 5 to 100 mJ"
+)
 
 
 # Rows on contact areas
