@@ -327,7 +327,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
             "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), "of the skin", default=0.4,
                 label="Poisson's ratio"),
             "depth_mm": SceneKey(POSITIVE, "of skin over which strain energy is integrated", default=2.0,
-                label="depth of skin"),
+                label="depth for strain energy"),
             "rate_window_s": SceneKey(POSITIVE, "over which rates are fitted", default=0.05,
                 label="time window of rates"),
         },

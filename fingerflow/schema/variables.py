@@ -61,7 +61,7 @@ def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     Where there is no ellipse but a real area (frames,), a contact of a ridge or less is too small to be seen as one.
     The constants are measured on presses through real prints (docs/methods/contact.md).
     """
-    small = 0.2**2 / (1 + (pi * semi_axes.prod(-1)) ** 4)
+    small = 0.3**2 / (1 + (pi / 1.5 * semi_axes.prod(-1)) ** 4)
     deviation = ((0.015 * pi) ** 2 * 2 * (semi_axes**2).sum(-1) + 0.15**2 + small) ** 0.5
     deviation[(deviation != deviation) & (real_area > 0)] = 0.25
     return deviation
@@ -125,8 +125,8 @@ CONTACT = (
     ),
     Variable(
         "gross_contact_area_std", FRAME, "mm2", "standard deviation of the gross contact area, by the ridge spacing",
-        equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, "
-        "b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.2 mm² of "
+        equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter by the ellipse, "
+        "b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 mm² of "
         "contacts of less than three ridges; 0.25 mm² where a real contact is too small for an ellipse",
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area",
