@@ -63,7 +63,7 @@ def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip
     assert records["slip_flag"][raised:].all()
 
 
-@pytest.mark.parametrize("flicker", [0.0, FLICKER])
+@pytest.mark.parametrize("flicker", [0.0, pytest.param(FLICKER, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", quiet_scenes(60))
 def test_a_press_or_roll_raises_no_flag(name: str, flicker: float, tmp_path: Path) -> None:
     """The flag is raised in fewer than one in a hundred frames of a press or a roll, also if the light changes by a
