@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import threading
-import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -225,25 +225,37 @@ def test_forces_of_a_function_go_into_records_and_outputs(live: LabPC, tmp_path:
         assert float(force) == pytest.approx(float(records["normal_force"][int(number)]), nan_ok=True)
 
 
-def test_forces_of_a_serial_line_go_into_records(live: LabPC, tmp_path: Path) -> None:
-    terminal, line = os.openpty()
-    ended_all = threading.Event()
+@contextlib.contextmanager
+def _repeated(send: Callable[[], None]) -> Iterator[None]:
+    """Call a function every 5 ms in a thread of its own, as a sensor sends, until the context ends."""
+    ended = threading.Event()
 
-    def send() -> None:
-        os.set_blocking(terminal, False)  # nobody reads before the player has opened the line
-        while not ended_all.is_set():
-            with contextlib.suppress(BlockingIOError):
-                os.write(terminal, b"2.25, 0.3, 0.4\n")
-            time.sleep(0.005)
+    def sensor() -> None:
+        while not ended.wait(0.005):
+            send()
 
-    sending = threading.Thread(target=send)
+    sending = threading.Thread(target=sensor)
     sending.start()
     try:
-        camera = _camera("my_camera:make", "--forces", f"serial:{os.ttyname(line)}")
-        records = _records(live.play(tmp_path / "out", *camera), tmp_path / "out")
+        yield
     finally:
-        ended_all.set()
+        ended.set()
         sending.join()
+
+
+def test_forces_of_a_serial_line_go_into_records(live: LabPC, tmp_path: Path) -> None:
+    terminal, line = os.openpty()
+    os.set_blocking(terminal, False)  # nobody reads before the player has opened the line
+
+    def send() -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.write(terminal, b"2.25, 0.3, 0.4\n")
+
+    try:
+        with _repeated(send):
+            camera = _camera("my_camera:make", "--forces", f"serial:{os.ttyname(line)}")
+            records = _records(live.play(tmp_path / "out", *camera), tmp_path / "out")
+    finally:
         os.close(terminal)
         os.close(line)
     _check_forces(records, 2.25, 0.5)
@@ -252,21 +264,11 @@ def test_forces_of_a_serial_line_go_into_records(live: LabPC, tmp_path: Path) ->
 def test_forces_of_lsl_go_into_records(live: LabPC, tmp_path: Path) -> None:
     lsl = pytest.importorskip("pylsl", reason="the package pylsl is not installed")
     live.install("pylsl")
-    name, ended_all = f"force-of-bundle-{os.getpid()}", threading.Event()
+    name = f"force-of-bundle-{os.getpid()}"
     outlet = lsl.StreamOutlet(lsl.StreamInfo(name, "force", 2, lsl.IRREGULAR_RATE, lsl.cf_double64, name))
-
-    def send() -> None:
-        while not ended_all.wait(0.005):
-            outlet.push_sample([3.0, 0.25])
-
-    sending = threading.Thread(target=send)
-    sending.start()
-    try:
+    with _repeated(lambda: outlet.push_sample([3.0, 0.25])):
         camera = _camera("my_camera:make", "--forces", f"lsl:{name}")
         records = _records(live.play(tmp_path / "out", *camera), tmp_path / "out")
-    finally:
-        ended_all.set()
-        sending.join()
     _check_forces(records, 3.0, 0.25)
 
 
