@@ -45,6 +45,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
         return engine.fit(places, values, places, _GAUGE * window).gradient
 
     slopes = gradient(points[:, known] - places)
+    # Each component by itself, as the graph of a bundle fits two values.
     squares = sum(np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2))
     result[:, known] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
     return result

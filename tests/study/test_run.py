@@ -122,7 +122,7 @@ def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPat
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: groups were tested on the processor")
 def test_a_study_on_a_gpu(study: Manifest, undisturbed: Manifest) -> None:
-    """All trials of a small study are measured together on the GPU, with the numbers of each by itself."""
+    """All trials of a small study, measured together on the GPU, have the same numbers as each measured alone."""
     assert set(_run(study, None).values()) == {MEASURED}
     made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
     assert {one["together"] for one in made} == {min(TOGETHER, len(study.trials))}
