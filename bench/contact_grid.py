@@ -45,4 +45,4 @@ def energy_since_onset(scene: SyntheticScene, result: xr.Dataset, frame: int, st
     counts = (onset[corners] >= 0).all(1) & (onset[corners].max(1) <= frame)
     counts &= result["in_contact"].values[frame][corners].sum(1) >= 2
     found = mesh.find_simplex(places)
-    return float(each.sum()), float(each[(found >= 0) & counts[found]].sum())
+    return float(np.nansum(each)), float(np.nansum(each[(found >= 0) & counts[found]]))

@@ -54,9 +54,11 @@ def advected(
     skin slides in under a border at rest, where it moves along the border, and where both move together and the onset
     of a point at the border is detected late.
 
-    The motion is compared over the last eighth of the gauge length before the onset, or over all that is known if this
-    is less. A motion below the uncertainty of the border's position decides nothing. If there was no contact when a
-    point began to move, the contact has grown over the point.
+    The motion is compared over the last eighth of the gauge length before the onset, of the point's way or of the
+    approach, or over all that is known if this is less. Where a contact stops growing and its skin is dragged, a point
+    just outside enters by its own motion, however far the border came before. A motion below the uncertainty of the
+    border's position decides nothing. If there was no contact when a point began to move, the contact has grown over
+    the point.
 
     Points of which most neighbours were advected count too, because too little may be known of a point itself.
 
@@ -84,7 +86,8 @@ def _by_own_motion(
 
     `here` (E,) are the indices of these points in `position`.
     """
-    way, inside, then = np.full((3, len(here)), np.nan)
+    way, inside = np.full((2, len(here)), np.nan)
+    then = border.at(onset).inside(reference[:, None])[:, 0]
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames].take(here, axis=1)
@@ -93,12 +96,10 @@ def _by_own_motion(
         moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.at(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
-        far = before & (moved >= MOVED * gauge_mm)
+        far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
         row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
         some = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
         way[some], inside[some] = moved[row[some], some], depth[row[some], some]
-        at = np.flatnonzero((onset >= frames.start) & (onset < frames.stop))
-        then[at] = depth[onset[at] - first, at]
     result: Array = (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
     return result
 

@@ -1,12 +1,16 @@
-"""Displacement fields that vanish at the contact border, fitted to displacements of points by Bayesian regression.
+"""Displacement fields in the contact ellipse, fitted to displacements of points by Bayesian regression.
 
-With r the relative radius in the border's ellipse and places z in its unit disc,
+With r the relative radius in the border's ellipse and places z in its unit disc, a field that vanishes at the border is
 
     u(x) = (1 - r^2) sum_k c_k P_k(z),
 
 where P_k are the polynomials up to degree 8, and the functions of the sum are made orthonormal on the disc. The
 coefficients are independent Gaussian numbers beforehand, of variance t^2 / degree^8: a prior of smoothness, whose scale
 t has the largest marginal likelihood (Rasmussen & Williams 2006, equation 5.8).
+
+A field that moves at the border has, in addition, the harmonic polynomials r^m cos(m a) and r^m sin(m a), m up to 4,
+of the angle a. At the border these are a Fourier series of the displacement. Their coefficients have a prior standard
+deviation of s / (1 + m), where s is the RMS displacement of the outermost points.
 
 Products of two polynomials are polynomials, so that the normal equations of all K (K + 1) / 2 pairs of functions come
 from 17^2 moments of the points. That takes a third of the operations of summing each pair over 500 points.
@@ -16,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import comb
 
 Array = NDArray[np.float64]
 
@@ -27,23 +32,29 @@ _PROBES = 21, 34
 # A share of the largest sum that keeps the normal equations positive definite also where the prior is wide: rounding
 # changes their eigenvalues by up to 8e-16 of that sum (3 to 550 points, weights that differ by up to 1e6).
 _ROUNDING = 1e-14
+_HARMONICS = 4  # highest order m of the displacement along the border
 _TOGETHER = 8  # number of frames for whose points a processor's cache holds all powers
 # Numbers of radii and angles of the quadrature, which is exact for the energy density of polynomials of this degree.
 _RADII, _ANGLES = 10, 24
 
 
 class BorderFields(NamedTuple):
-    """Coefficients of n displacement fields in the K polynomials of `BorderFunctions`: mean and covariance."""
+    """Coefficients of n displacement fields in the first K functions of `BorderFunctions`: mean, covariance, and how
+    well the fields explain the displacements.
+    """
 
     coefficients: Array  # (n, K, 2) mean of the coefficients
     covariance: Array  # (n, K, K) covariance of the coefficients of each component
+    noise: Array  # (n,) variance of the residuals relative to the stated one, at least 1
+    evidence: Array  # (n,) twice the logarithm of the marginal likelihood, up to a constant of the data
 
 
 class BorderFunctions:
-    """Polynomials in x and y on the unit disc that are zero at its border, with the points and weights of a numerical
-    integration over the disc.
+    """Polynomials in x and y on the unit disc, with the points and weights of a numerical integration over the disc:
+    those that are zero at its border, then the harmonic ones.
 
-    They are orthonormal but for a factor: the standard deviation of the coefficient beforehand, in units of t.
+    The former are orthonormal but for a factor: the standard deviation of the coefficient beforehand, in units of t.
+    The harmonic ones have theirs in units of s.
 
     Attributes:
         weights: (P,) of the places for a mean over the disc.
@@ -68,10 +79,11 @@ class BorderFunctions:
         by_x = i * x_powers[:, np.maximum(i - 1, 0)] * y_powers[:, j]
         by_y = j * x_powers[:, i] * y_powers[:, np.maximum(j - 1, 0)]
         slopes = np.stack((inside * by_x - 2 * x.T * each, inside * by_y - 2 * y.T * each))
-        self.gradient = slopes @ self._mixed
+        self._harmonics = _harmonics(i, j)
+        self.gradient = np.concatenate((slopes @ self._mixed, np.stack((by_x, by_y)) @ self._harmonics), axis=2)
         self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
 
-    def fit(self, places: Array, moved: Array, weight: Array) -> BorderFields:
+    def fit(self, places: Array, moved: Array, weight: Array, at_border: Array | None = None) -> BorderFields:
         """Fit the polynomial coefficients of n displacement fields, each to the displacements of N points, by Bayesian
         least squares.
 
@@ -81,40 +93,77 @@ class BorderFunctions:
             places: (n, 2, N) in the unit disc; finite.
             moved: (n, 2, N) mm; finite.
             weight: (n, N) inverse variance of a displacement component, 1/mm^2; 0 for points that are not known.
+            at_border: (n,) mm, prior standard deviation s of the displacement at the border; without it the fields
+                vanish there.
         """
         parts = [slice(first, first + _TOGETHER) for first in range(0, len(places), _TOGETHER)]
-        normal = np.concatenate([self._normal_equations(places[one], moved[one], weight[one]) for one in parts])
+        normal = np.concatenate(
+            [self._normal_equations(places[one], moved[one], weight[one], at_border is not None) for one in parts]
+        )
+        smooth, functions = len(self._mixed), normal.shape[1] - 2
+        if at_border is not None:
+            # In units of s, so that the prior of these coefficients is 1.
+            normal[:, smooth:functions] *= at_border[:, None, None]
+            normal[:, :, smooth:functions] *= at_border[:, None, None]
         numbers = 2 * (weight > 0).sum(1)
-        noise = _find_scales(normal, numbers)[:, None, None]
-        functions = len(self._mixed)
+        noise, evidence = _find_scales(normal, numbers, smooth)
         inverse = np.linalg.inv(normal[:, :functions, :functions])
-        return BorderFields(inverse @ normal[:, :functions, functions:], noise * inverse)
+        if at_border is not None:
+            inverse[:, smooth:] *= at_border[:, None, None]
+            inverse[:, :, smooth:] *= at_border[:, None, None]
+            normal[:, smooth:functions, functions:] /= at_border[:, None, None]
+        return BorderFields(
+            inverse @ normal[:, :functions, functions:], noise[:, None, None] * inverse, noise, evidence
+        )
 
-    def _normal_equations(self, places: Array, moved: Array, weight: Array) -> Array:
+    def _normal_equations(self, places: Array, moved: Array, weight: Array, harmonic: bool) -> Array:
         """Return the normal equations (n, K + 2, K + 2) of the fits: weighted sums over the points of products of the K
-        polynomials and the two displacement components.
+        polynomials, with or without the harmonic ones, and the two displacement components.
         """
         i, j = self._powers
         x, y = (_powers(places[:, k], 2 * _DEGREE) for k in range(2))
         inside = 1 - x[:, 2] - y[:, 2]
-        pairs = (x * (weight * inside**2)[:, None]) @ y.mT
-        of_pairs = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
-        # Multiply each component by each power of x, and the result by each power of y.
+
+        def of_pairs(weights: Array) -> Array:
+            pairs = (x * weights[:, None]) @ y.mT
+            return pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
+
+        def of_moved(weighed: Array) -> Array:
+            # Multiply each component by each power of x, and the result by each power of y.
+            low = x[:, None, : _DEGREE + 1] * weighed[:, :, None]
+            sums: Array = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
+            return sums
+
         weighed = moved * weight[:, None]
-        low = x[:, None, : _DEGREE + 1] * (weighed * inside[:, None])[:, :, None]
-        of_moved = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
-        functions = len(self._mixed)
+        smooth, functions = len(self._mixed), len(self._mixed) + harmonic * self._harmonics.shape[1]
         result = np.empty((len(places), functions + 2, functions + 2))
-        result[:, :functions, :functions] = self._mixed.T @ of_pairs @ self._mixed
-        result[:, functions:, :functions] = of_moved @ self._mixed
+        result[:, :smooth, :smooth] = self._mixed.T @ of_pairs(weight * inside**2) @ self._mixed
+        result[:, functions:, :smooth] = of_moved(weighed * inside[:, None]) @ self._mixed
+        if harmonic:
+            result[:, smooth:functions, smooth:functions] = self._harmonics.T @ of_pairs(weight) @ self._harmonics
+            result[:, smooth:functions, :smooth] = self._harmonics.T @ of_pairs(weight * inside) @ self._mixed
+            result[:, :smooth, smooth:functions] = result[:, smooth:functions, :smooth].mT
+            result[:, functions:, smooth:functions] = of_moved(weighed) @ self._harmonics
         result[:, :functions, functions:] = result[:, functions:, :functions].mT
         result[:, functions:, functions:] = weighed @ moved.mT
         return result
 
 
-def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
-    """Choose the prior standard deviation t of the coefficients in each of n fits by maximum likelihood, add 1 / t^2 to
-    the normal equations in place, and return the noise variance (n,) relative to the stated one.
+def _harmonics(i: NDArray[np.integer], j: NDArray[np.integer]) -> Array:
+    """Return the coefficients (K, 2 m + 1) of the harmonic polynomials in the monomials x^i y^j, each divided by 1 + m:
+    the real and imaginary parts of (x + iy)^m.
+    """
+    columns = [(i + j == 0).astype(np.float64)]
+    for order in range(1, _HARMONICS + 1):
+        power = np.where(i + j == order, comb(order, j) * 1j**j, 0) / (1 + order)
+        columns += [power.real, power.imag]
+    return np.stack(columns, axis=1)
+
+
+def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tuple[Array, Array]:
+    """Choose the prior standard deviation t of the first `smooth` coefficients in each of n fits by maximum likelihood,
+    add 1 / t^2 (and 1 for the other coefficients) to the normal equations in place, and return the noise variance (n,)
+    relative to the stated one and twice the log-likelihood (n,).
 
     The likelihood has one maximum, which Fibonacci search finds (Kiefer 1953). A Cholesky factor of the equations, with
     the displacements as their last columns, gives both the determinant and, there, what the fit leaves of the squares.
@@ -122,19 +171,24 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
     functions = normal.shape[1] - 2
     diagonal = np.einsum("nkk->nk", normal)
     sums = diagonal[:, :functions] + _ROUNDING * diagonal[:, :functions].max(1, keepdims=True)
+    sums[:, smooth:] += 1
     diagonal[:, functions:] += numbers[:, None]  # keeps the diagonal positive despite rounding
 
     def likelihood(scale: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices `scale`
-        (n,), and the noise variance (n,) relative to the stated one.
+        """Return twice the log-likelihood (n,), up to a constant, of the prior standard deviations with the indices
+        `scale` (n,), and the noise variance (n,) relative to the stated one.
         """
-        diagonal[:, :functions] = sums + 1 / _SCALES[scale, None]
+        set_prior(scale)
         root = np.linalg.cholesky(normal)
         rest = (root[:, functions:, functions:] ** 2).sum((1, 2)) / numbers - 2
         noise = np.maximum(rest, 1)
         # Half of the logarithm of the determinant of 1 + t^2 times the normal equations.
-        half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + functions / 2 * np.log(_SCALES[scale])
+        half = np.log(np.einsum("nkk->nk", root)[:, :functions]).sum(1) + smooth / 2 * np.log(_SCALES[scale])
         return -numbers * (np.log(noise) + rest / noise) - 4 * half, noise
+
+    def set_prior(scale: NDArray[np.intp]) -> None:
+        diagonal[:, :functions] = sums
+        diagonal[:, :smooth] += 1 / _SCALES[scale, None]
 
     near, far = _PROBES
     low = np.zeros(len(normal), np.intp)
@@ -146,8 +200,9 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer]) -> Array:
         probe = likelihood(low + np.where(up, far, near))
         left, right = np.where(up, (right, probe), (probe, left))
     up = right[0] > left[0]
-    diagonal[:, :functions] = sums + 1 / _SCALES[low + np.where(up, far, near), None]
-    return np.where(up, right[1], left[1])
+    set_prior(low + np.where(up, far, near))
+    evidence, noise = np.where(up, right, left)
+    return noise, evidence
 
 
 def _powers(values: Array, highest: int) -> Array:

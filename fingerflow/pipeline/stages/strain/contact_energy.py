@@ -1,11 +1,15 @@
 """Strain energy of all skin in contact, from a displacement field that extends from the points to the contact border.
 
-A growing contact covers skin at its border that has just touched: there the displacement since the onset is zero. The
-field vanishes there (`border_field`). The energy is its mean over the field's coefficients given the measured
-displacements: that of the mean field, and the mean energy of what is left uncertain. So neither noise nor smoothing
-biases it.
+A growing contact covers skin at its border that has just touched: there the displacement since the onset is zero, and
+so is the field (`border_field`). Where the border has stopped or retreats, the skin at it has touched before and may
+have moved since. Such a field is free at the border. It is used where a field that vanishes there leaves residuals
+larger than the errors of the displacements, and is less likely by its marginal likelihood.
+
+The energy is its mean over the field's coefficients given the measured displacements: that of the mean field, and the
+mean energy of what is left uncertain. So neither noise nor smoothing biases it.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,18 +29,26 @@ _COMMON_MM = 4e-4
 # Smallest standard deviation, mm, of the displacement of a point in the fit. In the frame of its onset a point has by
 # definition not moved at all, and its displacement would outweigh that of all other points.
 _LEAST_MM = 1e-5
-# Two strips along the border, of this width. A field that vanishes at the border has an RMS displacement in the outer
-# one of 0.38 times that in the inner one; measured on presses, with the border's error, 0.4 to 0.65.
-_STRIP_MM = 0.4
-_VANISHING = 0.7
+_OUTER_MM = 0.4  # width of the strip along the border that shows how skin at the border has moved
+GROWTH_MM = 0.04  # growth of the border's mean radius that shows beside its error
+# Motion of that strip during this growth, relative to its displacement since the onset, above which the border lags
+# behind the skin. A field that vanishes at an advancing border is linear beside it, and has 2 GROWTH_MM / _OUTER_MM;
+# what is above moves the border's position by no more than its deviation.
+_LAG = 0.25
+_DECISIVE = 100.0  # difference of the evidence; it is -70 to 40 while the border advances, and 300 to 7,000 after
+_UNKNOWN = 4.0  # variance of the residuals, relative to the stated one, above which no smooth field fits: skin slips
+_MISFIT = 5e-3  # residuals, relative to the RMS displacement, by which polynomials of this degree miss smooth fields
 _BORDER_FRAMES = 8  # in which the relative effect of the border is taken as constant: it needs a second fit
 
 
 class FrameEnergies(NamedTuple):
-    """Strain energies (n,) of the contact in n frames and their standard deviations, mJ per mm of skin depth."""
+    """Strain energies (n,) of the contact in n frames and their standard deviations, mJ per mm of skin depth, and
+    whether the skin at the border has moved since its onset.
+    """
 
     energy: Array
     deviation: Array
+    moves: NDArray[np.bool_]
 
 
 class Solid(NamedTuple):
@@ -61,7 +73,8 @@ class ContactEnergy:
         self, solid: Solid, pairs: NDArray[np.integer], correlation: NDArray[np.floating], points: int
     ) -> None:
         self._solid, self._functions = solid, BorderFunctions()
-        self._fitted, self._by_border = 0, 0.0
+        # By whether fields move at the border: number of fitted frames, last relative effect of the border.
+        self._fitted, self._by_border = {False: 0, True: 0}, {False: 0.0, True: 0.0}
         inside = (pairs < points).all(1)
         first, second = pairs[inside].T
         both = np.concatenate((first, second)), np.concatenate((second, first))
@@ -69,10 +82,10 @@ class ContactEnergy:
 
     def of_frames(
         self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
-        border: Border,
+        border: Border, since_growth: Callable[[NDArray[np.intp]], Array],
     ) -> FrameEnergies:  # fmt: skip
-        """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where
-        displacements do not decrease towards the contact border.
+        """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
+        lies near the contact border, and where no smooth field explains the displacements.
 
         Errors of neighbours correlate over less than the field can resolve. They act as independent errors whose
         variance is that of a point times the sum of its correlations with all points.
@@ -83,48 +96,79 @@ class ContactEnergy:
             variance: (n, N) mm^2 of a displacement component.
             counts: (n, N) points in contact whose displacement counts from their onset.
             border: of these n frames, smoothed over time.
+            since_growth: gives, for numbers (k,) of these frames, the motion (k, N, 2) mm of all points since the
+                border was `GROWTH_MM` inside its present position.
         """
         counts = counts & np.isfinite(displacement[..., 0] + displacement[..., 1]) & np.isfinite(variance)
         of_point = np.maximum(variance, _LEAST_MM**2) * (1 + (self._shared @ counts.T.astype(np.float64)).T)
-        result = FrameEnergies(*np.full((2, len(counts)), np.nan))
-        some = np.flatnonzero(_fall_to_border(displacement, of_point, border.inside(position), counts))
+        energy, deviation = np.full((2, len(counts)), np.nan)
+        result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool))
+        depth = border.inside(position)
+        outer, inner = ((counts & (depth >= low) & (depth < low + _OUTER_MM)).any(1) for low in (0.0, _OUTER_MM))
+        some = np.flatnonzero(outer & inner)
         if len(some):
-            at = np.ix_(some, np.flatnonzero(counts[some].any(0)))
+            here = np.flatnonzero(counts[some].any(0))
+            at = np.ix_(some, here)
             points = _Points.of(position[at], displacement[at], of_point[at], counts[at], border.at(some))
-            result.energy[some], result.deviation[some] = self._energies(points)
+            found = self._energies(points, since_growth(some)[:, here], depth[at])
+            for values, of_some in zip(result, found, strict=True):
+                values[some] = of_some
         return result
 
-    def _energies(self, points: "_Points") -> FrameEnergies:
-        field = self._fit(points)
+    def _energies(self, points: "_Points", since_growth: Array, depth: Array) -> FrameEnergies:
+        """Return the energies of the field that explains the displacements better: one that vanishes at the border, or
+        one that moves there. Where the border advances, only the first is possible; where that cannot be told and the
+        second is likelier, the energy is their mean, and half of their difference is part of the deviation.
+        """
+        field = self._functions.fit(*points.on_disc())
+        result = FrameEnergies(*self._of_fields(field, points), np.zeros(len(points.axes), bool))
+        noise = field.noise.copy()
+        prior, unresolved = _at_border(points, since_growth, depth)
+        some = np.flatnonzero(prior > 0)
+        if len(some):
+            moving = self._functions.fit(*points.at(some).on_disc(), prior[some])
+            likelier = np.flatnonzero(moving.evidence > field.evidence[some] + _DECISIVE)
+            energy, deviation = (one[likelier] for one in self._of_fields(moving, points.at(some), prior[some]))
+            some = some[likelier]
+            noise[some] = moving.noise[likelier]
+            half = np.where(unresolved[some], (result.energy[some] - energy) / 2, 0)
+            result.energy[some], result.deviation[some] = energy + half, np.hypot(deviation, half)
+            result.moves[some] = ~unresolved[some]
+        number, total = (points.weight > 0).sum(1), points.weight.sum(1)
+        # Variance of the residuals, relative to the stated one, up to which they may be those of any smooth field.
+        smooth = _MISFIT**2 * (points.moved**2).sum((1, 2)) / 2 / number**2 * total
+        result.energy[noise > np.maximum(_UNKNOWN, smooth)] = np.nan
+        return result
+
+    def _of_fields(self, field: BorderFields, points: "_Points", at_border: Array | None = None) -> tuple[Array, Array]:
         energy, forces, left = self._energies_of_fields(field, points)
         mean = energy + np.trace(left, axis1=1, axis2=2)
         # Of a quadratic form of Gaussian numbers, in each of two components.
         by_points = (forces * (field.covariance @ forces)).sum((1, 2)) + (left * left.mT).sum((1, 2))
         size = (points.moved**2).sum((1, 2)) / 2 / (points.weight > 0).sum(1)
         by_tracking = 2 * mean * _COMMON_MM / np.sqrt(size + _COMMON_MM**2)
-        by_border = self._shares_of_border(points, mean) * mean
-        return FrameEnergies(mean, np.sqrt(by_points + by_border**2 + by_tracking**2))
+        by_border = self._shares_of_border(points, mean, at_border) * mean
+        return mean, np.sqrt(by_points + by_border**2 + by_tracking**2)
 
-    def _shares_of_border(self, points: "_Points", energy: Array) -> Array:
+    def _shares_of_border(self, points: "_Points", energy: Array, at_border: Array | None) -> Array:
         """Return the relative change (n,) of the strain energy in each of n frames if the contact border lay one
         standard deviation of its position further out.
 
         They are computed in every `_BORDER_FRAMES`-th frame that has a field, and hold until the next.
         """
-        some = np.flatnonzero((self._fitted + np.arange(len(energy))) % _BORDER_FRAMES == 0)
-        self._fitted += len(energy)
-        known = np.array([self._by_border])
+        moves = at_border is not None
+        some = np.flatnonzero((self._fitted[moves] + np.arange(len(energy))) % _BORDER_FRAMES == 0)
+        self._fitted[moves] += len(energy)
+        known = np.array([self._by_border[moves]])
         if len(some):
-            wider = _Points(*(one[some] for one in points))
+            wider = points.at(some)
             wider = wider._replace(axes=wider.axes + _RADIUS_MM)
-            larger, _, more = self._energies_of_fields(self._fit(wider), wider)
+            field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[some])
+            larger, _, more = self._energies_of_fields(field, wider)
             known = np.append(known, (larger + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1)
-        self._by_border = float(known[-1])
+        self._by_border[moves] = float(known[-1])
         result: Array = known[np.searchsorted(some, np.arange(len(energy)), side="right")]
         return result
-
-    def _fit(self, points: "_Points") -> BorderFields:
-        return self._functions.fit(points.along / points.axes[..., None], points.moved, points.weight)
 
     def _energies_of_fields(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
         """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
@@ -134,10 +178,11 @@ class ContactEnergy:
         C is the covariance of the coefficients of a component, and Q (n, K, K) that of the energy, a quadratic form in
         them to first order: the trace of Q C is the mean energy of what is left uncertain.
         """
-        functions, area = self._functions, np.pi * points.axes.prod(1)
+        number, area = field.coefficients.shape[1], np.pi * points.axes.prod(1)
+        functions, gradient = self._functions, self._functions.gradient[..., :number]
         solid = self._solid.young_modulus_mpa, self._solid.poisson_ratio
         # By the place in the disc, (2, P, n, 2) [direction, ..., component], then by x and y.
-        slope = torch.from_numpy(np.tensordot(functions.gradient, field.coefficients, (2, 1)))
+        slope = torch.from_numpy(np.tensordot(gradient, field.coefficients, (2, 1)))
         onto = torch.from_numpy(
             (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)
         )  # (2, 2, n) [x or y, direction]
@@ -152,11 +197,11 @@ class ContactEnergy:
         energy = (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid) * shrunk * weights).sum(0).numpy()
         xx, yy, xy = (weights * one for one in stress_parts(exx, eyy, exy, *solid))
         stress = [torch.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(0, 1)]
-        forces = np.tensordot(functions.gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
+        forces = np.tensordot(gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
         direct, _, shear = stiffness(*solid)
         # The mean over both components, each with direct x x + shear / 4 y y, where x and y are exchanged.
         scale = ((direct + shear / 4) * area)[:, None] / points.axes**2
-        return energy, forces, np.tensordot(scale, functions.squares, 1) @ field.covariance
+        return energy, forces, np.tensordot(scale, functions.squares[:, :number, :number], 1) @ field.covariance
 
 
 class _Points(NamedTuple):
@@ -186,25 +231,29 @@ class _Points(NamedTuple):
         weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
         return cls(turn @ from_centre, moved, weight, border.semi_axes, turn)
 
+    def at(self, frames: NDArray[np.intp]) -> "_Points":
+        return _Points(*(values[frames] for values in self))
 
-def _fall_to_border(moved: Array, variance: Array, depth: Array, counts: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask (n,) of frames in which displacements (n, N, 2) mm decrease towards the border, within noise.
+    def on_disc(self) -> tuple[Array, Array, Array]:
+        """Return positions (n, 2, N) in the unit disc, displacements and weights, as arguments of a fit."""
+        return self.along / self.axes[..., None], self.moved, self.weight
 
-    `variance` (n, N) is in mm^2; `depth` (n, N) is the distance in mm of each point from the border, positive inside;
-    `counts` (n, N) is True for points that are known.
+
+def _at_border(points: "_Points", since_growth: Array, depth: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return how far (n,) mm skin at the border may have moved since the border passed, RMS of a component, 0 where the
+    border advances, and a mask (n,) of frames in which this cannot be told, as it advanced in the last frame.
+
+    `since_growth` (n, N, 2) mm is the motion since the border was `GROWTH_MM` further inside; `depth` (n, N) mm.
     """
-    strips = [counts & (depth >= k * _STRIP_MM) & (depth < (k + 1) * _STRIP_MM) for k in range(2)]
-
-    def mean(values: Array, strip: NDArray[np.bool_]) -> Array:
-        result: Array = np.where(strip, values, 0).sum(1) / np.maximum(strip.sum(1), 1)
-        return result
-
-    square = (moved[..., 0] ** 2 + moved[..., 1] ** 2) / 2
-    outer, inner = (mean(square, one) for one in strips)
-    # Twice the deviation of a mean square that is noise alone, of some ten independent numbers, is its mean.
-    fall = outer < _VANISHING**2 * inner + 2 * mean(variance, strips[0])
-    result: NDArray[np.bool_] = fall & strips[0].any(1) & strips[1].any(1)
-    return result
+    outer = (points.weight > 0) & (depth < _OUTER_MM) & np.isfinite(since_growth).all(-1)
+    number = outer.sum(1).clip(1)
+    square, since_onset = (
+        np.where(outer, (moved**2).mean(axis), 0).sum(1) / number
+        for moved, axis in ((since_growth, 2), (points.moved, 1))
+    )
+    unresolved = outer.any(1) & (square == 0)
+    lags = square > _LAG**2 * since_onset
+    return np.sqrt(np.where(unresolved, since_onset, np.where(lags, square, 0))), unresolved
 
 
 def perimeter(semi_axes: Array) -> Array:

@@ -17,7 +17,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.border_density import border_density
-from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, Solid, perimeter
+from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
@@ -37,10 +37,9 @@ _TAKEN = 0.7
 class StrainStage(Stage):
     """Stage that computes strain and strain energy on Delaunay triangles between the reference positions of the points.
 
-    The energy of all skin in contact is that of a field which vanishes at the border (`contact_energy`), where
-    displacement counts from the onset and is seen to fall towards the border. Elsewhere, as on a slide or when the
-    finger is lifted, it is the sum over the triangles, and the skin between them and the border has the density of the
-    triangles beside it.
+    The energy of all skin in contact is that of a smooth field (`contact_energy`) where displacement counts from the
+    onset and such a field explains it. Elsewhere, as on a slide, it is the sum over the triangles, and the skin between
+    them and the border has the density of the triangles beside it.
 
     The sum over triangles is that of triangles that have touched as a whole and have two or more corners in the contact
     now, as skin that has left it keeps its strain. The mean contribution of errors of points is subtracted. Skin
@@ -98,6 +97,8 @@ class StrainStage(Stage):
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
         self._border = steady_border(Border.of(series), self.inputs.times)
+        # Smoothing over time delays the frame in which the border stops.
+        self._grown = _growth(np.sqrt(Border.of(series).semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -185,13 +186,22 @@ class StrainStage(Stage):
         displacement, variance, counts = self._onset_field(batch.of(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
-        whole = self._whole.of_frames(position, displacement, variance, counts, border)
+
+        def since_growth(some: NDArray[np.intp]) -> NDArray[np.float64]:
+            moved: NDArray[np.float64] = position[some] - self.results["position"][self._grown[frames[some]]]
+            return moved
+
+        whole = self._whole.of_frames(position, displacement, variance, counts, border, since_growth)
         known = np.isfinite(whole.energy)
         self._energy[frames[known]] = whole.energy[known]
-        self._energy_std[frames[known]] = whole.deviation[known]
         # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
         lacking = whole.energy[known] - (between + rim)[known]
-        self._between_std[frames[known]] = np.hypot(deviation[known], _INSIDE * lacking)
+        # Skin that has moved at the border leaves its displacement there to be extrapolated: both energies then err.
+        by_border = np.where(whole.moves[known], lacking, 0.0)
+        self._energy_std[frames[known]] = np.hypot(whole.deviation[known], by_border)
+        # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
+        share = np.where(lacking < 0, 1.0, _INSIDE)
+        self._between_std[frames[known]] = np.hypot(deviation[known], share * lacking)
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
@@ -248,3 +258,15 @@ class StrainStage(Stage):
         energy = self.results["strain_energy"][:]
         rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
         self.results.put("strain_energy_rate", rates)
+
+
+def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
+    within `GROWTH_MM` of its value there, or larger.
+    """
+    smaller = radius < radius[:, None] - GROWTH_MM
+    smaller |= ~np.isfinite(radius)
+    before = np.tril(smaller, -1)
+    last = len(radius) - 1 - before[:, ::-1].argmax(1)
+    result: NDArray[np.intp] = np.where(before.any(1), last + 1, 0)
+    return result

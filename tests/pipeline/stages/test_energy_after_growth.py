@@ -1,0 +1,69 @@
+"""Tests of the strain energy of presses whose contact stops growing, is dragged, or shrinks while its skin moves."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.contact_grid import energy_since_onset
+from bench.recordings import write_quietly
+from bench.suites.prints import DPI, FINGERS
+from bench.suites.stated import strained
+from fingerflow import process
+from fingerflow.synthetic import scene_of_print
+from tests.pipeline.stages.courses import CourseOfPress
+from tests.small_trials import edit_scene
+
+_PRESS = CourseOfPress(
+    frame_shape=(418, 1044),
+    finger=(6.2, 5.2),
+    semi_axes=(4.4, 3.6),
+    n_frames=60,
+    frame_rate=60.0,
+    frames_before_trigger=3,
+)
+_LATE = strained(_PRESS, 1.5)
+#: Course, print, and number of points.
+COURSES = {
+    "saturates early": (replace(_PRESS, grown=0.6, held=0.85), "101_1", 700),
+    "saturates late": (replace(strained(_PRESS, 2.0), grown=0.75, held=1.0), "101_3", 700),
+    "saturates, few points": (replace(_LATE, grown=0.8, held=0.95), "101_2", 300),
+    "saturates at 120 Hz": (replace(_LATE, grown=0.7, held=0.9, n_frames=120, frame_rate=120.0), "104_1", 700),
+    "is dragged": (replace(_LATE, grown=0.8, held=0.95, dragged=(0.06, 0.02)), "104_1", 700),
+    "is dragged far": (replace(_PRESS, grown=0.5, held=0.9, dragged=(0.3, 0.1)), "101_4", 700),
+    "is released": (replace(_PRESS, grown=0.5, held=0.65, lifts=0.7, released=0.8), "104_2", 700),
+}
+
+
+def z_of_energies(press: CourseOfPress, folder: Path, points: int, every: int) -> np.ndarray:
+    """Return the errors of both strain energies (n, 2), in deviations, of some frames with more than 10 mm2."""
+    write_quietly(folder / "recording", press)
+    result = process(edit_scene(folder / "recording", {"points = 700": f"points = {points}"}))
+    frames = [k for k in range(0, press.n_frames, every) if press.truth.gross_contact_area_mm2(k) > 10]
+    true = np.array([energy_since_onset(press, result, k, 0.1) for k in frames])
+    names = "strain_energy", "strain_energy_between_points"
+    found, stated = (np.stack([result[n + end].values[frames] for n in names], 1) for end in ("", "_std"))
+    assert np.isfinite(found).all()
+    return (found - true) / stated
+
+
+def test_energy_once_the_contact_stops_growing(tmp_path: Path) -> None:
+    """Contact grows for 0.5 s, and the skin moves on for another 0.2 s: a field that vanishes at the border would be 29
+    deviations off.
+    """
+    press = replace(strained(_PRESS, 2.0), grown=0.7, held=0.95, n_frames=30, frame_rate=30.0, frames_before_trigger=1)
+    assert abs(z_of_energies(press, tmp_path, 700, 3)).max() < 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", COURSES)
+def test_energy_of_real_prints(name: str, tmp_path: Path) -> None:
+    """Both energies are within 3.3 of their deviations in fifteen frames, and two in three within 1.25."""
+    if not FINGERS.is_dir():
+        pytest.skip(f"the real prints are not here: {FINGERS} does not exist")
+    press, fingerprint, points = COURSES[name]
+    texture = scene_of_print(CourseOfPress, FINGERS / f"{fingerprint}.tif", DPI).texture
+    z = abs(z_of_energies(replace(press, texture=texture), tmp_path, points, press.n_frames // 15))
+    assert z.max() < 3.3
+    assert np.mean(z < 1.25) > 2 / 3
