@@ -126,7 +126,8 @@ class BorderFunctions:
 
         def of_pairs(weights: Array) -> Array:
             pairs = (x * weights[:, None]) @ y.mT
-            return pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
+            sums: Array = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
+            return sums
 
         def of_moved(weighed: Array) -> Array:
             # Multiply each component by each power of x, and the result by each power of y.
