@@ -11,7 +11,6 @@ from fingerflow import ops
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.components import fill_holes, largest_component
 from fingerflow.ops.contact.ellipse import fit_ellipse
-from fingerflow.ops.contact.light_change import light_change
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
@@ -21,7 +20,6 @@ from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.morphology import dilate, erode
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.quantile import frame_quantile
-from fingerflow.ops.markers.markers import MarkerLook, detect_markers, measure_markers
 from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
 from fingerflow.ops.tracking.outliers import find_neighbours
 
@@ -82,13 +80,8 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (real_contact_mask, {"black": IMAGE[..., 1:]}, "black has shape"),
     (real_contact_mask, {"median_px": 4}, "4 x 4"),
     (real_contact_mask, {"limit": torch.zeros(3)}, "one number a frame"),
-    (measure_markers, {"frame": IMAGE[0]}, "give one picture"),
-    (detect_markers, {"frames": IMAGE[0], "look": MarkerLook(2.0, 1, 1.0)}, r"give \(B, 1, H, W\)"),
-    (light_change, {"frames": FRAMES, "rest": FRAMES, "hidden": FRAMES > 0, "cell": 4, "scale": 4.0}, "rest"),
-    (light_change, {"frames": IMAGE, "rest": IMAGE[0, 0], "hidden": MASK, "cell": 4, "scale": 4.0}, "rest"),
     (estimate_noise, {"images": IMAGE[..., :2]}, r"frames of \(9, 2\) px"),
     (halved_image, {"images": IMAGE[..., :2, :]}, r"frames of \(2, 9\) px"),
-    (light_change, {"frames": IMAGE, "rest": IMAGE, "hidden": MASK[..., 1:], "cell": 4, "scale": 4.0}, "hidden"),
     (stretch_contrast, {"frames": IMAGE[0, 0]}, r"\(9, 9\)"),
     (unsharp_mask, {"frames": IMAGE, "sigma": 0}, "sigma is 0"),
     (

@@ -32,6 +32,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
+from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
@@ -94,6 +95,12 @@ class SlipStage(Stage):
     # then moved inside is no better: where slip begins as x^2 and the level at the border equals the noise, it gave a
     # d^2 that was too large by 0.025 on rendered trials.
     clear = 0.0
+    #: Value of [slip] displacement that selects this class.
+    displacement: ClassVar[str] = "points"
+
+    @classmethod
+    def variant(cls, scene: Scene) -> type[Stage]:
+        return next((kind for kind in cls.__subclasses__() if kind.displacement == scene.slip.displacement), cls)
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
