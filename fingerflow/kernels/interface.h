@@ -356,17 +356,3 @@ struct fingerflow_flow_at_pixels_of {
     std::int64_t batch, height, width;
 };
 void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);
-
-// Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
-// count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
-// and z, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
-// (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 2) of steps
-// and of those not kept. At least three elements.
-struct fingerflow_skin_chain {
-    const double *reference, *numbers, *friction, *load, *rest;
-    double *place, *bone, *rubbed, *step, *time;
-    std::int64_t* counts;
-    std::int64_t batch, count, most_steps;
-    double tolerance, duration;
-};
-void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);

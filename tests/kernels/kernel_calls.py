@@ -23,7 +23,6 @@ from fingerflow.kernels import (
 )
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
-from fingerflow.models.skin_chain import press
 from tests.embedded import scene
 
 
@@ -98,7 +97,6 @@ def kernel_calls() -> dict[str, Call]:
             measure=0,
             stiffness=(1.0, 1.0, 1.0),
         ),
-        "skin_chain": call(lambda: press(torch.tensor([0.2, 0.6]), elements=9).position),
         # Called by themselves, because the threads exist already where dense flow reaches these kernels.
         "flow_covariance": call(kernels.flow_covariance, cells.repeat(1, 3, 1, 1), one, one, one, 9.0),
         "flow_levels": call(kernels.flow_levels, cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3),

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import arrays, contact, fields, flow, library, skin, tracking
+from fingerflow.kernels import arrays, contact, fields, flow, library, tracking
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from tests.kernels.contact_frames import contact_frames
@@ -20,7 +20,7 @@ from tests.kernels.short_of_memory import calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-SUBJECTS = (contact, fields, flow, skin, tracking)
+SUBJECTS = (contact, fields, flow, tracking)
 FUNCTIONS = {
     name: value
     for subject in SUBJECTS
@@ -67,9 +67,6 @@ def test_every_function_gives_what_it_gives_for_tensors(monkeypatch: pytest.Monk
             given = [in_numpy(one) for one in args], {key: in_numpy(one) for key, one in kwargs.items()}
             result = of_tensors(*args, **kwargs)
             assert_same(FUNCTIONS[name](*given[0], **given[1]), result)
-            for one, changed in zip(given[0], args, strict=True):
-                if isinstance(changed, Tensor):  # `press_skin` writes to some of its arguments
-                    assert np.array_equal(one, changed.detach().numpy(), equal_nan=one.dtype.kind == "f")
             called.add(name)
             return result
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import torch
 
-from fingerflow.kernels import checks, contact, deformation, fields, flow, skin, tracking
+from fingerflow.kernels import checks, contact, deformation, fields, flow, tracking
 from fingerflow.kernels.library import inject_fault as inject_fault
 from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
 from fingerflow.kernels.tensors.serving import constant_to_compiler as constant_to_compiler
@@ -51,7 +51,6 @@ flow_levels = torch_op()(flow.flow_levels)
 flow_template = torch_op()(flow.flow_template)
 flow_to_pixels = torch_op()(flow.flow_to_pixels)
 level_shapes = flow.level_shapes
-press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
 LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW
 corners = torch_op()(tracking.corners)
 find_pairs = torch_op()(tracking.find_pairs)
