@@ -305,20 +305,6 @@ struct fingerflow_flow_descend_of {
 };
 void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads);
 
-// The levels of the above made from the finest: its tensor, edges and inside are read, all inverses and what coarser levels
-// have are written.
-struct fingerflow_flow_levels_of {
-    const fingerflow_flow_level* levels;
-    std::int64_t count, batch;
-};
-void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads);
-
-// Covariance (batch, 3, height, width) of noise, as fingerflow/ops/flow/flow_covariance.py has it, of tensors of that shape, and of
-// each image the density of noise, alpha, and the eigenvalue above which texture is known.
-void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured,
-                                float rho_square, float* covariance, std::int64_t batch, std::int64_t height,
-                                std::int64_t width, int threads);
-
 // What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
 // the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
@@ -339,20 +325,3 @@ struct fingerflow_flow_left_of {
     float margin, most_gain;
 };
 void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);
-
-// Weighted means along rows and columns of `count` fields, 0 beyond the border.
-void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated,
-                               std::int64_t count, std::int64_t height, std::int64_t width, int threads);
-
-// Cells of a flow (batch, 2, ...) at the pixels (batch, 2, height, width).
-void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch,
-                               std::int64_t height, std::int64_t width, int threads);
-
-// Cells of a flow (batch, 2, ...) and of covariance and residual (batch, 4, ...) at the pixels: displacement and covariance
-// (batch, 2 and 4, height, width), residual.
-struct fingerflow_flow_at_pixels_of {
-    const float *flow, *others, *known, *inside;
-    float *displacement, *covariance, *residual;
-    std::int64_t batch, height, width;
-};
-void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);

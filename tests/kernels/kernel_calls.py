@@ -63,7 +63,6 @@ def kernel_calls() -> dict[str, Call]:
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
-    cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
 
     return {
         "median": call(kernels.median, tall, 5),
@@ -97,10 +96,8 @@ def kernel_calls() -> dict[str, Call]:
             measure=0,
             stiffness=(1.0, 1.0, 1.0),
         ),
-        # Called by themselves, because the threads exist already where dense flow reaches these kernels.
-        "flow_covariance": call(kernels.flow_covariance, cells.repeat(1, 3, 1, 1), one, one, one, 9.0),
-        "flow_levels": call(kernels.flow_levels, cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3),
-        "flow_to_pixels": call(kernels.flow_to_pixels, cells.repeat(1, 2, 1, 1), cells, *wide.shape[2:]),
+        # Called by itself, because the threads exist already where dense flow reaches this kernel.
+        "flow_template": call(kernels.flow_template, wide, torch.ones_like(wide), 2),
         **calls_on_arrays(tall, light),
     }
 

@@ -154,7 +154,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("corners", {"border": -1}, "-1 px from the border"),
     ("find_templates", {"templates": lambda one: one[:2]}, "2 arrays are no templates"),
     ("find_pairs", {"window": 4097}, "not 4097"),
-    ("flow_levels", {"count": 0}, "0 levels"),
     ("apparent_contact", {"radius": 256}, "radius of 256"),
     ("median", {"frames": lambda one: one.to("meta")}, "data is on meta: give tensors on the CPU"),
     ("local_gradients", {"minimum_points": -1}, "minimum_points is -1: give a whole number from 0"),
