@@ -162,10 +162,6 @@ void fingerflow_histogram(const fingerflow_frames* frames, const unsigned char* 
                           std::int64_t mask_stride, std::int64_t mask_row_stride, const std::uint16_t* bins,
                           std::int64_t count, std::int64_t* counts, int threads);
 
-// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
-void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                               double* thresholds);
-
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
 // fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
 // (batch, 7): pixels covered, area, centre x and y, semi axes, angle.
@@ -228,14 +224,6 @@ struct fingerflow_outliers {
     std::int32_t least_neighbours;
 };
 void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
-
-// Corners of uint8 frames, as fingerflow/ops/tracking/corners.py has them, for a window of up to 15 px and fewer than
-// 2^32 pixels a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame,
-// or null) tells where they may lie, `floors` (batch) what their response must exceed.
-void fingerflow_corners(const fingerflow_frames* frames, const unsigned char* mask, std::int64_t masks,
-                        std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors, float quality,
-                        std::int64_t window, std::int64_t border, std::int64_t count, double min_distance, float* points,
-                        float* responses, int threads);
 
 // Points worth tracking in a frame, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has them: up to
 // `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than `border` to

@@ -59,7 +59,6 @@ def kernel_calls() -> dict[str, Call]:
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
     templates = list(kernels.prepare_templates(first, points, None, one, 11, True, 0.0))
-    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
@@ -70,12 +69,10 @@ def kernel_calls() -> dict[str, Call]:
         "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
         "illumination_gain": call(kernels.illumination_gain, dimmed, light, 0 * light, 8),
         "histogram": call(kernels.histogram, tall, covered, None, 256),
-        "otsu_threshold": call(kernels.otsu_threshold, torch.arange(512).reshape(2, 256), -1.0, 255.0),
         "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
         "mean_response": call(kernels.mean_response, tall),
         "halve": call(kernels.halve, tall),
         "spline_coefficients": call(kernels.spline_coefficients, tall),
-        "corners": call(kernels.corners, tall, None, one, **corners),
         "prepare_templates": call(kernels.prepare_templates, first, points, None, one, 11, True, 0.0),
         "find_templates": call(kernels.find_templates, templates, second, points, None, None, 8, 0.0, 1.0, 0.5),
         "find_pairs": call(kernels.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5),

@@ -74,13 +74,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     for (std::int64_t bin : counts) all += bin;
     expect(inside == wanted && all == count, "histograms count every pixel inside");
 
-    const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
-    for (int window : {1, 7, 15}) {
-        std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));
-        fingerflow_corners(&of_eight, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads);
-        fingerflow_corners(&of_eight, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads);
-    }
-
     const std::vector<float> limits(static_cast<std::size_t>(batch), 0.6f);
     const auto black = noise<float>(height * width, 11);
     std::vector<float> gains(limits.size());

@@ -62,13 +62,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("histogram", {"bins": 10}, "10 bins for 256 levels"),
     ("histogram", {"mask": longer}, "a mask of"),
     ("histogram", {"bin_of_level": (torch.arange(256) // 15).to(torch.uint16), "bins": 16}, "goes up to 17"),
-    ("otsu_threshold", {"counts": narrower}, "counts is"),
     ("apparent_contact", {"side": 3}, "cells of 3 px"),
     ("apparent_contact", {"mask": as_bytes}, "uint8"),
-    ("corners", {"frames": torch.Tensor.float}, "float32"),
-    ("corners", {"window": 17}, "17"),
-    ("corners", {"floors": longer}, "floors"),
-    ("corners", {"mask": torch.ones(2, 1, 8, 8).bool()}, "mask"),
     ("medians_over_area", {"reference": lambda one: one.repeat(3, 1, 1)}, "reference"),
     ("medians_over_area", {"displacement": double}, "displacement is"),
     ("medians_over_area", {"covariance": shorter}, "covariance"),
@@ -151,7 +146,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("detect_points", {"count": 0}, "0 points"),
     ("detect_points", {"window": -1}, "windows of -1 px"),
     ("detect_points", {"min_distance_px": np.inf}, "inf px apart"),
-    ("corners", {"border": -1}, "-1 px from the border"),
     ("find_templates", {"templates": lambda one: one[:2]}, "2 arrays are no templates"),
     ("find_pairs", {"window": 4097}, "not 4097"),
     ("apparent_contact", {"radius": 256}, "radius of 256"),
@@ -159,7 +153,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("local_gradients", {"minimum_points": -1}, "minimum_points is -1: give a whole number from 0"),
     ("local_gradients", {"minimum_points": 1.5}, "minimum_points is 1.5: give a whole number"),
     ("find_templates", {"rounds": 1 << 40}, r"rounds is 1099511627776: give a whole number from 0 to 2\^31 - 1"),
-    ("otsu_threshold", {"low": "1"}, "low is '1': give a number"),
 ]
 
 
