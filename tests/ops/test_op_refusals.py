@@ -9,8 +9,6 @@ import torch
 
 from fingerflow import ops
 from fingerflow.ops.contact.apparent_contact import apparent_contact
-from fingerflow.ops.contact.components import fill_holes, largest_component
-from fingerflow.ops.contact.ellipse import fit_ellipse
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
@@ -65,8 +63,6 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (erode, {"mask": MASK[0, 0], "radius": 1}, r"\(9, 9\)"),
     (frame_quantile, {"frames": IMAGE, "fraction": 1.5}, r"1\.5"),
     (frame_quantile, {"frames": IMAGE[0, 0], "fraction": 0.5}, r"\(9, 9\)"),
-    *[(op, {"mask": IMAGE}, "float32") for op in (fill_holes, largest_component, fit_ellipse)],
-    *[(op, {"mask": MASK[0, 0]}, r"\(9, 9\)") for op in (fill_holes, largest_component, fit_ellipse)],
     (apparent_contact, {"mask": MASK.byte(), "radius": 3}, "uint8"),
     (apparent_contact, {"mask": MASK[0], "radius": 3}, "shape"),
     *[(apparent_contact, {"mask": MASK, "radius": radius}, f"radius of {radius} px") for radius in (0, 256)],

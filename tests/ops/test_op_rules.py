@@ -8,8 +8,6 @@ import torch
 from torch import Tensor
 
 from fingerflow import ops
-from fingerflow.ops.contact.components import fill_holes, largest_component
-from fingerflow.ops.contact.ellipse import fit_ellipse
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.strain import principal_strains, shear
@@ -20,12 +18,9 @@ FRAMES, POINTS = torch.rand(2, 1, 24, 30), torch.rand(2, 8, 2)
 TRIANGLES, NODES = torch.tensor([[0, 1, 2], [2, 3, 4]]), torch.linspace(0, 1, 3)
 EMPTY: dict[str, Callable[[], Any]] = {
     "detect_corners": lambda: ops.detect_corners(FRAMES[:0], 7),
-    "fill_holes": lambda: fill_holes(FRAMES[:0] > 0),
     "find_outliers": lambda: find_outliers(find_neighbours(POINTS[:1], 1.0), POINTS[:0], POINTS[:0, :, 0]),
-    "fit_ellipse": lambda: fit_ellipse(FRAMES[:0] > 0),
     "helmholtz_hodge": lambda: ops.helmholtz_hodge(FRAMES[:0].expand(-1, 2, -1, -1)),
     "histogram": lambda: histogram(FRAMES[:0], value_range=(0, 1)),
-    "largest_component": lambda: largest_component(FRAMES[:0] > 0),
     "local_gradients": lambda: ops.local_gradients(POINTS[:0], POINTS[:0], gauge_length=1.0),
     "median_filter": lambda: ops.median_filter(FRAMES[:0], 5),
     "normalize_illumination": lambda: ops.normalize_illumination(FRAMES[:0], FRAMES[:1]),
