@@ -17,8 +17,7 @@ from bench.chromium import launch
 from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
-from fingerflow.synthetic.marker_gel import write_gel_recording
-from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
+from tests.small_trials import TINY_PRESS, write_bundle_of_trials, write_small_slip
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported: its kernels then run in Python
@@ -117,13 +116,6 @@ def slip_trials(shared_folder: Path) -> Path:
 def tiny_press(shared_folder: Path) -> Path:
     """Return the folder of `TINY_PRESS` of tests/small_trials.py, which no test may write to."""
     return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
-
-
-@pytest.fixture(scope="session")
-def gel_recording(shared_folder: Path) -> Path:
-    """Return the scene file of a soft sensor, `GEL` of tests/small_trials.py. No test may write to its folder."""
-    folder = shared_folder / "gel"
-    return _made_once(folder, lambda path: write_gel_recording(path, GEL, GEL_MM_PER_PX)) / "scene.toml"
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,6 @@ from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
-from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import SyntheticScene
 from tests.pipeline.stages.rolling import Rolling
 
@@ -35,8 +34,6 @@ _SMALL: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi
 #: A trial of slip and a press of 16 frames in views of 192 x 240 px, for `write_small`.
 SMALL_SLIP: dict[str, Any] = {**_SMALL, "creep": 0.45, "travel": 0.8}
 SMALL_PRESS = Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **_SMALL)
-
-GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
 # Trials on which a stream and `process` are compared.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150

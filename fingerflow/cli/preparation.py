@@ -12,25 +12,15 @@ from fingerflow.errors import FingerflowError
 @app.command()
 def init(
     path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml"),
-    gel: Annotated[Path | None, typer.Option(help="Recording of a soft sensor with printed markers.")] = None,
-    mm_per_px: Annotated[float | None, typer.Option(help="Scale on the gel, with --gel.")] = None,
 ) -> None:
-    """Write a commented scene file: a template to fill in or, with --gel, a complete file for a soft sensor."""
-    from fingerflow.recordings import open_recording
+    """Write a commented scene file: a template to fill in."""
     from fingerflow.results.atomic_write import write_atomically
-    from fingerflow.schema.scene_template import gel_scene_text, scene_text
+    from fingerflow.schema.scene_template import scene_text
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
-    if (gel is None) != (mm_per_px is None):
-        raise FingerflowError("--gel and --mm-per-px belong together: the recording, and how many mm of gel a px shows")
-    if gel is None or mm_per_px is None:
-        text = scene_text()
-    else:
-        with open_recording(gel) as recording:
-            text = gel_scene_text(gel.resolve().as_posix(), recording.frame_shape, mm_per_px)
-    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
-    typer.echo(f"{path} was written; {'' if gel else 'fill it in, '}then: fingerflow process {path}")
+    write_atomically(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
+    typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
 
 
 @app.command()

@@ -1,6 +1,6 @@
 """Plan of a run: the ordered stages that are needed for the requested outputs."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError, did_you_mean
@@ -18,9 +18,7 @@ OUTPUTS = tuple(sorted(VARIABLES))
 _REMEDIES = {
     "forces": "needs forces, and the scene has no [forces] table",
     "forces.tangential": "needs a tangential force, and the scene names no channel in [forces] tangential",
-    "soft_sensor": 'is of markers on a gel, and the scene is not of kind = "soft_sensor"',
     "dense_flow_slip": 'comes by dense flow, and the scene does not set [slip] displacement = "dense_flow"',
-    "background.frames": "needs a picture without a finger, and the scene has none in [background]",
     "views.topography": "follows the skin in the topographic view, and the scene has no [views.topography] table",
 }
 
@@ -45,10 +43,9 @@ class Plan(NamedTuple):
         number: dict[type[Stage], int] = {}
         for stage in self.stages:
             later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
-            number[stage.place()] = max([0, *later, *(number[other] for other in stage.beside)])
+            number[stage] = max([0, *later, *(number[other] for other in stage.beside)])
         return [
-            [stage for stage in self.stages if number[stage.place()] == k]
-            for k in range(max(number.values(), default=-1) + 1)
+            [stage for stage in self.stages if number[stage] == k] for k in range(max(number.values(), default=-1) + 1)
         ]
 
 
@@ -58,54 +55,47 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     None requests all that the scene's kind computes by default and its settings allow. Raises FingerflowError for an
     output that does not exist or that the scene cannot give.
     """
-    by_setting = ("dense_flow_slip",) if scene.has("dense_flow_slip") else ()
-    stages = all_stages((*KINDS[scene.kind].instead, *by_setting))
-    at = {stage.place(): stage for stage in stages}
+    stages = {stage: stage.variant(scene) for stage in all_stages()}
     if outputs is None:
         kind = KINDS[scene.kind]
         wanted = [
             stage
-            for stage in stages
-            if kind.computes(stage.place().name)
-            and any(one.unasked for one in stage.gives)
-            and not _missing_keys(stage, scene, at)
+            for base, stage in stages.items()
+            if kind.computes(base.name) and any(one.unasked for one in stage.gives) and not _missing_keys(stage, scene)
         ]
-        return _with_needs(wanted, frozenset(), at)
-    names, stage_of = list(outputs), {variable.name: stage for stage in stages for variable in stage.gives}
+        return _with_needs(wanted, frozenset(), stages.values())
+    names, stage_of = list(outputs), {variable.name: stage for stage in stages.values() for variable in stage.gives}
     for name in names:
         if name not in VARIABLES:
             hint = did_you_mean(name, OUTPUTS)
             raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
         stage = stage_of[name]
-        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene, at)
+        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene)
         if lacking:
-            possible = [one for one in OUTPUTS if not _missing_keys(stage_of[one], scene, at)]
+            possible = [one for one in OUTPUTS if not _missing_keys(stage_of[one], scene)]
             possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
             why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
             raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
-    return _with_needs([stage_of[name] for name in names], frozenset(names), at)
+    return _with_needs([stage_of[name] for name in names], frozenset(names), stages.values())
 
 
-def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mapping[type[Stage], type[Stage]]) -> Plan:
+def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
     needed = set[type[Stage]]()
 
     def need(stage: type[Stage]) -> None:
         needed.add(stage)
         for earlier in (*stage.after, *stage.beside):
-            need(at[earlier])
+            need(earlier)
 
     for stage in wanted:
         need(stage)
-    run = tuple(stage for stage in at.values() if stage in needed)
+    run = tuple(stage for stage in stages if stage in needed)
     return Plan(run, asked.union(*(stage.reads for stage in run)))
 
 
-def _missing_keys(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
+def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:
     """Return the dotted scene keys, such as "calibration.mm_per_px", that a stage or one of the stages on which it
     depends needs, and that the scene lacks.
-
-    `at` maps `Stage.place` to the implementation that is used.
     """
     lacking = [need for need in stage.needs if not scene.has(need)]
-    earlier = (at[one] for one in (*stage.after, *stage.beside))
-    return lacking + [key for one in earlier for key in _missing_keys(one, scene, at)]
+    return lacking + [key for one in (*stage.after, *stage.beside) for key in _missing_keys(one, scene)]

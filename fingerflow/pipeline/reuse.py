@@ -86,7 +86,7 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
-    """Return the cache keys of all planned stages, as a dictionary by stage class (`Stage.place`).
+    """Return the cache keys of all planned stages, as a dictionary by stage class.
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
     """
@@ -102,11 +102,11 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
                 known[one] = list(_settings(one, values, inputs))
         settings = {key: value for one in stage.settings for key, value in known[one]}
         if stage.reads_frames or pictures.intersection(before):
-            pictures.add(stage.place())
-        seen = recording if stage.place() in pictures else ""
+            pictures.add(stage)
+        seen = recording if stage in pictures else ""
         of_stages = [keys[one].digest for one in before]
         on = stage.depends_on(plan.stages)
-        keys[stage.place()] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
+        keys[stage] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
     return keys
 
 
@@ -119,9 +119,9 @@ def record(
     return json.dumps(
         {
             kind.name: {
-                **keys[kind.place()]._asdict(),
+                **keys[kind]._asdict(),
                 "gave": [one.name for one in kind.gives if one.name in results],
-                "warnings": stages[kind.place()].warnings,
+                "warnings": stages[kind].warnings,
             }
             for kind in plan.stages
         }
@@ -144,19 +144,18 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
     whole = "" if known else older
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
-        place = stage.place()
-        why = whole or _reason_to_compute(stage, plan, keys[place], known.get(stage.name), computed)
+        why = whole or _reason_to_compute(stage, plan, keys[stage], known.get(stage.name), computed)
         if why:
-            computed[place] = why
+            computed[stage] = why
     # A stage that runs needs the steps of the stages in `beside`, and the stages in `after` unless these can be
     # `restored`.
     for stage in reversed(plan.stages):
-        if stage.place() in computed:
+        if stage in computed:
             for other in plan.stages:
-                wanted = other.place() in stage.beside or (other.place() in stage.after and not other.restored)
+                wanted = other in stage.beside or (other in stage.after and not other.restored)
                 if wanted:
-                    computed.setdefault(other.place(), f"{stage.name} needs what only it knows")
-    taken = frozenset(stage.place() for stage in plan.stages if stage.place() not in computed)
+                    computed.setdefault(other, f"{stage.name} needs what only it knows")
+    taken = frozenset(stage for stage in plan.stages if stage not in computed)
     return Reused(earlier, path, taken, computed)
 
 

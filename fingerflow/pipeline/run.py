@@ -226,14 +226,14 @@ def _run(ready: _PreparedScene, store: Store, way: _RunOptions) -> Steps[None]:
             known = reused(held.enter_context(open_result(earlier)), earlier, wanted, keys, inputs)
             said[TAKEN_OVER] = known.as_json()
         for kinds in wanted.passes():
-            stages.update({kind.place(): kind(trial) for kind in kinds})
-            running = [stages[kind.place()] for kind in kinds]
+            stages.update({kind: kind(trial) for kind in kinds})
+            running = [stages[kind] for kind in kinds]
             if known is not None:
                 for stage in running:
-                    if type(stage).place() in known.stages:
+                    if type(stage) in known.stages:
                         with _timed(seconds, stage.name):
                             known.restore(stage)
-                running = [stage for stage in running if type(stage).place() not in known.stages]
+                running = [stage for stage in running if type(stage) not in known.stages]
             yield from _pass(running, trial, seconds, way)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)

@@ -33,7 +33,6 @@ from fingerflow.plot.curves import (
     median_divergence,
     median_strain,
     position_std,
-    slip_ratio,
     strain_energy,
     tracked_share,
 )
@@ -62,7 +61,6 @@ __all__ = [
     "picture",
     "position_std",
     "row_of_panels",
-    "slip_ratio",
     "strain_energy",
     "tracked_share",
 ]

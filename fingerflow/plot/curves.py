@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
-from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, YELLOW, finished, given_or_new, line_styles
-from fingerflow.plot.wording import definition_of, followed
+from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, finished, given_or_new, line_styles
+from fingerflow.plot.wording import definition_of
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -47,7 +47,6 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
     """
     need(result, "gross_contact_area")
     curves = [_curve(result, "gross_contact_area", "gross")]
-    # Omit the real contact of a soft sensor, which shows no micro-junctions.
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
         curves.append(_curve(result, "real_contact_area", "real"))
     return _from_zero(_draw(result, axes, against, curves, "Contact area", "contact area"))
@@ -79,14 +78,7 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
-    """Draw the length of the median displacement of the tracked points.
-
-    For a soft sensor, draw the mean displacement of the markers in contact along x and y. Arguments as for
-    `contact_area`.
-    """
-    if "contact_displacement" in result:
-        curves = [_curve(result, "contact_displacement", name, k) for k, name in enumerate("xy")]
-        return _draw(result, axes, against, curves, "Displacement in contact", "mean displacement")
+    """Draw the length of the median displacement of the tracked points; arguments as for `contact_area`."""
     return _from_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
 
 
@@ -109,25 +101,10 @@ def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
     return _draw_one(result, axes, against, "load_ratio", "Friction ratio")
 
 
-def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
-    """Draw the share of a soft sensor's markers in contact that have slipped, and mark gross slip.
-
-    By default against time; arguments as for `contact_area`.
-    """
-    need(result, "slip_ratio", "gross_slip")
-    x = abscissa(result, against)
-    drawn = _draw_one(result, axes, against, "slip_ratio", "Slip of what touches the gel")
-    drawn.set_ylim(-0.03, 1.03)
-    for k, where in enumerate(x.values[result["gross_slip"].values > 0]):
-        drawn.axvline(where, color=YELLOW, linewidth=2, zorder=0, label=None if k else "gross slip")
-    return finished(drawn)
-
-
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
     need(result, "tracked_share")
-    name, curve = followed(result), _curve(result, "tracked_share", "tracked")
-    drawn = _draw(result, axes, against, [curve], f"{name.capitalize()} tracked", name)
+    drawn = _draw(result, axes, against, [_curve(result, "tracked_share", "tracked")], "Points tracked", "points")
     drawn.set_ylim(0, 103)
     return drawn
 
@@ -156,7 +133,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
         rows[known] = np.nanquantile(values[known], fraction, axis=1)
-        curves.append(_Curve(f"{fraction:.0%} of the {followed(result)} below", rows, None, "position_std_px"))
+        curves.append(_Curve(f"{fraction:.0%} of the points below", rows, None, "position_std_px"))
     return _from_zero(_draw(result, axes, against, curves, "Uncertainty of a position", "standard deviation"))
 
 

@@ -1,4 +1,4 @@
-"""Maps of one frame: a quantity of skin or gel as colour over the position on the glass."""
+"""Maps of one frame: a quantity of the skin as colour over the position on the glass."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

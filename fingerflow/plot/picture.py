@@ -16,7 +16,7 @@ from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
-from fingerflow.plot.wording import followed, frame_text
+from fingerflow.plot.wording import frame_text
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
@@ -101,13 +101,13 @@ def _describe(axes: Axes, view: str, frame: xr.Dataset, result: xr.Dataset) -> N
     )
     if "position" in result:
         known = int(np.isfinite(frame["position"].values).all(-1).sum())
-        text += f" n = {known} {followed(result)} with a position."
+        text += f" n = {known} points with a position."
     describe(axes, text)
 
 
 def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:
     scene = inputs.scene
-    if "contact_threshold" not in result or scene.soft_sensor or scene.background.frames is None:
+    if "contact_threshold" not in result:
         return None
     threshold = float(result["contact_threshold"].values[frame])
     if not np.isfinite(threshold):
@@ -141,15 +141,14 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
     """
     if "position" not in result:
         return
-    name = followed(result)
     now = result["position"].values[frame]
     known = np.isfinite(now).all(-1)
     first = result["position"].values[0]
     lost = ~known & np.isfinite(first).all(-1)
     touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else known
     for shown, colour, said_of in (
-        (known & touched, GREEN, f"{name} in contact" if "in_contact" in result else name),
-        (known & ~touched, AWAY, f"{name} not in contact"),
+        (known & touched, GREEN, "points in contact" if "in_contact" in result else "points"),
+        (known & ~touched, AWAY, "points not in contact"),
     ):
         if shown.any():
             axes.plot(
@@ -157,7 +156,7 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
             )
     if lost.any():
         axes.plot(
-            *in_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label=f"{name} lost"
+            *in_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label="points lost"
         )
 
 

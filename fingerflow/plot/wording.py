@@ -1,22 +1,9 @@
-"""Words in figures: "skin" and "points" for a fingertip, "gel" and "markers" for a soft sensor."""
-
-import json
+"""Captions of figures: texts for frames and definitions of variables."""
 
 import numpy as np
 import xarray as xr
 
 from fingerflow.schema.variable_record import Variable
-
-
-def is_sensor(result: xr.Dataset) -> bool:
-    """Return True if a result is of a soft sensor (a gel with printed markers)."""
-    kind: str = json.loads(result.attrs.get("settings", "{}")).get("kind", "press")
-    return kind == "soft_sensor"
-
-
-def followed(result: xr.Dataset) -> str:
-    """Return the word in figures for the tracked points of a result: "markers" for a soft sensor, else "points"."""
-    return "markers" if is_sensor(result) else "points"
 
 
 def frame_text(frame: xr.Dataset) -> str:

@@ -5,8 +5,6 @@ import json
 import numpy as np
 import xarray as xr
 
-from fingerflow.plot.wording import followed, is_sensor
-
 _MOST_LOST = 0.2  # largest share of lost points; with more, results describe a selection of the skin
 # Largest plausible strain of a triangle; above it, points are wrong or have different onsets of contact.
 _LARGE_STRAIN = 0.5
@@ -42,7 +40,7 @@ def _of_frames(result: xr.Dataset) -> list[str]:
                 energy = ", and a strain energy of 0 there means that none is known" if none else ""
                 said.append(
                     f"In {int(unknown.sum())} of the {int(touching.sum())} frames with contact the deformation is not "
-                    f"known, the last is {last}: too few {followed(result)} are followed there{energy}."
+                    f"known, the last is {last}: too few points are followed there{energy}."
                 )
     return said
 
@@ -58,19 +56,18 @@ def _of_points(result: xr.Dataset) -> list[str]:
     if share[worst] > 1 - _MOST_LOST:
         return []
     return [
-        f"{1 - share[worst]:.0%} of the {result.sizes['point']} {followed(result)} are lost in frame "
+        f"{1 - share[worst]:.0%} of the {result.sizes['point']} points are lost in frame "
         f"{int(result['frame'].values[worst])}, the worst: medians and maps are those of the others."
     ]
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
     """Return a caution, in a list, if more triangles between tracked points than expected are strained beyond what skin
-    can be; otherwise, and for a soft sensor, an empty list.
+    can be; otherwise an empty list.
 
     Triangles whose points first touched at different times of a slide measure the slide, not the skin.
     """
-    # The strain of a gel may be that large.
-    if "strain" not in result or not result["strain"].size or is_sensor(result):
+    if "strain" not in result or not result["strain"].size:
         return []
     largest = np.abs(result["strain"].values).max(-1)
     known = np.isfinite(largest).sum(1)

@@ -27,18 +27,16 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
 
     Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
     and 1 N (or 0.75, 0.5 and 0.25 of the largest). If only the load ratio varies: its largest value, the last frame,
-    half of the largest, and a frame while sliding. For a soft sensor: the largest displacement, half of it, and the
-    first gross slip. Otherwise, or if fewer than two are found: the largest contact, the last frame in contact, and
-    half of the largest. Frames without known fields (or contact) are left out; the list is empty if all are.
+    half of the largest, and a frame while sliding. Otherwise, or if fewer than two are found: the largest contact, the
+    last frame in contact, and half of the largest. Frames without known fields (or contact) are left out; the list is
+    empty if all are.
     """
     known = _known(result)
     if not known.any():
         return []
     found: list[ReportFrame] = []
     pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
-    if "gross_slip" in result:
-        found += _of_a_sensor(result, known)
-    elif pulled:
+    if pulled:
         found += _of_a_pull(result, known)
     elif varies(result, "normal_force"):
         found += _of_a_press(result, known)
@@ -79,18 +77,6 @@ def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame
     last = ReportFrame(int(np.flatnonzero(loaded)[-1]), "last frame")
     between = ReportFrame((top.frame + last.frame) // 2, "sliding")
     return [top, last, half, *([between] if known[between.frame] else [])]
-
-
-def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
-    found = []
-    if "contact_displacement" in result:
-        length = np.linalg.norm(result["contact_displacement"].values, axis=1)
-        if np.isfinite(length).any():
-            found = _largest_and_half(np.where(known, np.nan_to_num(length), 0.0), "displacement")
-    slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
-    if len(slips):
-        found.append(ReportFrame(int(slips[0]), "first gross slip"))
-    return found
 
 
 def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:

@@ -22,7 +22,6 @@ _QUANTITIES = (
     "contact_area_ratio",
     "stuck_ratio",
     "printed_stuck_ratio",
-    "slip_ratio",
     "median_divergence",
     "median_curl",
     "global_displacement",

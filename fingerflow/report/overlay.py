@@ -39,8 +39,6 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
             words = [f"{times[frame]:+.3f} s"]
             if force is not None and np.isfinite(force[frame]):
                 words.append(f"normal force {force[frame]:.2f} N")
-            if "gross_slip" in result and result["gross_slip"].values[frame]:
-                words.append("gross slip")
             if scale:
                 words.append(f"displacement drawn {scale:.3g} times larger")
             yield _captioned(picture, ", ".join(words))

@@ -20,7 +20,7 @@ from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_sty
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import views_of
-from fingerflow.plot.wording import followed, frame_text, is_sensor
+from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
@@ -164,7 +164,6 @@ def write_report(
     make = _Figures(result, folder / "figures", figure_files, overwrite)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames, chain)
-    sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])
     parts = files(__package__)
     curves = {
@@ -181,8 +180,7 @@ def write_report(
         .render(
             mark=MARK,
             attrs=result.attrs,
-            heading="Soft sensor with printed markers" if sensor else result.attrs["title"],
-            points=followed(result),
+            heading=result.attrs["title"],
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
@@ -235,16 +233,12 @@ def _sections(
     sections.append(
         make.curves("Contact", [(plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")])
     )
-    if "gross_slip" in result:
-        slips = make.each([(plot.displacement, "contact_displacement"), (plot.slip_ratio, "slip_ratio")])
-        sections.append(Section("Slip of what touches the gel", [Panel("", slips)]))
     deformation: list[tuple[Draw, str]] = [
         (plot.median_divergence, "median_divergence"),
         (plot.median_strain, "median_strain"),
         (plot.strain_energy, "strain_energy"),
+        (plot.displacement, "global_displacement"),
     ]
-    if "gross_slip" not in result:
-        deformation.append((plot.displacement, "global_displacement"))
     since = result["median_divergence"].attrs.get("reference") if "median_divergence" in result else None
     counted = (f"Displacement counts from {since}.",) if since else ()
     sections.append(make.curves("Deformation, medians over the gross contact", deformation, counted))
@@ -258,7 +252,6 @@ def _sections(
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),
     ]
-    # Markers of a soft sensor are found independently in each frame, so they have no forward-backward distance.
     shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))
@@ -292,9 +285,8 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
         )
         for one in frames
     ]
-    surface = "gel" if is_sensor(result) else "skin"
     note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
-    return Section(f"Maps on the {surface}", panels, (note,), first)
+    return Section("Maps on the skin", panels, (note,), first)
 
 
 def _known(result: xr.Dataset, variable: str) -> bool:

@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from scipy.spatial import cKDTree
 
-from fingerflow.plot.wording import is_sensor
 from fingerflow.recordings import open_recording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import VARIABLES
@@ -54,7 +53,7 @@ def _optics(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str, A
     rows.append(("image noise", "not known" if noise is None else f"{noise:.2g} grey levels"))
     period = _attribute(result, "gross_contact_area", "ridge_period_mm")
     spacing = "" if period is None else f", {period:.2f} mm apart ({period / scale:.1f} px), measured"
-    rows.append(("pattern", f"{'printed markers' if is_sensor(result) else 'skin ridges'}{spacing}"))
+    rows.append(("pattern", f"skin ridges{spacing}"))
     return rows
 
 
@@ -62,7 +61,7 @@ def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str,
     engine = f", engine {result.attrs['engine']}" if "engine" in result.attrs else ""
     rows = [("software", f"fingerflow {result.attrs['fingerflow_version']}{engine}")]
     tracking, fields = settings.get("tracking") or {}, settings.get("fields") or {}
-    if "position_px" not in result or is_sensor(result) or "window_px" not in tracking:
+    if "position_px" not in result or "window_px" not in tracking:
         return rows
     window, scale = tracking["window_px"], float(result.attrs["mm_per_px"]) * _magnification(result)
     points = int((result["status"].values == 0).sum(1).max())

@@ -91,7 +91,6 @@ def show(axes: Axes, picture: NDArray[Any]) -> Axes:
 
 
 def _empty(scene: Scene) -> Picture:
-    assert scene.background.frames is not None
     with open_recording(scene.background.frames) as recording:
         return np.asarray(scene.views.contact.crop(recording[0]), dtype=np.float32)
 

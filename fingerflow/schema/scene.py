@@ -64,12 +64,11 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """Settings in the table [background] of a scene file: recordings of the empty glass, and of the view without light.
-
-    A soft sensor needs neither.
+    """Settings in the table [background] of a scene file: recordings of the empty glass, and of the view without
+    light.
     """
 
-    frames: Path | None
+    frames: Path
     dark: Path | None
 
 
@@ -245,13 +244,6 @@ class Scene:
             *masks,
         )
         return (self.path, *(file for file in named if file is not None))
-
-    @property
-    def soft_sensor(self) -> bool | None:
-        """Return True if the scene is that of a soft sensor (a gel with markers), else None, so that
-        ``has("soft_sensor")`` is False.
-        """
-        return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:

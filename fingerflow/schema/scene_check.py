@@ -24,7 +24,6 @@ from fingerflow.schema.scene_keys import (
     SceneKey,
     SceneTable,
     Together,
-    optional,
     views_of,
 )
 from fingerflow.schema.scene_kinds import KINDS, default_kind
@@ -97,10 +96,7 @@ class _Check:
         elif "kind" in self._written:
             self._refuse(("kind",), f"is {stated!r}: it should be {either(KINDS)}")
         kind = KINDS[self.kind]
-        if self._reader == "stream" and not kind.streamed:
-            self._refuse(("kind",), f"is {self.kind!r}: streams cannot play it; use `fingerflow process`")
         tables = {"recording": SCENE["recording"], "views": views_of(kind), **SCENE}
-        tables |= {name: optional(tables[name]) for name in kind.optional}
         rest = {name: value for name, value in self._written.items() if name != "kind"}
         self.values = self._table((), SceneTable(tables), rest, ("kind",))
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():

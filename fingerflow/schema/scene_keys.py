@@ -5,7 +5,7 @@ key states it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from fingerflow.schema.scene_kinds import Kind
@@ -395,7 +395,7 @@ VIEW_HELP = {
 
 def views_of(kind: Kind) -> SceneTable:
     """Return the definition of the table [views] for a kind of scene, with a rectangle for each view."""
-    keys = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    keys = {**RECTANGLE, "region": REGION}
     tables: dict[str, SceneKey | SceneTable] = {
         name: SceneTable(keys, VIEW_HELP.get(name, ""), BOTH if name in kind.views else STREAM)
         for name in (*kind.views, *kind.optional_views)
@@ -405,13 +405,6 @@ def views_of(kind: Kind) -> SceneTable:
 
 #: New names of renamed keys, by their old dotted paths.
 RENAMED = {"stream.rekey_share": "update_share", "stream.rekey_frames": "update_frames"}
-
-
-def optional(table: SceneKey | SceneTable) -> SceneTable:
-    """Return a copy of a table definition in which no key is required."""
-    assert isinstance(table, SceneTable)
-    keys = {name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()}
-    return replace(table, keys=keys, needed_by=NOBODY)
 
 
 # Rules between keys, which are named by their dotted paths. An error is reported for the first key of a rule.

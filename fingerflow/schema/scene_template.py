@@ -57,35 +57,18 @@ def scene_text(
     others = ", ".join(kind for kind in KINDS if kind != "press")
     lines = [_commented('# kind = "press"', f"or {others}; slip is the default of a scene with a table [slip]")]
     for name, table in SCENE.items():
-        lines += ["", *_table_text(name, table, values.get(name), whole=True)]
+        lines += ["", *_table_text(name, table, values.get(name))]
         if name == "recording":
             for view, one in views_of(KINDS["press"]).keys.items():
-                lines += ["", *_table_text(f"views.{view}", one, _rectangle(views[view]), whole=True)]
+                lines += ["", *_table_text(f"views.{view}", one, _rectangle(views[view]))]
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
-    """Return the text of a new scene file for a soft sensor with printed markers and frames of (height, width) px."""
-    height, width = frame_shape
-    camera = views_of(KINDS["soft_sensor"]).keys["camera"]
-    lines = [_commented('kind = "soft_sensor"', "its own frames show the gel at rest: no [background] is needed")]
-    for name, table, values in (
-        ("recording", SCENE["recording"], {"frames": frames}),
-        ("views.camera", camera, {"rows": [0, height], "columns": [0, width]}),
-        ("calibration", SCENE["calibration"], {"mm_per_px": float(f"{mm_per_px:g}")}),
-        ("slip", SCENE["slip"], {"stuck_mm": 0.04}),
-    ):
-        lines += ["", *_table_text(name, table, values, whole=False)]
-    return _HEAD + "\n".join(lines) + "\n"
-
-
-def _table_text(
-    name: str, table: SceneKey | SceneTable, values: Mapping[str, Any] | None, whole: bool
-) -> Iterator[str]:
+def _table_text(name: str, table: SceneKey | SceneTable, values: Mapping[str, Any] | None) -> Iterator[str]:
     """Yield the lines of the table `name` in the text of a new scene file; if `values` is None, all lines are comments.
 
     Keys without a value are comments with their default or sample; if all keys of the table have defaults, they are
-    written with them. Without `whole`, only keys with values are written.
+    written with them.
     """
     assert isinstance(table, SceneTable)
     mark = "# " if values is None else ""
@@ -93,8 +76,6 @@ def _table_text(
     by_default = all(isinstance(key, SceneKey) and key.default is not None for key in table.keys.values())
     for key, entry in table.keys.items():
         value = (values or {}).get(key)
-        if value is None and not whole:
-            continue
         written = value is not None or (by_default and values is not None)
         if value is None:
             value = _sample(entry)

@@ -528,26 +528,6 @@ SLIP = (
     ),
 )
 
-#: Variables of a soft sensor, where markers on a gel are tracked.
-SENSOR_SLIP = (
-    Variable(
-        "slip_ratio", FRAME, "1", "share of the markers in contact that depart from its best rigid motion",
-        equation="share of the markers in contact with |u − (R X + t)| > slip.stuck_mm",
-        label="share of markers that slipped",
-    ),
-    Variable(
-        "contact_displacement", ("frame", "xy"), "mm", "mean displacement of the markers in contact since rest",
-        equation="mean u over the markers in contact", shown_in=MICROMETRE,
-        label="mean displacement in contact",
-    ),
-    Variable(
-        "gross_slip", FRAME, "1",
-        "1 where the markers in contact spring back: the object slides, or lets go of a sheared gel", "u1",
-        equation="1 where Σ (u(t−1) − u(t))·ū/|ū| ≥ |ū|/3 on average and > 0 for 3/4 of the markers in contact",
-        flags=("no", "gross_slip"),
-    ),
-)
-
 #: Variables of streams only: the state of the stream, and fields that its graphs compute differently.
 STREAM = (
     Variable(
@@ -598,8 +578,7 @@ def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
 
 #: All variables of results and streams by name.
 VARIABLES: dict[str, Variable] = by_name(
-    (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, SENSOR_SLIP,
-    STREAM,
+    (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, STREAM,
 )  # fmt: skip
 
 

@@ -85,7 +85,7 @@ class Draft:
         return found if isinstance(found, dict) else {}
 
     def kind(self) -> str:
-        """Return the kind of the scene (such as press or soft_sensor) that the draft sets, or the default kind."""
+        """Return the kind of the scene (such as press or slip) that the draft sets, or the default kind."""
         values = self.values()
         return str(values.get("kind", default_kind(values)))
 

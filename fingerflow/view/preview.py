@@ -23,17 +23,15 @@ from fingerflow.schema.scene import Scene
 
 @dataclass(frozen=True)
 class Preview:
-    """Predicted contact in one frame: mask, markers of a soft sensor, and numbers.
+    """Predicted contact in one frame: mask and numbers.
 
     Attributes:
-        mask: (h, w) bool, real contact in the contact view; for a soft sensor gross contact.
+        mask: (h, w) bool, real contact in the contact view.
         numbers: values by the names of the results; NaN without contact.
-        markers: (M, 2) px of the view, markers of a soft sensor found in this frame.
     """
 
     mask: NDArray[np.bool_]
     numbers: dict[str, Any]
-    markers: NDArray[np.floating] | None = None
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,7 @@ class Previewer:
             FingerflowError: an input is missing or invalid.
         """
         self.scene = scene
-        same = (
-            before if type(before) is type(self) and _input_settings(before.scene) == _input_settings(scene) else None
-        )
+        same = before if before is not None and _input_settings(before.scene) == _input_settings(scene) else None
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
         # Resample the forces only once, as they do not depend on the views.
@@ -70,12 +66,6 @@ class Previewer:
         check.usable = np.ones(len(self._trial), dtype=bool)
         self._trial.stages = {LoadingStage: self._loading, FrameCheckStage: check}
         self._seen: dict[int, Preview] = {}
-        self._begin_contact(same)
-
-    def _begin_contact(self, before: "Previewer | None") -> None:
-        """Create and begin the contact stage of `process`, reusing work of the earlier previewer `before` if it has the
-        same inputs.
-        """
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)

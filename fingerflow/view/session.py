@@ -317,7 +317,7 @@ class Session:
                 facts["every"], facts["shape"] = pictures.every, pictures.recording.frame_shape
                 number = frame + scene.recording.first_frame
                 arrays["picture"] = pictures.picture(number)
-                if contact and not scene.soft_sensor:
+                if contact:
                     arrays |= self._contact_of(self._result_previewer(), number)[1]
             except FingerflowError as error:
                 facts["why_no_picture"] = str(error)
@@ -410,8 +410,6 @@ class Session:
             return {"counts": False}, {}
         found = previewer.contact(place)
         arrays: dict[str, NDArray[Any]] = {"mask": found.mask.astype(np.uint8)}
-        if found.markers is not None:
-            arrays["markers"] = found.markers.astype(np.float32)
         return {"counts": True, "time": float(previewer.times[place]), **found.numbers}, arrays
 
     def _opened_result(self) -> Results:
@@ -451,10 +449,6 @@ def _recording_facts(pictures: Pictures) -> Facts:
 
 
 def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer":
-    if scene.soft_sensor:
-        from fingerflow.view.sensor_preview import SensorPreviewer
-
-        return SensorPreviewer(scene, before)
     from fingerflow.view.preview import Previewer
 
     return Previewer(scene, before)

@@ -26,7 +26,7 @@ from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
 from fingerflow.schema.scene import Scene, Views
-from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.schema.variables import SLIP, by_name
 from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from tests.small_trials import edit_scene
@@ -84,7 +84,7 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
     for name, values in result.data_vars.items():
         assert values.attrs["units"], name
         assert values.attrs["long_name"], name
-    others = set(by_name(SLIP, SENSOR_SLIP))  # outputs of other kinds of scene
+    others = set(by_name(SLIP))  # outputs of other kinds of scene
     assert {name for name in OUTPUTS if VARIABLES[name].unasked} - others <= set(map(str, result.data_vars))
     assert json.loads(result.attrs["settings"])["tracking"]["window_px"] == 25
 

@@ -26,10 +26,8 @@ from fingerflow.recordings import Recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.results.result import scene_of
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.scene_kinds import KINDS
-from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.schema.variables import SLIP, by_name
 from fingerflow.synthetic import PartialSlip, Press, write_recording
-from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from tests.small_trials import SMALL_SLIP, edit_scene
 from tests.test_architecture import ARROWS
 
@@ -75,9 +73,8 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 
 def _every_stage() -> set[type[Stage]]:
-    """Return all stage classes, including the alternatives used by a kind of scene or a setting."""
-    by_setting = ("dense_flow_slip",)
-    return {one for instead in ((), KINDS["soft_sensor"].instead, by_setting) for one in all_stages(instead)}
+    """Return all stage classes, including the variants that a setting selects."""
+    return {one for stage in all_stages() for one in (stage, *stage.__subclasses__())}
 
 
 def _noting(begin: Callable[[Stage], None], found: set[str]) -> Callable[[Stage], None]:
@@ -344,10 +341,10 @@ def _watching(kind: type[Stage], act: Callable[..., Any]) -> Callable[..., Any]:
     return watched
 
 
-def _declared(stage: type[Stage], at: dict[type[Stage], type[Stage]]) -> Iterator[str]:
+def _declared(stage: type[Stage]) -> Iterator[str]:
     yield from stage.settings
     for other in (*stage.after, *stage.beside):
-        yield from _declared(at[other], at)
+        yield from _declared(other)
 
 
 def _press(folder: Path) -> tuple[Path, list[str] | None]:
@@ -356,7 +353,7 @@ def _press(folder: Path) -> tuple[Path, list[str] | None]:
     others = {'points_from = "recorded"': 'points_from = "enhanced"', '"reference_frame"': '"per_frame"'}
     scene = load_scene(edit_scene(folder, others))
     names = [name for name in OUTPUTS if all(map(scene.has, VARIABLES[name].needs))]
-    return folder / "scene.toml", [name for name in names if name not in by_name(SLIP, SENSOR_SLIP)]
+    return folder / "scene.toml", [name for name in names if name not in by_name(SLIP)]
 
 
 def _slip(folder: Path) -> tuple[Path, list[str] | None]:
@@ -369,11 +366,7 @@ def _dense_flow_slip(folder: Path) -> tuple[Path, list[str] | None]:
     return edit_scene(folder, {'\ndisplacement = "points"': '\ndisplacement = "dense_flow"'}), outputs
 
 
-def _gel(folder: Path) -> tuple[Path, list[str] | None]:
-    return write_gel_recording(folder, MarkerGel(n_frames=16), 0.06), None
-
-
-@pytest.mark.parametrize("make", [_press, _slip, _dense_flow_slip, _gel])
+@pytest.mark.parametrize("make", [_press, _slip, _dense_flow_slip])
 def test_stages_look_at_no_setting_that_they_do_not_name(
     make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
 ) -> None:
@@ -384,10 +377,9 @@ def test_stages_look_at_no_setting_that_they_do_not_name(
     scene = load_scene(path)
     stages = {one.name: one for one in plan(outputs, scene).stages}
     process(scene, outputs)
-    at = {stage.place(): stage for stage in stages.values()}
     assert set(looks) <= set(stages)
     for name, seen in looks.items():
-        declared = {"path", *_declared(stages[name], at)}
+        declared = {"path", *_declared(stages[name])}
         unnamed = {key for key in seen if not any(key == one or key.startswith(f"{one}.") for one in declared)}
         assert not unnamed, f"{name} reads {unnamed}"
     assert {"fields.strain", "fields.gauge_length_mm", "recording.times"} <= looks["fields"]

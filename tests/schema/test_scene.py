@@ -275,7 +275,7 @@ def test_a_scene_has_a_kind(folder: Path) -> None:
     assert load_scene(write(folder, slip=True)).kind == "slip"
     assert load_scene(write(folder, "[recording]", 'kind = "slip"\n[recording]')).kind == "slip"
     assert load_scene(write(folder, "[recording]", 'kind = "press"\n[recording]', slip=True)).kind == "press"
-    assert "kind is 'poke': it should be 'press', 'slip', 'single_view' or 'soft_sensor'" in message_of(
+    assert "kind is 'poke': it should be 'press', 'slip' or 'single_view'" in message_of(
         write(folder, "[recording]", 'kind = "poke"\n[recording]')
     )
 

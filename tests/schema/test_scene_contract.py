@@ -138,7 +138,7 @@ def test_defaults_are_values_that_may_be_given() -> None:
 
 def test_a_new_kind_is_an_entry_in_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A new kind of scene, a sensor with a single view of markers, is read; a stream refuses it."""
-    monkeypatch.setitem(KINDS, "markers", Kind(views=("markers",), stages=("loading",)))
+    monkeypatch.setitem(KINDS, "markers", Kind(views=("markers",)))
     path = write_folder(tmp_path)
     views = RIGHT[RIGHT.index("[views.contact]") : RIGHT.index("[background]")]
     rest = RIGHT.replace(views, "").replace(f"topography_to_contact = {MATRIX}\n", "")

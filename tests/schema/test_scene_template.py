@@ -10,7 +10,7 @@ import pytest
 from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable, views_of
 from fingerflow.schema.scene_kinds import KINDS
-from fingerflow.schema.scene_template import gel_scene_text, scene_text
+from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.scene_values import value_of
 from fingerflow.schema.views import View
 from fingerflow.view.key_forms import forms
@@ -66,8 +66,6 @@ def test_what_is_given_is_written_and_nothing_else_of_an_optional_table() -> Non
     assert written["recording"] == {"frames": "frames.cine", "frame_rate": 40.0}
     assert written["calibration"] == {"mm_per_px": 0.03}
     assert "criterion" in written["slip"]
-    gel = tomllib.loads(gel_scene_text("gel.avi", (3, 4), 0.06))
-    assert (gel["kind"], gel["views"]["camera"]["columns"]) == ("soft_sensor", [0, 4])
 
 
 def test_lines_of_the_file_are_no_longer_than_120_characters() -> None:

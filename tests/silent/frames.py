@@ -26,7 +26,6 @@ from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.synthetic import PartialSlip, Press, Slide, SyntheticScene, scene_of_print, write_recording
-from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
 from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
@@ -225,8 +224,7 @@ def without_fault(folder: Path) -> Iterator[Case]:
         frames = np.load(folder / f"clean {name}" / "frames.npy")
         yield _clean(name, *np.split(frames, 2, axis=2))
         shutil.rmtree(folder / f"clean {name}")
-    write_gel_recording(folder / "gel", MarkerGel())
-    clips = {"soft sensor": load_scene(folder / "gel" / "scene.toml").recording.frames}
+    clips: dict[str, Path] = {}
     data = FINGERS.parent
     for pattern in ("cine/*raw*.cine", "mraw/*.cih", "tactile/*.avi"):
         clips |= {path.name: path for path in sorted(data.glob(pattern))}

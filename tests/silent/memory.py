@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,10 +11,8 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_frames import contact_of_frames
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.illumination_gain import illumination_gain
-from fingerflow.ops.contact.light_change import light_change
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.point_gradients import point_gradients
-from fingerflow.ops.markers.marker_matching import match_markers, tie_neighbours
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.schema.scene_keys import SCENE
 from tests.kernels import hostile_calls
@@ -77,22 +74,8 @@ def _both_forms() -> Iterator[Case]:
 
 
 def _others() -> Iterator[Case]:
-    pair = torch.tensor([[0.0, 0.0], [20.0, 0.0]])
-    number = match_markers(pair, tie_neighbours(pair), pair, pair.mean(0, keepdim=True)).tolist()
-    yield Case("one detection between two markers", str(number), "of one of them", "", _verdict(number == [0, -1]))
-    image = torch.ones(1, 1, 9, 9)
-    said = _said(lambda: light_change(image, image[0, 0], image > 2, 4, 4.0))
-    yield Case("light_change with a rest of (9, 9)", "none", "refused", said, _verdict(bool(said)))
     most = SCENE["contact"].keys["median_px"].type.most  # type: ignore[attr-defined]
     yield Case("contact.median_px of 17 in a scene", "none", "refused", f"1 to {most} px", _verdict(most == 15))
-
-
-def _said(call: Callable[[], Any]) -> str:
-    try:
-        call()
-    except ValueError as error:
-        return str(error)[:60]
-    return ""
 
 
 def _portable(form: Callable[[], Tensor]) -> Tensor:

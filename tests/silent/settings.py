@@ -18,7 +18,6 @@ from bench.suites.prints import DPI, FINGERS, PRINTS
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording
-from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from tests.silent.case import Case
 from tests.small_trials import scene_beside, warnings_of
 
@@ -168,5 +167,3 @@ def _without_mistakes() -> Iterator[Case]:
             write_recording(Path(folder) / name, trial)
             yield without_mistake(name, process(Path(folder) / name / "scene.toml"))
             shutil.rmtree(Path(folder) / name)
-        write_gel_recording(Path(folder) / "gel", MarkerGel())
-        yield without_mistake("soft sensor", process(Path(folder) / "gel" / "scene.toml"))

@@ -1,6 +1,4 @@
-"""Tests of the previews of the page: contact, points, forces and markers shown before processing are those of
-`process`.
-"""
+"""Tests of the previews of the page: contact, points and forces shown before processing are those of `process`."""
 
 from pathlib import Path
 
@@ -11,7 +9,6 @@ from fingerflow import load_scene, process
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import scene_of_text
 from fingerflow.view.preview import Previewer
-from fingerflow.view.sensor_preview import SensorPreviewer
 
 CONTACT = ("contact_threshold", "real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_angle")
 
@@ -73,40 +70,3 @@ def test_warnings_do_not_come_together_over_many_changes(processed: Path) -> Non
         preview.chosen()
         preview.contact(3)
     assert preview.warnings == first
-
-
-def test_markers_of_a_soft_sensor_are_those_of_process(gel_recording: Path) -> None:
-    scene = load_scene(gel_recording)
-    result = process(scene, ["position_px", "gross_contact_area", "gross_contact_region", "contact_threshold"])
-    preview = SensorPreviewer(scene)
-    shared = []
-    for frame in (0, 11, 24, 27, 39):  # at rest, pressed, dragged, after gross slip, at rest; 11, 27: not sampled
-        found = preview.contact(frame)
-        assert found.markers is not None
-        followed = result["position_px"].values[frame]
-        apart = np.linalg.norm(followed[:, None] - found.markers, axis=-1).min(1)
-        np.testing.assert_array_less(apart[np.isfinite(apart)], 1e-9)  # px
-        region = result["gross_contact_region"].values[frame] > 0
-        area = float(result["gross_contact_area"].values[frame])
-        assert found.numbers["gross_contact_area"] == pytest.approx(area, rel=0.1, abs=0.5)
-        mine = found.mask[::4, ::4]
-        if region.any():
-            shared.append((mine & region).sum() / (mine | region).sum())
-        else:
-            assert not mine.any()
-    # The mean picture at rest and the threshold come from 32 frames here and from 40 there.
-    assert len(shared) == 3
-    assert min(shared) > 0.9
-    assert preview.contact(24).mask.shape == (240, 320)
-
-
-def test_the_threshold_of_a_soft_sensor_moves_its_contact(gel_recording: Path) -> None:
-    text = gel_recording.read_text(encoding="utf-8")
-    found = []
-    before: SensorPreviewer | None = None
-    for threshold in (0.05, 0.2):  # the light changes by less than 0.2: the motion of markers shows contact
-        before = SensorPreviewer(scene_of_text(f"{text}\n[contact]\nthreshold = {threshold}\n", gel_recording), before)
-        found.append(before.contact(17))
-        assert found[-1].numbers["contact_threshold"] == pytest.approx(threshold)
-    assert 0 < 2 * found[0].mask.sum() < found[1].mask.sum()
-    np.testing.assert_array_equal(found[0].markers, found[1].markers)

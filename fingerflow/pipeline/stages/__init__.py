@@ -8,27 +8,20 @@ from fingerflow.pipeline.stages.stage import Stage
 
 
 @cache
-def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
+def all_stages() -> tuple[type[Stage], ...]:
     """Return all stage classes, sorted by dependency: every stage comes after the stages that it needs.
 
-    `instead` names the alternative implementations that replace their base stages.
+    A subclass of a stage is not listed: it runs instead of the stage where a scene selects it (`Stage.variant`).
     """
     for module in walk_packages(__path__, f"{__name__}."):
         import_module(module.name)
-    stands_in = {
-        kind.place(): kind
-        for stage in Stage.__subclasses__()
-        for kind in stage.__subclasses__()
-        if kind.name in instead
-    }
     found: list[type[Stage]] = []
 
     def add(stage: type[Stage]) -> None:
-        taken = stands_in.get(stage, stage)
-        for earlier in (*taken.after, *taken.beside):
+        for earlier in (*stage.after, *stage.beside):
             add(earlier)
-        if taken not in found:
-            found.append(taken)
+        if stage not in found:
+            found.append(stage)
 
     for stage in sorted(Stage.__subclasses__(), key=lambda stage: stage.name):
         add(stage)

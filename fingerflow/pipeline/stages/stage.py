@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Images
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.results.store import Store
+from fingerflow.schema.scene import Scene
 from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.views import View
 
@@ -35,7 +36,7 @@ class Batch:
 
     def keep(self, stage: "Stage", result: Any) -> None:
         """Store what the method `step` of a stage returned, for later stages of this pass."""
-        self._steps[type(stage).place()] = result
+        self._steps[type(stage)] = result
 
     def images(self, inputs: Inputs, view: View) -> Images:
         """Return the images of a view as the engine of the inputs takes them, uploaded ahead or now."""
@@ -56,10 +57,10 @@ class RunContext:
     results: Store
     planned: tuple[type["Stage"], ...]
     asked: frozenset[str]  # variables that were requested by name, or that a stage reads
-    stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes, by `Stage.place`
+    stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes
 
     def stage(self, kind: type[S]) -> S:
-        """Return the instance of a stage class (or of the class that replaces it) in this run."""
+        """Return the instance of a stage class in this run."""
         found = self.stages[kind]
         assert isinstance(found, kind)
         return found
@@ -90,8 +91,6 @@ class Stage:
         reads_frames: True if `step` reads pictures.
         views: names of the views whose images `step` gives to the engine (`Batch.images`).
         follows_border: True if it needs points on both sides of the contact border, from the first frame on.
-        instead: True for an alternative implementation of its base class, used for kinds of scenes that name it
-            (`Kind.instead`).
         settings: keys of the scene on which its results depend, besides results of other stages, "fields.strain"; a
             table stands for all of its keys, "recording.times" for the times of the frames, whatever their source.
         restored: True if `restore` brings back all that later stages need of it from an earlier result.
@@ -107,7 +106,6 @@ class Stage:
     reads_frames: ClassVar[bool] = False
     views: ClassVar[tuple[str, ...]] = ()
     follows_border: ClassVar[bool] = False
-    instead: ClassVar[bool] = False
     settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = False
 
@@ -118,9 +116,11 @@ class Stage:
         self.results = trial.results
 
     @classmethod
-    def place(cls) -> type["Stage"]:
-        """Return the class by which other stages refer to this stage: the class itself, or the one that it replaces."""
-        return next(kind for kind in cls.__mro__ if issubclass(kind, Stage) and not kind.instead)
+    def variant(cls, scene: Scene) -> type["Stage"]:
+        """Return the class that runs for a scene: this class, or a subclass that a setting selects. No other stage may
+        depend on a stage with such subclasses.
+        """
+        return cls
 
     @classmethod
     def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:

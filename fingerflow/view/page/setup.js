@@ -23,7 +23,6 @@ export class Setup {
   }
   get frames() { return this.facts?.recording?.frames || 0; }
   get first() { return 0; }
-  get sensor() { return this.facts.kind === "soft_sensor"; }
   async load() {
     this.take(await get("api/setup"));
     return this.facts.draft !== null;
@@ -35,7 +34,7 @@ export class Setup {
       hover: (x, y) => this.drawing ? "crosshair" : this.cursor(x, y) };
     $("layers").replaceChildren(
       toggle("contact", this.layer.contact, on => this.set("contact", on), "Real contact that process will find"),
-      toggle(this.sensor ? "markers" : "points", this.layer.points, on => this.set("points", on), "The points that process would track"),
+      toggle("points", this.layer.points, on => this.set("points", on), "The points that process would track"),
       toggle("Check calibration: overlay the views", this.layer.blend, on => this.set("blend", on),
         "Topography view over the contact view, aligned by the calibration: ridges should match ridges"),
       make("button", { id: "region", title: "Limits contact (in the contact view) or tracked points (in the topography view) to a region",
@@ -174,7 +173,7 @@ export class Setup {
     } else {
       const found = await arrays("api/forces").catch(error => ({ why: error.message }));
       this.forces = found.arrays ? found : null;
-      this.points = this.sensor ? null : await arrays("api/points").catch(error => ({ why: error.message }));
+      this.points = await arrays("api/points").catch(error => ({ why: error.message }));
       this.why = found.why;
     }
     if (this.why) say(this.why);
@@ -220,7 +219,6 @@ export class Setup {
     const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame lies before the first or after the last frame of the scene: it is not processed." : "");
     const waits = this.facts.problems.length ? "The contact is shown once the settings are complete." : this.layer.contact ? "Loading …" : "";
     if (why || (waits && !rows.some(([, value]) => value !== undefined))) this.numbers.append(make("p", { className: "soft" }, why || waits));
-    if (this.sensor) this.legend();  // its markers are those of the frame
     if (this.forces) this.app.chart.cursor(place);
   }
   draw(pen, at, scale) {
@@ -231,7 +229,7 @@ export class Setup {
       drawEllipse(pen, at, placesIn(this.views, forces.mm_per_px, forces.topography_to_contact),
         numbers.ellipse_center, numbers.ellipse_semi_axes, numbers.ellipse_angle);
     }
-    const points = this.found?.arrays.markers || this.points?.arrays?.points, view = this.views.topography || this.views.camera;
+    const points = this.points?.arrays?.points, view = this.views.topography || this.views.camera;
     if (points && view && this.layer.points) {
       drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: Math.max(1.2, Math.min(4, 3 * scale)) });
     }
@@ -256,13 +254,12 @@ export class Setup {
     });
   }
   legend() {
-    const points = this.points?.arrays?.points, markers = this.found?.arrays.markers;
+    const points = this.points?.arrays?.points;
     const entries = [];
     if (!this.facts.problems?.length && this.layer.contact) {
-      entries.push(make("span", {}, make("i", { className: "mask" }), this.sensor ? "region in contact" : "real contact"), make("span", {}, make("i", { className: "ellipse" }), "gross contact (ellipse)"));
+      entries.push(make("span", {}, make("i", { className: "mask" }), "real contact"), make("span", {}, make("i", { className: "ellipse" }), "gross contact (ellipse)"));
     }
-    if (markers && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }), `${markers.shape[0]} markers in this frame`));
-    else if (points && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }),
+    if (points && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }),
       `${points.shape[0]} of ${this.facts.values.tracking?.points ?? 700} points, seeded in frame ${this.points.frame}`));
     else if (this.points?.why) entries.push(make("span", { className: "soft" }, `no points: ${this.points.why}`));
     $("legend").replaceChildren(...entries);

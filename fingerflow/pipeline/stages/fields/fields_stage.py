@@ -49,7 +49,7 @@ class FieldsStage(Stage):
         self._engine = self.inputs.engine
         self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
         self._residual, self._known = np.full((2, len(trial)), np.nan)
-        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self.inputs.gauge_length_mm}
+        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
 
     def begin(self) -> None:
         moved = self.trial.stage(DisplacementStage)
@@ -62,21 +62,21 @@ class FieldsStage(Stage):
             self.results.create("rigid_residual")
         minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
-        self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, moved.reference, widest))
-        self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
+        self.warnings.extend(plausibility.of_gauge(self._settings.gauge_length_mm, moved.reference, widest))
+        self._bias = MedianBias(len(self.trial), self._settings.gauge_length_mm, self._settings.strain, moved)
         # By where points were seeded: places of entry lie on a line.
         places = moved.places if moved.by_onsets else moved.reference
         plain = moved.reference.copy()
         plain[moved.entered] = np.nan
-        self._smoothing = SmoothingErrors(plain, places, self.inputs.gauge_length_mm)
+        self._smoothing = SmoothingErrors(plain, places, self._settings.gauge_length_mm)
         window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
         places_px = self.inputs.on_topography(places)
         errors = OverlapErrors(moved.begins, places_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
-        self._gain = errors.variance_gain(self.inputs.gauge_length_mm / scale)
+        self._gain = errors.variance_gain(self._settings.gauge_length_mm / scale)
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(
-                *(self._engine, moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm),
+                *(self._engine, moved.entered, moved.places, moved.onset, self._settings.gauge_length_mm),
                 moved.onset_variance,
             )
 
@@ -149,8 +149,8 @@ class FieldsStage(Stage):
         times, window = self.inputs.times, self._settings.rate_window_s
         divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-        unknown = (divergence, self._known, gross, self.inputs.gauge_length_mm, self.inputs.scene.recording.first_frame)
-        self.warnings.extend(plausibility.of_unknown_fields(*unknown))
+        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_unknown_fields(divergence, self._known, gross, gauge, first_frame))
         self.results.put("median_divergence", divergence, self._gauge)
         self.results.put("median_divergence_std", self._median_std[:, 0])
         self.results.put("median_divergence_rate", rate(divergence, times, window))

@@ -37,7 +37,7 @@ class FrameCheckStage(Stage):
 
     name = "frame_check"
     gives = FRAME_CHECK
-    needs = ("views.contact", "background.frames")
+    needs = ("views.contact",)
     reads_frames = True
     settings = ("background", "contact.appears", "views.contact", "views.topography", "recording.first_frame")
     restored = True

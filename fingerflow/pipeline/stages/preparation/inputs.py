@@ -32,7 +32,6 @@ class Inputs:
         times: (frames,) s of the selected frames, from the trigger frame where the scene names one.
         engine: computes contact, points and fields.
         knowledge: what tracking may use of later frames.
-        gauge_length_mm: gauge length of the gradient fit, `fields.gauge_length_mm`; `MarkerStage` may increase it.
     """
 
     scene: Scene
@@ -44,10 +43,6 @@ class Inputs:
     knowledge: Knowledge = RECORDING
     # Mean background frames, read once for each file and view.
     _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)
-    gauge_length_mm: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.gauge_length_mm = self.scene.fields.gauge_length_mm
 
     def with_scene(self, scene: Scene) -> "Inputs":
         """Return a copy of the inputs with the settings of another scene and engine "auto", but the same recording."""
@@ -120,7 +115,6 @@ class Inputs:
         """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
         `counts`.
         """
-        assert self.scene.background.frames is not None
         picture: Tensor = self._with_dark_contact(self._still(self.scene.background.frames, view), view)
         return picture
 

@@ -49,7 +49,7 @@ class DenseFlowSlipStage(SlipStage):
     """
 
     name = "dense_flow_slip"
-    instead = True
+    displacement = "dense_flow"
     reads = ("gross_contact_region",)
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from fingerflow.models.partial_slip import (
@@ -23,7 +24,6 @@ from fingerflow.models.partial_slip import (
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
-from fingerflow.ops.contact.components import largest_component
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
@@ -32,6 +32,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
+from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
@@ -94,6 +95,12 @@ class SlipStage(Stage):
     # then moved inside is no better: where slip begins as x^2 and the level at the border equals the noise, it gave a
     # d^2 that was too large by 0.025 on rendered trials.
     clear = 0.0
+    #: Value of [slip] displacement that selects this class.
+    displacement: ClassVar[str] = "points"
+
+    @classmethod
+    def variant(cls, scene: Scene) -> type[Stage]:
+        return next((kind for kind in cls.__subclasses__() if kind.displacement == scene.slip.displacement), cls)
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -385,7 +392,10 @@ def _settled(motion: NDArray[Any]) -> NDArray[Any]:
 
 
 def _largest(fine: Mask) -> Mask:
-    return np.asarray(largest_component(torch.from_numpy(fine)[None, None])[0, 0].numpy())
+    """Return the largest 8-connected part of a mask (H, W), or the first in reading order of equally large ones."""
+    parts, _ = label(fine, np.ones((3, 3)))
+    sizes = np.bincount(parts[fine], minlength=1)
+    return np.asarray(fine & (parts == sizes.argmax()))
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:

@@ -175,7 +175,7 @@ class StrainStage(Stage):
         position = self.results["position"][frames]
         beside = border_density(
             *(np.where(touching, density, np.nan), self._areas, self._sum_of_corners(position) / 3, border),
-            reach_mm=self.inputs.gauge_length_mm / 2,
+            reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
         )
         strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
         squares = (between_std, self._missing.add_frames(density, touching), strip)
@@ -246,7 +246,7 @@ class StrainStage(Stage):
         # The energy is 0 without contact, and NaN with contact if no triangle of it is known.
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         nothing = gross == 0
-        gauge, first_frame = self.inputs.gauge_length_mm, self.inputs.scene.recording.first_frame
+        gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.of_unknown_energy(self._energy, gross, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,

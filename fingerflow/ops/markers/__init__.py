@@ -1,1 +1,0 @@
-"""Printed markers of soft sensors: detection, and matching between frames."""

@@ -1,1 +1,0 @@
-"""Stages for soft tactile sensors: gels with printed markers that a camera observes."""
