@@ -50,7 +50,7 @@ PACKAGES = {
     "errors": set(),
     "schema": set(),
     "kernels": {"numpy"},
-    "tensors": {"torch", "triton"},  # Triton only where it is installed
+    "tensors": {"torch"},
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
     "engines": {"numpy", "onnxruntime"},
@@ -109,7 +109,7 @@ def room_of(path: Path) -> str:
 
 def _room(parts: list[str]) -> str:
     own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
-    own |= {("engines", one): "torch_engine" for one in ("torch", "capture", "points_graph", "transfers")}
+    own |= {("engines", "torch"): "torch_engine"}
     return own.get(tuple(parts[:2]), parts[0])
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from functools import cache
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import GRAPHS, Bundle
-from fingerflow.engines.check import both_numbers_of, built_in, check_engine, check_frames
+from fingerflow.engines.check import check_engine
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
@@ -21,7 +20,6 @@ ENGINES = ("auto", "native", "torch", "onnx")
 #: Engines of a stream: the compiled library ("native"), and the graphs of a bundle run by ONNX Runtime ("onnx"). By
 #: default the first that works is used.
 STREAM_ENGINES = ("native", "onnx")
-_CHECKED_POINTS = 64  # in the built-in frame of a recording: some have enough neighbours
 log = logging.getLogger("fingerflow.player")
 
 
@@ -31,13 +29,11 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
     Args:
         name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
-        device: on which tensors are computed; on a GPU of CUDA calls are replayed as graphs (`engines.capture`).
+        device: on which tensors are computed.
 
     Raises:
-        FingerflowError: native is requested where it cannot be used, or the GPU computes other numbers of a built-in
-            frame than it should, with and without replay.
+        FingerflowError: native is requested where it cannot be used.
     """
-    from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
     from fingerflow.kernels.tensors import serve
 
@@ -51,36 +47,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
-    if device.type == "cuda" and _captures(settings, device):
-        return TorchEngine(settings, device, Captured)
     return TorchEngine(settings, device)
-
-
-@cache
-def _captures(settings: EngineSettings, device: torch.device) -> bool:
-    """Return whether replay of modules as CUDA graphs works with these settings: two different built-in frames must
-    each give the results that the processor gives; log a warning if not.
-
-    Raises FingerflowError if they do not without replay either.
-    """
-    import torch
-
-    from fingerflow.engines.capture import Captured
-    from fingerflow.engines.points_graph import check_track
-    from fingerflow.engines.torch import TorchEngine
-
-    side = max(96, 4 * settings.window_px)
-    frame = built_in(side, side, 8, _CHECKED_POINTS, settings.window_px)
-    expected = both_numbers_of(TorchEngine(settings, torch.device("cpu")), frame, deviations=True)
-    try:
-        replayed = TorchEngine(settings, device, Captured)
-        check_frames(replayed, frame, expected)
-        check_track(replayed, frame)
-    except FingerflowError as error:
-        log.warning("the modules are not captured as graphs and computed call by call: %s", error)
-        check_frames(TorchEngine(settings, device), frame, expected)
-        return False
-    return True
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import FoundPoints
-from fingerflow.engines.together import Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
-Look = Callable[[Array, Array], Steps[FoundPoints]]
+Look = Callable[[Array, Array], FoundPoints]
 #: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
 #: there returns to the start (L,).
 Search = Callable[[Array, Array], tuple[Array, Array]]
@@ -51,8 +50,8 @@ def recover(
     look: Look,
     search: Search,
     most: int | None = None,
-    by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
-) -> Steps[Recovered]:
+    by_neighbours: Callable[[FoundPoints], Array] | None = None,
+) -> Recovered:
     """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2).
 
     If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
@@ -78,17 +77,17 @@ def recover(
             some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
         left[some] = False
         places, returns = search(some, guess[some])
-        found = replaced(found, some, _reject_unreturned((yield from look(places, some)), returns, guess[some]))
+        found = replaced(found, some, _reject_unreturned(look(places, some), returns, guess[some]))
         searched[some] = True
         if len(some) == len(rows) or by_neighbours is None:
             break
         if np.mean(found.status[0, some] == TrackStatus.TRACKED) < _YIELD:
             break
-        places = yield from by_neighbours(found)
+        places = by_neighbours(found)
         away = np.abs(places - guess).max(-1) > _NEARER  # False where the position is unknown
         others = np.flatnonzero(wanted & lost_points(found.status[0]) & away)
         if len(others):
-            found = replaced(found, others, (yield from look(places[others], others)))
+            found = replaced(found, others, look(places[others], others))
             searched[others] = True
     return Recovered(found, searched)
 

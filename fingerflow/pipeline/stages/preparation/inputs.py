@@ -1,6 +1,5 @@
 """Inputs of a run, opened and checked: recording, background, calibration and compute engine."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.engines.choice import engine_for
-from fingerflow.engines.engine import Engine, EngineSettings, Images
+from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import Modules, TorchEngine, images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -95,15 +94,6 @@ class Inputs:
 
     def _is_bright(self, view: View) -> bool:
         return self.scene.contact.appears == "bright" and view == self.scene.views.contact
-
-    def images_ahead(self, frames: NDArray[Any], view: View) -> Callable[[], Images]:
-        """Crop frames (n, H, W) to a view and begin to copy them to the device of the engine; return a function that
-        returns the images as the engine takes them.
-        """
-        counts = self.counts(frames, view)
-        if isinstance(self.engine, TorchEngine):
-            return self.engine.images_ahead(counts)
-        return lambda: self.engine.images(counts)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
         """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
