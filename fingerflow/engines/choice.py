@@ -14,6 +14,8 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
+    from fingerflow.engines.onnx import OnnxEngine
+
 #: Engines of a recording: "auto" chooses native where it is available and torch elsewhere; the others are chosen by
 #: name.
 ENGINES = ("auto", "native", "torch", "onnx")
@@ -27,7 +29,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
     """Create the engine that computes a recording, by the name of the engine or by automatic choice.
 
     Args:
-        name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
+        name: one of `ENGINES`; "auto" is native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
         device: on which tensors are computed.
 
@@ -83,7 +85,6 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             f"({why}); export the recipe without `graphs` in [export]"
         )
     try:
-        from fingerflow.engines.onnx import OnnxEngine
         from fingerflow.engines.providers import installed_providers
         from fingerflow.engines.sessions import CAPTURING
     except ModuleNotFoundError as error:
@@ -95,7 +96,7 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     ways = [(one, captured) for one in names for captured in (True, False) if one in CAPTURING or not captured]
     for one, captured in ways:
         try:
-            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads, captured)
+            engine = open_onnx(bundle, one, threads, captured)
             check_engine(engine, bundle.expected)
             break
         except FingerflowError as error:
@@ -107,12 +108,23 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     return engine
 
 
+def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1, captured: bool = False) -> OnnxEngine:
+    """Open the graphs of a bundle with an execution provider; arguments and errors are those of
+    `sessions.open_sessions`.
+    """
+    from fingerflow.engines.onnx import OnnxEngine
+    from fingerflow.engines.providers import provider_named
+    from fingerflow.engines.sessions import open_sessions
+
+    sessions = open_sessions(bundle.files, provider, threads, captured)
+    described = f"onnx ({provider_named(provider)}{', captured' if captured else ''})"
+    return OnnxEngine(sessions, bundle.engine_settings, bundle.points, described)
+
+
 def _why_not_native(bundle: Bundle) -> str:
     """Return the reason why the compiled library cannot be used for a bundle; an empty string if it can."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"
-    if bundle.recipe["export"]["precision"] != "float32":
-        return f"the bundle computes in {bundle.recipe['export']['precision']}, the compiled library in float32"
     from fingerflow.engines.native import NativeEngine
 
     try:

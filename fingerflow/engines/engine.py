@@ -277,7 +277,7 @@ class Engine(Protocol):
         """Correct the tracking results `found` for the deformation of the skin since the templates were prepared, and
         return them with that deformation.
 
-        The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
+        The method is that of `ops.tracking.deformation`. `start` (N, 2) px lies in the key frame; statistics `numbers`
         (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
         """
         ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,30 +12,19 @@ import torch
 from torch import Tensor
 
 from fingerflow.engines import engine as arrays
+from fingerflow.engines.cells import covered
 from fingerflow.engines.engine import Array, EngineSettings
 from fingerflow.engines.prediction import MotionState
-from fingerflow.graphs import (
-    ContactGraph,
-    DeformationGraph,
-    Entered,
-    FieldsGraph,
-    GrossEllipse,
-    KeyGraph,
-    LightGraph,
-    TrackGraph,
-)
-from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.track import AgreementGraph
+from fingerflow.graphs import ContactGraph, DetectGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, TrackGraph
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
-from fingerflow.ops.contact.cells import covered
 from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
-from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
+from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
-
-Modules = Callable[[Any], Any]  # function from a module to the callable that replaces it
 
 
 @dataclass
@@ -54,43 +43,29 @@ class TorchEngine:
     Args:
         settings: of the engine.
         device: of the tensors.
-        modules: returns the callable that replaces a module: itself, or one that computes the same elsewhere.
     """
 
     name = "torch"
 
-    def __init__(
-        self, settings: EngineSettings, device: torch.device, modules: Modules = lambda module: module
-    ) -> None:
+    def __init__(self, settings: EngineSettings, device: torch.device) -> None:
         self.settings, self._device = settings, device
         own = settings
-        self._contact = modules(ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px))
-        self._key = modules(KeyGraph(own.window_px, own.gain_offset))
-        self._track = modules(TrackGraph(own.forward_backward_limit_px))
-        self._deformation = modules(DeformationGraph(own.window_px))
-        self._agreement = modules(AgreementGraph())
-        self._fields = modules(FieldsGraph(own.gauge_length_mm, own.strain))
-        self._light = modules(LightGraph())
+        self._contact = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
+        self._key = KeyGraph(own.window_px, own.gain_offset)
+        self._track = TrackGraph(own.forward_backward_limit_px)
+        self._fields = FieldsGraph(own.gauge_length_mm, own.strain)
         self.cell_px: int = self._contact.cell_px
         self.described = f"torch ({device})"
 
     def _tensor(self, array: Array, dtype: torch.dtype | None = None) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device, dtype)
 
-    def _batch(self, *given: Array) -> list[Tensor]:
-        """Return arrays (N, ...), which hold for all frames, as tensors (1, N, ...)."""
-        return [self._tensor(one)[None] for one in given]
-
     def images(self, frames: Array) -> Tensor:
         return images_on(self._device, frames)
 
     def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> arrays.GlassLight:
-        unknown = torch.full((1,), torch.nan, device=self._device)
-        given = (
-            self._tensor(empty, torch.float32)[None, None],
-            None if dark is None else self._tensor(dark)[None, None],
-        )
-        light, black, _ = self._light(*given, unknown)
+        unlit = None if dark is None else self._tensor(dark)[None, None]
+        light, black = glass_light(self._tensor(empty, torch.float32)[None, None], unlit)
         if inside is not None:
             light = torch.where(self._tensor(inside), light, 0.0)
         return arrays.GlassLight(light, black)
@@ -103,17 +78,11 @@ class TorchEngine:
         return _array(self._contact.threshold(images, light.light, light.black))
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        matrix = self._tensor(np.repeat(topography_to_contact.astype(np.float32)[None], len(points), axis=0))
-        # Put components before points, since torch is slow on a short last axis.
-        x, y = (matrix[:, :, :2] @ self._tensor(points).mT + matrix[:, :, 2:]).unbind(1)
-        return _array(covered(self._tensor(density_margin), x, y, self.cell_px))
+        return covered(density_margin, points, topography_to_contact, self.cell_px)
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
-        # `modules` does not replace this module: each number of points would need another graph, and most are used
-        # once.
-        detect = DetectGraph(count, own.min_distance_px, own.window_px)
-        points, _ = detect(image, self._tensor(mask)[None, None])
+        points, _ = DetectGraph(count, own.min_distance_px, own.window_px)(image, self._tensor(mask)[None, None])
         found = _array(points[0])
         return found[np.isfinite(found).all(-1)]
 
@@ -124,8 +93,9 @@ class TorchEngine:
         return float(estimate_noise(image))
 
     def prepare(self, key: arrays.KeyFrame, points: Array, warp: Array | None = None) -> _TorchTemplates:
-        place, *deformed = self._batch(points) if warp is None else self._batch(points, warp)
-        templates = self._key(key.image, place, self._tensor(np.array([key.noise], np.float32)), *deformed)
+        noise = self._tensor(np.array([key.noise], np.float32))
+        deformed = None if warp is None else self._tensor(warp)[None]
+        templates = self._key(key.image, self._tensor(points)[None], noise, deformed)
         return _TorchTemplates(templates, _array(templates.numbers[0]).copy())
 
     def update(self, templates: _TorchTemplates, rows: Array, updated: _TorchTemplates) -> None:
@@ -158,16 +128,18 @@ class TorchEngine:
         return found
 
     def correct(self, start: Array, found: arrays.FoundPoints, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
-        place, *of_templates = self._batch(start, numbers, inverse_warp)
-        corrected, *others = self._deformation(place, Found(*map(self._tensor, found)), *of_templates)
-        return arrays.Corrected(arrays.FoundPoints(*_arrays(corrected)), *_arrays(others))
+        given = self._tensor(start)[None], self._tensor(found.points), self._tensor(found.covariance)
+        of_templates = self._tensor(numbers)[None], self._tensor(inverse_warp)[None]
+        corrected = correct_points(*given, *of_templates, self.settings.window_px, WARP_GAUGE_PX)
+        points, covariance, *others = _arrays(corrected)
+        return arrays.Corrected(found._replace(points=points, covariance=covariance), *others)
 
     def neighbours(self, start: Array) -> Neighbours:
         return find_neighbours(self._tensor(start)[None], WARP_GAUGE_PX)
 
     def outliers(self, neighbours: Neighbours, start: Array, found: arrays.FoundPoints) -> tuple[Array, Array]:
-        given = map(self._tensor, (start[None], found.points, np.sqrt(found.variance)))
-        off, uncertain = _arrays(self._agreement(neighbours, *given))
+        moved = self._tensor(found.points) - self._tensor(start)[None]
+        off, uncertain = _arrays(find_outliers(neighbours, moved, self._tensor(np.sqrt(found.variance))))
         return off, uncertain
 
     def search(self, key: arrays.KeyFrame, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,8 +16,6 @@ import xarray as xr
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.engines.choice import ENGINES
-from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, Plan, plan
 from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
@@ -30,9 +28,6 @@ from fingerflow.results.result import is_result, open_own, open_result
 from fingerflow.results.store import FileStore, MemoryStore, Store
 from fingerflow.schema.scene import Scene, load_scene
 from fingerflow.schema.variable_record import Variable
-
-if TYPE_CHECKING:
-    from fingerflow.export.runtime import OnnxRuntime
 
 _PICTURES = 8  # frames per batch; as many again are decoded ahead
 _NUMBERS = 64  # frames per batch in a pass without images
@@ -114,36 +109,29 @@ def _loaded(scene: Scene | str | Path) -> Scene:
 
 @dataclass(frozen=True)
 class _PreparedScene:
-    """Scene prepared for a run: plan, opened inputs, ONNX runtime, result size in bytes, and variable definitions."""
+    """Scene prepared for a run: plan, opened inputs, result size in bytes, and variable definitions."""
 
     plan: Plan
     inputs: Inputs
-    runtime: "OnnxRuntime | None"
     size: float
     variables: dict[str, Variable]
-
-    @property
-    def engine(self) -> str:
-        """Return the name of the engine, as stored in the result."""
-        return self.inputs.engine.name if self.runtime is None else "onnx"
 
 
 @contextmanager
 def _prepared(scene: Scene, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_PreparedScene]:
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
-    runtime = _onnx_runtime(engine, device)
-    inputs = open_inputs(scene, device, engine) if runtime is None else open_inputs(scene, "cpu", modules=runtime)
+    inputs = open_inputs(scene, device, engine)
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        yield _PreparedScene(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        yield _PreparedScene(wanted, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
 def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Path | None) -> None:
     """Run all passes of the plan and write the results to the store; stages that an `earlier` result has are copied,
     not run.
     """
-    wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
+    wanted, inputs = ready.plan, ready.inputs
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = RunContext(inputs, store, wanted.stages, wanted.asked, stages)
@@ -151,7 +139,7 @@ def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Pat
     with ExitStack() as held:
         # If only forces are processed, no frame is read and the recording needs no identity.
         recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
-        keys = keys_of(wanted, inputs, ready.engine, recording)
+        keys = keys_of(wanted, inputs, inputs.engine.name, recording)
         known: Reused | None = None
         if earlier is not None:
             path = Path(earlier)
@@ -169,8 +157,6 @@ def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Pat
             _pass(running, trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
-    if runtime is not None:
-        seconds["export"] = runtime.seconds  # this time is also counted in the stages that exported a graph
     scene = inputs.scene
     store.finish(
         inputs.times,
@@ -181,7 +167,7 @@ def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Pat
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
-            "engine": ready.engine,
+            "engine": inputs.engine.name,
             "warnings": json.dumps([*inputs.warnings, *(one for stage in stages.values() for one in stage.warnings)]),
             STAGES: record(wanted, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
@@ -245,19 +231,6 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
 def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
     with _timed(seconds, stage.name):
         batch.keep(stage, stage.step(batch))
-
-
-def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
-    if engine not in ENGINES:
-        raise FingerflowError(f"the engine {engine!r} is not known; choose {', '.join(ENGINES[:-1])} or {ENGINES[-1]}")
-    if engine != "onnx":
-        return None
-    if device not in ("auto", "cpu"):
-        raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
-    # Imported here, as the import is slow and needed for this engine only.
-    from fingerflow.export.runtime import OnnxRuntime
-
-    return OnnxRuntime(torch.get_num_threads())
 
 
 def _compute_ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:

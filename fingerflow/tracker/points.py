@@ -308,9 +308,9 @@ class Points:
             guess = motion.expect(gap + 1)
             found = self._track_image(image, guess, rows)
             look, search = self._track_and_search(image, rows)
-            known = recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
-            motion = motion.see(known.found.points[0], gap + 1, jolted=known.searched)
-            every.append(known.found)
+            found, searched = recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
+            motion = motion.see(found.points[0], gap + 1, jolted=searched)
+            every.append(found)
             gap = 0
         found = replaced(followed.found, rows, FoundPoints(*map(np.concatenate, zip(*every, strict=True))))
         place, speed = followed.place.copy(), followed.speed.copy()
@@ -359,8 +359,7 @@ class Points:
         if self._engine.settings.search_px and lost.any():
             look, search = self._track_and_search(image, np.arange(len(self)))
             limits = self._knowledge.searched, self._by_neighbours
-            recovered = recover(found, guess, wanted, look, search, *limits)
-            found, searched = recovered.found, recovered.searched
+            found, searched = recover(found, guess, wanted, look, search, *limits)
         return found, searched
 
     def _by_neighbours(self, found: FoundPoints) -> Array:

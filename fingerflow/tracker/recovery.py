@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +23,6 @@ _YIELD = 0.25  # share of the searched points that must be found for another rou
 _NEARER = 0.5  # px, distance from the guess below which tracking again would find the same
 
 
-class Recovered(NamedTuple):
-    """Tracking result of a frame after lost-point recovery.
-
-    Attributes:
-        found: (1, N) points.
-        searched: (N,) points that were searched for, or tracked again where their neighbours predict them.
-    """
-
-    found: FoundPoints
-    searched: Array
-
-
 def lost_points(status: Array) -> Array:
     """Return a mask (...) of the points to search for, by their tracking status: textured and inside the frame, but
     either not found or found and rejected.
@@ -51,8 +39,9 @@ def recover(
     search: Search,
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Array] | None = None,
-) -> Recovered:
-    """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2).
+) -> tuple[FoundPoints, Array]:
+    """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2); return all points,
+    and which of them (N,) were searched for, or tracked again where their neighbours predict them.
 
     If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
     tracked where their neighbours predict them. There are up to three rounds: after a jump of the skin, a few points
@@ -89,7 +78,7 @@ def recover(
         if len(others):
             found = replaced(found, others, look(places[others], others))
             searched[others] = True
-    return Recovered(found, searched)
+    return found, searched
 
 
 def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import STEP, Engine, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.window_match import Alike, compare, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -92,8 +91,11 @@ class Verification:
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
-        now = self._sampled(images, number, places, warp)
-        alike = compare(self._first, now)
+
+        def sample(number: Array, places: Array, warp: Array) -> Array:
+            return self._engine.windows(images, number, places, warp, STEP)
+
+        alike = compare(self._first, sample(number, places, warp))
         apart = 1 - alike.correlation
         noise: float = self._engine.noise(images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -105,15 +107,14 @@ class Verification:
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
             # limit.
-            sample = partial(self._sampled, images)
             some = (number[suspect], places[suspect])
             better = deformed_alike(
                 self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = 1 - compare(self._first[suspect], self._sampled(images, *some, better)).correlation
+            again = 1 - compare(self._first[suspect], sample(*some, better)).correlation
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
         before, unknown = self.latest, np.isnan(apart)
-        shift, deviations, excluded = self._shifts(images, number, places, warp, alike, noise)
+        shift, deviations, excluded = self._shifts(sample, number, places, warp, alike, noise)
         away = np.square(shift).sum(1)
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - apart).astype(np.float32)
@@ -123,7 +124,7 @@ class Verification:
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 
     def _shifts(
-        self, images: Images, number: Array, places: Array, warp: Array, alike: Alike, noise: float
+        self, sample: Sampler, number: Array, places: Array, warp: Array, alike: Alike, noise: float
     ) -> tuple[Array, Array, Array]:
         """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
         standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
@@ -135,12 +136,7 @@ class Verification:
             usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
             some = np.flatnonzero(alike.largest > _PEAK * usual)
             if len(some):
-                sample = partial(self._sampled, images)
                 given = (number[some], places[some], warp[some], math.sqrt(2) * noise)
                 found = shifted_alike(self._first[some], sample, *given)
                 shift[some], deviations[some], excluded[some] = found.shift, found.deviations, found.excluded
         return shift, deviations, excluded
-
-    def _sampled(self, images: Images, number: Array, places: Array, warp: Array) -> Array:
-        found: Array = self._engine.windows(images, number, places, warp, STEP)
-        return found
