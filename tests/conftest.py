@@ -1,6 +1,5 @@
 """Fixtures that several folders of tests use."""
 
-import os
 import shutil
 import signal
 import sys
@@ -18,9 +17,6 @@ from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS, write_bundle_of_trials, write_small_slip
-
-if not torch.cuda.is_available():
-    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported: its kernels then run in Python
 
 #: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
 #: long before those that play it, which would wait.
@@ -48,10 +44,6 @@ settings.load_profile("reproducible")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
-    if torch.cuda.is_available():  # without a GPU these run in Triton's interpreter
-        for item in items:
-            if item.path.name.startswith("test_fused"):
-                item.add_marker(pytest.mark.gpu)
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 

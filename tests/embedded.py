@@ -17,19 +17,15 @@ import fingerflow.graphs
 from fingerflow import ops
 from fingerflow.graphs import (
     ContactGraph,
+    DetectGraph,
     Entered,
     FieldsGraph,
     GrossEllipse,
     KeyGraph,
-    LightGraph,
     MedianFilter,
     NormalizeIllumination,
     TrackGraph,
 )
-from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.search_graph import SearchGraph
-from fingerflow.graphs.track import AgreementGraph, DeformationGraph
-from fingerflow.ops.tracking.outliers import find_neighbours
 
 HEIGHT, WIDTH, POINTS = 64, 80, 24
 
@@ -75,14 +71,11 @@ def cases(batch: int = 2) -> dict[str, Case]:
     key = KeyGraph(11)
     templates = key(first, points)
     track = TrackGraph()
-    found = track(templates, second, points)
-    neighbours = find_neighbours(points[:1], 1.0)
     ellipse = GrossEllipse(
         torch.tensor([[40.0, 32.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.tensor([[20.0, 16.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.zeros(len(first), dtype=torch.float32),
     )
-    of_key = templates.numbers[:1]
     straight = torch.eye(2, dtype=torch.float32).expand_as(covariance)
     entered = Entered(points[..., 0] > 40, gradient / 10, None)
     return {
@@ -119,18 +112,14 @@ def cases(batch: int = 2) -> dict[str, Case]:
         "triangle_gradients": Case(ops.triangle_gradients, (points, triangles, moved)),
         "MedianFilter": Case(MedianFilter(5), (first,)),
         "NormalizeIllumination": Case(NormalizeIllumination(glass[:1]), (first,)),
-        "LightGraph": Case(LightGraph(), (gray, black, one)),
         "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
         "KeyGraph": Case(key, (first, points)),
         "KeyGraph - warp": Case(KeyGraph(11, gain_offset=False), (first, points, one, straight)),
         "TrackGraph": Case(track, (templates, second, points)),
-        "AgreementGraph": Case(AgreementGraph(), (neighbours, points[:1], found.points, found.variance.sqrt())),
-        "DeformationGraph": Case(DeformationGraph(11), (points[:1], found, of_key, straight[:1])),
         "FieldsGraph": Case(FieldsGraph(60.0), (points, moved, covariance)),
         "FieldsGraph - medians": Case(FieldsGraph(60.0), (points, moved, covariance, ellipse)),
         "FieldsGraph - entered": Case(FieldsGraph(60.0), (points, moved, None, ellipse, entered)),
         "DetectGraph": Case(DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))),
-        "SearchGraph": Case(SearchGraph(11), (first, second.roll(6, 3), points, points)),
     }
 
 

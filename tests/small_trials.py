@@ -12,11 +12,11 @@ import pytest
 import xarray as xr
 
 from fingerflow import __version__, load_scene
-from fingerflow.engines.bundle import bundle_settings
+from fingerflow.engines.bundle import GRAPHS, bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
+from fingerflow.export.recipe import Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording

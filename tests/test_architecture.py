@@ -29,12 +29,12 @@ _TABLE = {
     "tracker": "engines kernels schema",
     "models": "errors tensors",
     "calibration": "errors recordings results schema",
-    "stages": "choice engines errors graphs kernels models ops recordings results schema torch_engine tracker",
-    "pipeline": "__init__ choice engines errors export recordings results schema stages tensors torch_engine",
+    "stages": "choice engines errors export graphs kernels models ops recordings results schema torch_engine tracker",
+    "pipeline": "__init__ choice engines errors recordings results schema stages tensors torch_engine",
     "synthetic": "errors models ops schema",
     "plot": "errors graphs recordings results schema stages",
     "report": "errors models ops plot recordings results schema synthetic",
-    "export": "__init__ engines errors graphs kernels ops schema synthetic tensors torch_engine",
+    "export": "__init__ engines errors graphs kernels ops schema tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
     "reproduce": "__init__ calibration errors models ops plot recordings report results schema study synthetic",
@@ -50,7 +50,7 @@ PACKAGES = {
     "errors": set(),
     "schema": set(),
     "kernels": {"numpy"},
-    "tensors": {"torch", "triton"},  # Triton only where it is installed
+    "tensors": {"torch"},
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
     "engines": {"numpy", "onnxruntime"},
@@ -109,7 +109,7 @@ def room_of(path: Path) -> str:
 
 def _room(parts: list[str]) -> str:
     own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
-    own |= {("engines", one): "torch_engine" for one in ("torch", "capture", "points_graph", "transfers")}
+    own |= {("engines", "torch"): "torch_engine"}
     return own.get(tuple(parts[:2]), parts[0])
 
 

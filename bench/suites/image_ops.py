@@ -25,8 +25,9 @@ from torch import Tensor
 from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
-from fingerflow.graphs import ContactGraph, LightGraph
+from fingerflow.graphs import ContactGraph
 from fingerflow.ops.contact.otsu import otsu_threshold
+from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Camera, Press
@@ -118,7 +119,7 @@ def _otsu(frame: Tensor) -> Operation:
 
 def _contact(frame: Tensor, empty: Tensor) -> Operation:
     graph = ContactGraph(median_px=9)
-    light, black, _ = LightGraph()(empty, None, torch.zeros(1))
+    light, black = glass_light(empty)
     limit = 1 - graph.threshold(frame, light, black)
 
     def with_fingerflow() -> Tensor:

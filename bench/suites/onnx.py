@@ -34,9 +34,9 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
-from fingerflow.export.build import build
-from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.engines.bundle import GRAPHS, GraphName
+from fingerflow.export.build import graphs_of
+from fingerflow.export.recipe import Recipe
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Press
@@ -120,16 +120,15 @@ def _corners(view: Tensor, recipe: Recipe) -> Tensor:
 
 def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
     """Return the number of nodes of the exported graph, and a call that runs it."""
-    graphs = build(recipe)
-    tensors = dict(known)
-    tensors.update(zip(graphs["light"].outputs, _apply(graphs["light"], tensors), strict=True))
+    graphs = graphs_of(recipe)
+    tensors = known | graphs["light"].run(known)
     if "points" in tensors:
         key = {**tensors, "topography_view": tensors["topography_before"]}
         for graph in (graphs["noise"], graphs["prepare"]):
-            key.update(zip(graph.outputs, _apply(graph, key), strict=True))
+            key |= graph.run(key)
         tensors = {**key, "topography_view": tensors["topography_view"], "prediction": tensors["points"]}
     with tempfile.TemporaryDirectory() as folder:
-        write_graph(recipe, name, graphs[name], Path(folder))
+        write_graph(recipe, name, graphs[name], tuple(tensors[one] for one in graphs[name].inputs), Path(folder))
         file = Path(folder) / f"{name}.onnx"
         nodes = sum(node.op_type != "Constant" for node in onnx.load(file).graph.node)
         options = onnxruntime.SessionOptions()
@@ -139,9 +138,3 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     feed = {one.name: np.ascontiguousarray(tensors[one.name].numpy()) for one in session.get_inputs()}
     outputs = [one.name for one in session.get_outputs()]
     return nodes, lambda: dict(zip(outputs, session.run(outputs, feed), strict=True))
-
-
-def _apply(graph: Any, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
-    with torch.inference_mode(), Portable():
-        results: tuple[Tensor, ...] = graph.module(*(tensors[name] for name in graph.inputs))
-    return results

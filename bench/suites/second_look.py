@@ -26,7 +26,6 @@ from bench.recordings import write_quietly
 from bench.rows import Row
 from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
 from fingerflow import load_scene, process
-from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import FingerprintTexture, Press, Slide, SyntheticScene
 from fingerflow.tracker.subset_verification import Verification, Verified
@@ -71,18 +70,16 @@ def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, floa
     loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
     check = Verification.check
 
-    def timed(verification: Verification, *given: Array) -> Steps[Verified]:
+    def timed(verification: Verification, *given: Array) -> Verified:
         start = time.process_time()
-        found = run_alone(check(verification, *given))
+        found = check(verification, *given)
         seconds.append(time.process_time() - start)
         images, points, status, warp = (np.array(one) for one in given)
         last[:] = [(verification, images, points, status, warp)]
         return found
-        yield  # a generator, as what it stands for
 
-    def trusting(_: Verification, images: Array, points: Array, *others: Array) -> Steps[Verified]:
+    def trusting(_: Verification, images: Array, points: Array, *others: Array) -> Verified:
         return Verified.none(points.shape[1])
-        yield
 
     with one_thread():
         with patch.object(Verification, "check", timed):
@@ -123,7 +120,7 @@ def _put_beside(
             shift = away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
             verification.latest = Verified.none(len(chosen))
             moved = np.where(chosen[:, None], points + shift, points).astype(np.float32)
-            fails = run_alone(verification.check(images, moved, status, warp)).differs
+            fails = verification.check(images, moved, status, warp).differs
             failed, count = failed + int((fails & chosen).sum()), count + int(chosen.sum())
         cells[name] = failed / count if count else None
     return cells

@@ -35,48 +35,6 @@ def live(rows: Rows) -> list[list[str]]:
     return table
 
 
-def gpu_counts(rows: Rows) -> list[list[str]]:
-    """Return launches and bytes of each step of a frame, in its portable form and with kernels of Triton."""
-    head = (
-        "launches, portable form",
-        "by kernels of Triton",
-        "of the host, captured",
-        "by kernels of Triton",
-        "MB moved",
-        "by kernels of Triton",
-    )
-    names = {"contact": "contact", "tracking": "points found, window 21", "outliers": "outliers"}
-    names |= {
-        "deformation": "deformation",
-        "points": "these three as one step",
-        "fields": "fields with deviations and medians",
-        "frame": "together",
-    }
-    one = {row["work"]: row for row in rows if row["recordings"] == 1}
-    table = [["a frame of 512 x 640 px, 700 points", *head]]
-    for name, words in names.items():
-        plain, fused = one.get(name, {}), one.get(f"{name}, fused", {})
-        counts = [row.get(count) for count in ("launches", "launches_captured") for row in (plain, fused)]
-        table.append(
-            [words, *(_count(count) for count in counts), *(_megabytes(row.get("MB")) for row in (plain, fused))]
-        )
-    return table
-
-
-def gpu_rates(rows: Rows) -> list[list[str]]:
-    """Return predicted frames per second of named GPUs, by number of recordings and form of the kernels."""
-    devices = [name.removesuffix(" captured") for name in rows[0] if name.endswith(" captured")]
-    table = [["predicted frames/s", *devices]]
-    forms = {"frame": "portable form", "frame, fused": "kernels of Triton"}
-    for row in sorted((row for row in rows if row["work"] in forms), key=lambda row: row["work"]):
-        for way, words in {"eager": "call by call", "captured": "captured"}.items():
-            if way == "captured" or (row["recordings"] == 1 and row["work"] != "frame"):
-                count = "one recording" if row["recordings"] == 1 else f"{row['recordings']} recordings"
-                rates = [f"{row[f'{device} {way}']:,.0f}" for device in devices]
-                table.append([f"{count}, {forms[row['work']]}, {words}", *rates])
-    return table
-
-
 def wrong_points(rows: Rows) -> list[list[str]]:
     """Return the share of accepted positions that a fault makes wrong, and the error of the energy, by experiment."""
     found: dict[str, dict[str, str]] = {}
@@ -148,20 +106,10 @@ def _of(cells: Mapping[str, str], *names: str) -> list[str]:
     return [cells.get(name, "") for name in names]
 
 
-def _count(value: float | None) -> str:
-    return "" if value is None else f"{value:,.0f}"
-
-
-def _megabytes(value: float | None) -> str:
-    return "" if value is None else f"{value:.2g}" if value < 10 else f"{value:.0f}"
-
-
 #: Each table with the suite whose rows it shows; the file of a table is named after its function.
 TABLES: Mapping[Callable[[Rows], list[list[str]]], str] = {
     deviations: "deviations",
     live: "stream",
-    gpu_counts: "gpu",
-    gpu_rates: "gpu",
     wrong_points: "points",
     bad_frames: "frames",
     slip_flag: "slip_flag",

@@ -21,14 +21,6 @@ Scheduler = Annotated[
     ),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default one a core.")]
-Together = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="Trials that a worker takes through one graph at a time, for an accelerator. Default: as many as its "
-        "memory holds, at most 32, and one worker, where this computer has one; else 1.",
-    ),
-]
 Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
 
 
@@ -59,7 +51,6 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Also trials that failed, though nothing of them has changed.")
     ] = False,
-    together: Together = None,
 ) -> None:
     """Process all trials of a study whose result is missing or out of date, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
@@ -73,7 +64,7 @@ def run(
             typer.echo(f"{one.entry.name}: {one.why}")
         typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
         return
-    summary = run_study(loaded, scheduler, workers, only, retry_failed, together=together)
+    summary = run_study(loaded, scheduler, workers, only, retry_failed)
     typer.echo(str(summary))
     typer.echo(f"table: {write_tables(loaded).trials}")
     if summary.interrupted:

@@ -1,7 +1,4 @@
-"""Test in NumPy whether points lie in the apparent contact, by interpolation between image cells.
-
-The results are those of `ops.contact.cells`.
-"""
+"""Test in NumPy whether points lie in the apparent contact, by interpolation between image cells."""
 
 from __future__ import annotations
 

@@ -111,9 +111,18 @@ class BuiltIn(NamedTuple):
         return BuiltIn(empty, contact, self.topography, self.key, start, expected, self.few + 1)
 
 
-def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
+class Difference(NamedTuple):
+    """Largest difference of a result from the expected one in both motions, and the largest that rounding explains."""
+
+    result: str
+    difference: float
+    tolerance: float
+    unit: str
+
+
+def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference]:
     """Check that the results of an engine for the built-in frame, and for its reversed motion, agree with those stored
-    in a bundle.
+    in a bundle; return the differences.
 
     Args:
         engine: created for the views and the number of points of the bundle.
@@ -130,12 +139,12 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
         raise FingerflowError(
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
         ) from None
-    check_frames(engine, built_in(height, width, bit_depth, points, engine.settings.window_px), of_bundle)
+    return check_frames(engine, built_in(height, width, bit_depth, points, engine.settings.window_px), of_bundle)
 
 
-def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str, Array]]) -> None:
+def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str, Array]]) -> list[Difference]:
     """Check that an engine gives the expected results of a built-in frame and of its reversed motion, computed in
-    turns.
+    turns; return the differences.
 
     A recorded graph that reads the first frame for ever, or a kernel that always computes wrongly, gives others.
 
@@ -148,35 +157,37 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
         FingerflowError: a result is not that of its frame.
     """
     deviations = not expected[0].keys() <= set(_OF_GRAPHS)
+    largest = dict.fromkeys(expected[0], 0.0)
     for turn in range(_TURNS):
         shown = frame.reversed() if turn % 2 else frame
         numbers = numbers_of(engine, shown, deviations)
         for name, theirs in expected[turn % 2].items():
-            if difference := _difference(name, numbers[name], theirs):
+            worst, said = _difference(name, numbers[name], theirs)
+            if worst > TOLERANCES[name].most:
                 raise FingerflowError(
                     f"engine {engine.described}: its numbers of the built-in frame are not the expected ones ({name} "
-                    f"{difference}), so that none of its numbers can be trusted here; choose another engine or another "
+                    f"{said}), so that none of its numbers can be trusted here; choose another engine or another "
                     "provider"
                 )
+            largest[name] = max(largest[name], worst)
+    return [Difference(name, worst, TOLERANCES[name].most, TOLERANCES[name].unit) for name, worst in largest.items()]
 
 
-def _difference(name: str, ours: Array, theirs: Array) -> str:
-    """Return in words by how much a result differs from the expected one; an empty string if rounding explains it."""
+def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
+    """Return by how much a result differs from the expected one, in the unit of its tolerance and in words."""
     tolerance = TOLERANCES[name]
     if name == "seeded":
         apart = np.abs(ours[:, None] - theirs).max(-1) if len(ours) and len(theirs) else np.ones((1, 1))
         worst = float(1 - np.mean(apart.min(1) < _BESIDE) * min(len(ours), len(theirs)) / max(len(ours), len(theirs)))
-        return f"differ for {worst:.0%} {tolerance.unit}" if worst > tolerance.most else ""
+        return worst, f"differ for {worst:.0%} {tolerance.unit}"
     known = np.isfinite(ours), np.isfinite(theirs)
     if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
-        return f"is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
+        return math.inf, f"is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
     apart, both = np.abs(ours - theirs), known[0] & known[1]
     if tolerance.relative:
         apart = apart / np.maximum(np.abs(theirs), 1e-6)
     worst = float(np.max(apart[both], initial=0.0))
-    if worst <= tolerance.most:
-        return ""
-    return f"is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
+    return worst, f"is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
 
 
 def both_numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> list[dict[str, Array]]:

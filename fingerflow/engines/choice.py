@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from functools import cache
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import GRAPHS, Bundle
-from fingerflow.engines.check import both_numbers_of, built_in, check_engine, check_frames
+from fingerflow.engines.check import check_engine
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
@@ -15,13 +14,14 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
+    from fingerflow.engines.onnx import OnnxEngine
+
 #: Engines of a recording: "auto" chooses native where it is available and torch elsewhere; the others are chosen by
 #: name.
 ENGINES = ("auto", "native", "torch", "onnx")
 #: Engines of a stream: the compiled library ("native"), and the graphs of a bundle run by ONNX Runtime ("onnx"). By
 #: default the first that works is used.
 STREAM_ENGINES = ("native", "onnx")
-_CHECKED_POINTS = 64  # in the built-in frame of a recording: some have enough neighbours
 log = logging.getLogger("fingerflow.player")
 
 
@@ -29,15 +29,13 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
     """Create the engine that computes a recording, by the name of the engine or by automatic choice.
 
     Args:
-        name: "native", "torch", or "auto" for native on a CPU with the compiled library and torch elsewhere.
+        name: one of `ENGINES`; "auto" is native on a CPU with the compiled library and torch elsewhere.
         settings: of the engine.
-        device: on which tensors are computed; on a GPU of CUDA calls are replayed as graphs (`engines.capture`).
+        device: on which tensors are computed.
 
     Raises:
-        FingerflowError: native is requested where it cannot be used, or the GPU computes other numbers of a built-in
-            frame than it should, with and without replay.
+        FingerflowError: native is requested where it cannot be used.
     """
-    from fingerflow.engines.capture import Captured
     from fingerflow.engines.torch import TorchEngine
     from fingerflow.kernels.tensors import serve
 
@@ -51,36 +49,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
-    if device.type == "cuda" and _captures(settings, device):
-        return TorchEngine(settings, device, Captured)
     return TorchEngine(settings, device)
-
-
-@cache
-def _captures(settings: EngineSettings, device: torch.device) -> bool:
-    """Return whether replay of modules as CUDA graphs works with these settings: two different built-in frames must
-    each give the results that the processor gives; log a warning if not.
-
-    Raises FingerflowError if they do not without replay either.
-    """
-    import torch
-
-    from fingerflow.engines.capture import Captured
-    from fingerflow.engines.points_graph import check_track
-    from fingerflow.engines.torch import TorchEngine
-
-    side = max(96, 4 * settings.window_px)
-    frame = built_in(side, side, 8, _CHECKED_POINTS, settings.window_px)
-    expected = both_numbers_of(TorchEngine(settings, torch.device("cpu")), frame, deviations=True)
-    try:
-        replayed = TorchEngine(settings, device, Captured)
-        check_frames(replayed, frame, expected)
-        check_track(replayed, frame)
-    except FingerflowError as error:
-        log.warning("the modules are not captured as graphs and computed call by call: %s", error)
-        check_frames(TorchEngine(settings, device), frame, expected)
-        return False
-    return True
 
 
 def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
@@ -116,7 +85,6 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             f"({why}); export the recipe without `graphs` in [export]"
         )
     try:
-        from fingerflow.engines.onnx import OnnxEngine
         from fingerflow.engines.providers import installed_providers
         from fingerflow.engines.sessions import CAPTURING
     except ModuleNotFoundError as error:
@@ -128,7 +96,7 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     ways = [(one, captured) for one in names for captured in (True, False) if one in CAPTURING or not captured]
     for one, captured in ways:
         try:
-            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads, captured)
+            engine = open_onnx(bundle, one, threads, captured)
             check_engine(engine, bundle.expected)
             break
         except FingerflowError as error:
@@ -140,12 +108,23 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     return engine
 
 
+def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1, captured: bool = False) -> OnnxEngine:
+    """Open the graphs of a bundle with an execution provider; arguments and errors are those of
+    `sessions.open_sessions`.
+    """
+    from fingerflow.engines.onnx import OnnxEngine
+    from fingerflow.engines.providers import provider_named
+    from fingerflow.engines.sessions import open_sessions
+
+    sessions = open_sessions(bundle.files, provider, threads, captured)
+    described = f"onnx ({provider_named(provider)}{', captured' if captured else ''})"
+    return OnnxEngine(sessions, bundle.engine_settings, bundle.points, described)
+
+
 def _why_not_native(bundle: Bundle) -> str:
     """Return the reason why the compiled library cannot be used for a bundle; an empty string if it can."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"
-    if bundle.recipe["export"]["precision"] != "float32":
-        return f"the bundle computes in {bundle.recipe['export']['precision']}, the compiled library in float32"
     from fingerflow.engines.native import NativeEngine
 
     try:

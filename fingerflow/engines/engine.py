@@ -145,15 +145,6 @@ class Corrected(NamedTuple):
     expected: Array
 
 
-class Tracked(NamedTuple):
-    """Points tracked through K frames and, where the engine computes that in the same call, corrected without outliers;
-    `corrected` then holds if no lost point is searched for.
-    """
-
-    followed: Followed
-    corrected: Corrected | None
-
-
 class FrameEllipse(NamedTuple):
     """Ellipses of the apparent contact of K frames, mm: center (K, 2), semi_axes (K, 2), angle (K,) rad."""
 
@@ -286,7 +277,7 @@ class Engine(Protocol):
         """Correct the tracking results `found` for the deformation of the skin since the templates were prepared, and
         return them with that deformation.
 
-        The method is that of `graphs.DeformationGraph`. `start` (N, 2) px lies in the key frame; statistics `numbers`
+        The method is that of `ops.tracking.deformation`. `start` (N, 2) px lies in the key frame; statistics `numbers`
         (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
         """
         ...
@@ -347,23 +338,3 @@ def nothing_found(frames: int) -> FoundPoints:
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
     return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)
-
-
-@runtime_checkable
-class TracksWhole(Protocol):
-    """Interface of an engine that can track points and correct them in one call."""
-
-    def track(
-        self,
-        templates: TemplateBuffers,
-        images: Images,
-        place: Array,
-        speed: Array,
-        neighbours: Any,
-        start: Array,
-        inverse_warp: Array,
-    ) -> Tracked:
-        """Track all points as `Engine.follow` does, mark outliers and correct the others as `outliers` and `correct`
-        do.
-        """
-        ...

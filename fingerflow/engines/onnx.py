@@ -1,16 +1,17 @@
-"""Engine that runs the ONNX graphs of a deployment bundle, for one frame per call and a fixed number of points."""
+"""Engine that runs exported graphs, such as those of a deployment bundle."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fingerflow.engines.cells import covered
 from fingerflow.engines.engine import (
+    ROWS,
+    STEP,
     Array,
     Corrected,
     EngineSettings,
@@ -25,10 +26,7 @@ from fingerflow.engines.engine import (
     Images,
     KeyFrame,
 )
-from fingerflow.engines.padding import filled
 from fingerflow.engines.prediction import MotionState
-from fingerflow.engines.providers import CPU
-from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.contact_sizes import cell_of
 from fingerflow.kernels.tracked_points import find_neighbours
@@ -36,6 +34,7 @@ from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatu
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
 _SUPPORTS = 4  # number of point sets whose neighbours are cached
+_LEAST_POINTS = 256  # smallest number of points of a graph that is exported for the points at hand
 
 
 class _KeyImage:
@@ -62,7 +61,7 @@ class _OnnxTemplates:
         """Return the template statistics (n, 32) in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
-    def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
+    def kept(self, track: Any, points: int) -> dict[str, Any]:
         """Return the templates, padded to `points`, as graph inputs kept in the memory of the execution provider."""
         with self._lock:
             if not self._values:
@@ -70,7 +69,7 @@ class _OnnxTemplates:
                 self._values = {name: track.kept(name, array) for name, array in self.arrays.items()}
             return self._values
 
-    def update(self, rows: Array, updated: _OnnxTemplates, track: GraphSession) -> None:
+    def update(self, rows: Array, updated: _OnnxTemplates, track: Any) -> None:
         """Replace the templates with indices `rows` by `updated`, also in the memory of the execution provider."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
@@ -80,52 +79,37 @@ class _OnnxTemplates:
 
 
 class OnnxEngine:
-    """Engine that runs the ONNX graphs of a deployment bundle, for one frame per call and at most N points.
-
-    It implements `engine.Engine`.
+    """Engine that runs graphs by sessions of ONNX Runtime; it implements `engine.Engine`.
 
     Args:
-        files: paths of the graphs, by name.
-        settings: of the recipe that the bundle was exported from (`bundle_settings`).
-        provider, threads, captured: as for `sessions.Sessions`.
-
-    Attributes:
-        points: N.
-
-    Raises:
-        FingerflowError: as for `sessions.Sessions`.
+        sessions: of the graphs, by name, with the interface of `sessions.GraphSession`.
+        settings: with which the graphs were exported.
+        points: number of points for which they were exported, to which inputs are padded; None pads them to a power of
+            two, for sessions that take any number.
+        described: name with the provider.
     """
 
     name = "onnx"
 
     def __init__(
         self,
-        files: Mapping[str, Path],
+        sessions: Mapping[Any, Any],
         settings: EngineSettings,
-        provider: str = CPU,
-        threads: int = 1,
-        captured: bool = False,
+        points: int | None = None,
+        described: str = "onnx (CPUExecutionProvider)",
     ) -> None:
-        self.settings = settings
-        self._sessions = Sessions(files, provider, threads, captured)
-        self.described = f"onnx ({self._sessions.provider}{', captured' if captured else ''})"
-        inputs = self._sessions["track"].inputs
-        self.points = inputs["prediction"].shape[1]
-        self._few = self._sessions["track_few"].inputs["prediction"].shape[1]
-        self._view = inputs["topography_view"]
+        self.settings, self.described = settings, described
+        self._sessions, self._points = sessions, points
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         self._supports: dict[bytes, dict[str, Any]] = {}
 
     def images(self, frames: Array) -> Array:
-        shape, dtype = self._view
-        if len(frames) != 1:
-            raise ValueError(f"{len(frames)} frames: this engine computes one a call")
-        if frames.shape[1:] != shape[2:]:
-            raise ValueError(f"a view is {frames.shape[1:]} px, the bundle was exported for {shape[2:]}")
-        if not np.can_cast(frames.dtype, dtype, "safe"):
-            raise ValueError(f"a view is {frames.dtype}, the bundle was exported for {dtype}")
-        images: Array = np.ascontiguousarray(frames, dtype)[:, None]
+        images: Array = np.ascontiguousarray(frames)[:, None]
         return images
+
+    def _room(self, count: int) -> int:
+        """Return the number of points to which the inputs of a graph of `count` points are padded."""
+        return self._points or max(_LEAST_POINTS, 1 << (count - 1).bit_length())
 
     def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
         nothing = np.zeros_like(empty, np.float32) if dark is None else dark
@@ -138,17 +122,18 @@ class OnnxEngine:
     def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
         given = {"contact_view": images, **light._asdict(), "threshold": threshold}
         found = self._sessions["contact"](given)
-        return FrameContact(**{name: found.get(name) for name in FrameContact._fields})  # type: ignore[arg-type]
+        return FrameContact(**{name: found.get(name) for name in FrameContact._fields})
 
     def threshold(self, images: Images, light: GlassLight) -> Array:
-        return self._sessions["threshold"]({"contact_view": images, **light._asdict()})["threshold"]
+        found: Array = self._sessions["threshold"]({"contact_view": images, **light._asdict()})["threshold"]
+        return found
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
         return covered(density_margin, points, topography_to_contact, self.cell_px)
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
-        if count != self.points:
-            raise ValueError(f"{count} points are to be seeded: the bundle was exported for {self.points}")
+        if count != self._points:
+            raise ValueError(f"{count} points are to be seeded: the bundle was exported for {self._points}")
         points = self._sessions["detect"]({"topography_view": image, "mask": mask[None, None]})["points"][0]
         found: Array = points[np.isfinite(points).all(1)]
         return found
@@ -177,19 +162,22 @@ class OnnxEngine:
     def follow(
         self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        course = MotionState.begin(place, speed)
-        guess = course.expect()
-        every = np.arange(len(guess)) if rows is None else rows
-        found = self._track_frame(templates, images, guess, every, whole=rows is None)
-        for _ in range(ROUNDS - 1):
-            lost = np.flatnonzero(found.status[0] == TrackStatus.NOT_CONVERGED)
-            if not len(lost):
-                break
-            again = self._track_frame(templates, images, found.estimate[0, lost], every[lost])
-            for whole, part in zip(found, again, strict=True):
-                whole[:, lost] = part
-        after = course.see(found)
-        return Followed(found, after.place, after.speed)
+        course, frames = MotionState.begin(place, speed), []
+        every = np.arange(len(place)) if rows is None else rows
+        for k in range(len(images)):
+            image = images[k : k + 1]
+            found = self._track_frame(templates, image, course.expect(), every, whole=rows is None)
+            for _ in range(ROUNDS - 1):
+                lost = np.flatnonzero(found.status[0] == TrackStatus.NOT_CONVERGED)
+                if not len(lost):
+                    break
+                again = self._track_frame(templates, image, found.estimate[0, lost], every[lost])
+                for whole, part in zip(found, again, strict=True):
+                    whole[:, lost] = part
+            course = course.see(found)
+            frames.append(found)
+        joined = found if len(frames) == 1 else FoundPoints(*map(np.concatenate, zip(*frames, strict=True)))
+        return Followed(joined, course.place, course.speed)
 
     def _track_frame(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
@@ -197,11 +185,12 @@ class OnnxEngine:
         """Track the templates with indices `rows` (L,) in a frame from guessed positions (L, 2) px: all in one run of
         the ONNX graph if they are many or `whole` is true, else a few at a time.
         """
-        if whole or 2 * len(rows) > self.points:
-            near = np.full((1, self.points, 2), np.nan, np.float32)
+        points = self._room(len(templates.numbers))
+        if whole or 2 * len(rows) > points:
+            near = np.full((1, points, 2), np.nan, np.float32)
             near[0, rows] = guess
             given = {
-                **templates.kept(self._sessions["track"], self.points),
+                **templates.kept(self._sessions["track"], points),
                 "topography_view": images,
                 "prediction": near,
             }
@@ -240,8 +229,9 @@ class OnnxEngine:
         return self._supports[name]
 
     def neighbours(self, start: Array) -> dict[str, Array]:
-        near = find_neighbours(self._pad_points(start=start[None])["start"][0], WARP_GAUGE_PX)
-        number, x, y, within = (one[None, :, : self.points] for one in near)
+        points = self._room(len(start))
+        near = find_neighbours(filled(start, points), WARP_GAUGE_PX)
+        number, x, y, within = (one[None, :, :points] for one in near)
         offset = np.stack((x, y), axis=-1)
         return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
 
@@ -256,11 +246,15 @@ class OnnxEngine:
         return found["places"][0], found["returns"][0]
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
-        given = {"points": places[None], "warp": warp[None]}
-        result: Array = self._in_pieces("windows", given, {"topography_view": images})["samples"][0]
+        if step != STEP:
+            raise ValueError(f"a grid of {step} px: graphs are exported for {STEP}")
         samples = (2 * (self.settings.window_px // 2) // step + 1) ** 2
-        if result.shape[1] != samples:
-            raise ValueError(f"a grid of {step} px has {samples} samples: the bundle's has {result.shape[1]}")
+        result = np.empty((len(places), samples), np.float32)
+        for frame in np.unique(number):
+            some = number == frame
+            given = {"points": places[None, some], "warp": warp[None, some]}
+            image = {"topography_view": images[frame : frame + 1]}
+            result[some] = self._in_pieces("windows", given, image)["samples"][0]
         return result
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
@@ -278,17 +272,25 @@ class OnnxEngine:
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        if covariance is not None:
-            raise ValueError("the graphs of a bundle give fields without deviations")
         count = len(reference)
-        given = self._pad_points(reference=reference[None], displacement=displacement)
+        of_points: dict[str, Array | None] = {
+            "reference": reference[None],
+            "displacement": displacement,
+            "covariance": covariance,
+        }
         if entered is not None:
-            given |= self._pad_points(among=entered.among, gradient=entered.gradient)
+            of_points |= {
+                "among": entered.among,
+                "gradient": entered.gradient,
+                "gradient_covariance": entered.covariance,
+            }
+        given = self._pad_points(**{name: one for name, one in of_points.items() if one is not None})
         given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
-        found = self._sessions["fields" if entered is None else "fields_entered"](given)
-        of_points = {name: found[name][:, :count] for name in ("divergence", "curl", "strain", "shear")}
-        of_frame = {name: found[name] for name in ("median", "known_share")}
-        return FrameFields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
+        found: dict[str, Any] = self._sessions["fields" if entered is None else "fields_entered"](given)
+        of_frame = {name: found.pop(name) for name in ("median", "known_share")}
+        of_frame["median_std"] = found.pop("median_std", None)
+        std: dict[str, Any] = dict.fromkeys(("divergence_std", "curl_std"))
+        return FrameFields(**of_frame, **(std | {name: one[:, :count] for name, one in found.items()}))
 
     def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
         """Run a graph of fixed size on a few points at a time, and return the concatenated outputs (1, n, ...).
@@ -297,21 +299,29 @@ class OnnxEngine:
         """
         session, count = self._sessions[name], next(iter(of_points.values())).shape[1]
         parts = []
-        for first in range(0, max(count, 1), self._few):
-            some = {key: array[:, first : first + self._few] for key, array in of_points.items()}
-            parts.append(session({**shared, **{key: filled(one, self._few, axis=1) for key, one in some.items()}}))
+        for first in range(0, max(count, 1), ROWS):
+            some = {key: array[:, first : first + ROWS] for key, array in of_points.items()}
+            parts.append(session({**shared, **{key: filled(one, ROWS, axis=1) for key, one in some.items()}}))
         return {key: np.concatenate([part[key] for part in parts], axis=1)[:, :count] for key in parts[0]}
 
     def _pad_points(self, **given: Array) -> dict[str, Array]:
-        """Pad arrays (1, n, ...) to the N points for which the ONNX graphs were exported, with NaN, or 0 for integers.
+        """Pad arrays (1, n, ...) to the points for which the graphs are exported, with NaN, or 0 for integers."""
+        return {name: filled(array, self._room(array.shape[1]), axis=1) for name, array in given.items()}
 
-        Raises:
-            FingerflowError: one has more points.
-        """
-        for name, array in given.items():
-            if array.shape[1] > self.points:
-                raise FingerflowError(
-                    f"{name}: {array.shape[1]} points are given, the bundle was exported for {self.points}; export it "
-                    "again"
-                )
-        return {name: filled(array, self.points, axis=1) for name, array in given.items()}
+
+def filled(array: Array, points: int, axis: int = 0) -> Array:
+    """Pad an array to `points` entries along an axis, with NaN for floating point, else 0.
+
+    Raises FingerflowError if it has more.
+    """
+    missing = points - array.shape[axis]
+    if not missing:
+        return array
+    if missing < 0:
+        raise FingerflowError(
+            f"{array.shape[axis]} points are given, the bundle was exported for {points}; export it again"
+        )
+    shape = list(array.shape)
+    shape[axis] = missing
+    nothing = np.nan if array.dtype.kind == "f" else 0
+    return np.concatenate((array, np.full(shape, nothing, array.dtype)), axis=axis)

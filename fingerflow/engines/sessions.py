@@ -23,7 +23,6 @@ _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU 
 CAPTURING = {"cuda": "enable_cuda_graph", "tensorrt": "trt_cuda_graph_enable"}
 _NUMPY = {
     "tensor(float)": np.float32,
-    "tensor(double)": np.float64,
     "tensor(uint8)": np.uint8,
     "tensor(uint16)": np.uint16,
     "tensor(int32)": np.int32,
@@ -36,7 +35,7 @@ log = logging.getLogger("fingerflow.engines")
 
 
 class Input(NamedTuple):
-    """Shape and dtype of an input or output of an ONNX graph; a batch axis of variable size counts as 1."""
+    """Shape and dtype of an input or output of an ONNX graph."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -51,8 +50,7 @@ class GraphSession:
 
     Attributes:
         inputs: by name.
-        shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU,
-            unless the graph computes in float64.
+        shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU.
     """
 
     def __init__(self, session: ort.InferenceSession, path: Path, device: str, bound: bool) -> None:
@@ -61,11 +59,10 @@ class GraphSession:
         outputs = {one.name: _fixed_size(one, path) for one in session.get_outputs()}
         self._names = list(outputs)
         self._bound = _BoundSession(session, self.inputs, outputs, device) if bound else None
-        own_memory = bound or device != "cpu"
-        self.shares_memory = not own_memory and all(one.dtype != np.float64 for one in self.inputs.values())
+        self.shares_memory = not bound and device == "cpu"
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Run the graph on inputs by name and return outputs by name; float64 outputs become float32.
+        """Run the graph on inputs by name and return outputs by name.
 
         An input is an array or a value that `kept` returned.
         """
@@ -77,7 +74,7 @@ class GraphSession:
             raise FingerflowError(
                 f"{self._path}: onnxruntime cannot run it here ({first_line(error)}); choose another provider"
             ) from None
-        return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
+        return dict(zip(self._names, results, strict=True))
 
     def kept(self, name: str, array: Array) -> Any:
         """Return an input of the graph as a value in the memory of the execution provider (CPU or GPU), which many
@@ -90,8 +87,8 @@ class GraphSession:
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]
-        if array.shape != shape:
-            raise ValueError(f"{self._path}: {name} is {array.shape} where the graph takes {shape}")
+        if array.shape != shape or (dtype.kind == "u" and not np.can_cast(array.dtype, dtype, "safe")):
+            raise ValueError(f"{self._path}: {name} is {array.dtype} {array.shape}, the graph takes {dtype} {shape}")
         return np.ascontiguousarray(array, dtype)
 
 
@@ -126,8 +123,10 @@ class _BoundSession:
             return [np.array(value.numpy()) for value in self._found.values()]
 
 
-class Sessions:
-    """Sessions of all graphs of a bundle, opened with one execution provider.
+def open_sessions(
+    files: Mapping[str, Path], provider: str = CPU, threads: int = 1, captured: bool = False
+) -> dict[str, GraphSession]:
+    """Open the sessions of all graphs of a bundle with one execution provider.
 
     Args:
         files: paths of the graphs, by name.
@@ -136,69 +135,55 @@ class Sessions:
             wait for each other at each of them.
         captured: a provider of `CAPTURING` captures each graph that it computes without another provider.
 
-    Attributes:
-        provider: full name.
-
     Raises:
         FingerflowError: the provider is not installed or does not run here, or a file is not what its name says.
     """
-
-    def __init__(
-        self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1, captured: bool = False
-    ) -> None:
-        self._threads, self._captured = threads, captured and provider in CAPTURING
-        self._short, self.provider = provider, provider_named(provider)
-        self._sessions = {name: self._open(name, path) for name, path in files.items()}
-
-    def __getitem__(self, name: str) -> GraphSession:
-        if name not in self._sessions:
-            raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
-        return self._sessions[name]
-
-    def _open(self, name: str, path: Path) -> GraphSession:
+    full, on_gpu = provider_named(provider), provider in _ON_GPU
+    sessions = {}
+    for name, path in files.items():
         session = None
-        if self._captured:
+        if captured and provider in CAPTURING:
             try:
-                session = self._session(path, captured=True)
+                session = _open_session(path, provider, full, threads, captured=True)
             except FingerflowError as error:
                 log.warning("%s is not captured as a graph: %s", path.name, error)
-        session = session or self._session(path)
+        session = session or _open_session(path, provider, full, threads)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        on_gpu = self._short in _ON_GPU
-        return GraphSession(session, path, "cuda" if on_gpu else CPU, bound=on_gpu)
+        sessions[name] = GraphSession(session, path, "cuda" if on_gpu else CPU, bound=on_gpu)
+    return sessions
 
-    def _session(self, path: Path, captured: bool = False) -> ort.InferenceSession:
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = self._threads
-        options.log_severity_level = 3
-        # Idle threads of other sessions would spin and take processor time from the computing ones.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        if self._short == CPU:
-            _share_memory()
-            options.add_session_config_entry("session.use_env_allocators", "1")
-        of_provider: dict[str, Any] = {CAPTURING[self._short]: "1"} if captured else {}
-        if self._short == "tensorrt":
-            of_provider |= {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
-        chosen: list[Any] = [(self.provider, of_provider)]
-        if self.provider != provider_named(CPU):
-            chosen.append(provider_named(CPU))
-        devices = plugin_devices(self.provider)
-        if devices:
-            options.add_provider_for_devices(devices[:1], {})
-        try:
-            session = ort.InferenceSession(path, options, providers=None if devices else chosen)
-        except Exception as error:
-            what = "export it again" if self._short == CPU else f"provider {self._short!r} fails: choose another"
-            raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None
-        if self.provider not in session.get_providers():
-            raise FingerflowError(
-                f"provider {self._short!r}: onnxruntime fell back to another one, as its libraries are missing; choose "
-                "another"
-            )
-        return session
+
+def _open_session(path: Path, provider: str, full: str, threads: int, captured: bool = False) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    # Idle threads of other sessions would spin and take processor time from the computing ones.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if provider == CPU:
+        _share_memory()
+        options.add_session_config_entry("session.use_env_allocators", "1")
+    of_provider: dict[str, Any] = {CAPTURING[provider]: "1"} if captured else {}
+    if provider == "tensorrt":
+        of_provider |= {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
+    chosen: list[Any] = [(full, of_provider)]
+    if full != provider_named(CPU):
+        chosen.append(provider_named(CPU))
+    devices = plugin_devices(full)
+    if devices:
+        options.add_provider_for_devices(devices[:1], {})
+    try:
+        session = ort.InferenceSession(path, options, providers=None if devices else chosen)
+    except Exception as error:
+        what = "export it again" if provider == CPU else f"provider {provider!r} fails: choose another"
+        raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None
+    if full not in session.get_providers():
+        raise FingerflowError(
+            f"provider {provider!r}: onnxruntime fell back to another one, as its libraries are missing; choose another"
+        )
+    return session
 
 
 @cache
@@ -213,14 +198,9 @@ def _share_memory() -> None:
 
 
 def _fixed_size(argument: Any, path: Path) -> Input:
-    shape = [1 if place == 0 and not isinstance(size, int) else size for place, size in enumerate(argument.shape)]
-    if not all(isinstance(size, int) for size in shape) or argument.type not in _NUMPY:
+    if not all(isinstance(size, int) for size in argument.shape) or argument.type not in _NUMPY:
         raise FingerflowError(
             f"{path}: {argument.name} is {argument.type} {argument.shape}; the engine needs fixed sizes: export the "
             "bundle with them"
         )
-    return Input(tuple(shape), np.dtype(_NUMPY[argument.type]))
-
-
-def _single(array: Array) -> Array:
-    return array.astype(np.float32) if array.dtype == np.float64 else array
+    return Input(tuple(argument.shape), np.dtype(_NUMPY[argument.type]))

@@ -1,6 +1,6 @@
 """Export a recipe (a file of settings) to a deployment bundle: ONNX graphs verified against torch, and the player."""
 
-from fingerflow.export.graph_verification import Difference, as_text, verify
-from fingerflow.export.write_bundle import export_bundle
+from fingerflow.engines.check import Difference
+from fingerflow.export.write_bundle import as_text, export_bundle
 
-__all__ = ["Difference", "as_text", "export_bundle", "verify"]
+__all__ = ["Difference", "as_text", "export_bundle"]

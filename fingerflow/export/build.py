@@ -1,4 +1,4 @@
-"""Torch modules for the graphs of a recipe, with the names and units of all inputs and outputs."""
+"""Torch modules for the graphs of an engine, with the names and units of all inputs and outputs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -6,45 +6,33 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from fingerflow.engines.engine import STEP
+from fingerflow.engines.bundle import GRAPHS, GraphName, bundle_settings
+from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.export.recipe import Recipe
 from fingerflow.graphs import (
-    AgreementGraph,
     Contact,
     ContactGraph,
-    DeformationGraph,
+    DetectGraph,
     Entered,
     FieldsGraph,
     GrossEllipse,
     KeyGraph,
     TrackGraph,
 )
-from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.search_graph import SearchGraph
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import gradients_at
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
-from fingerflow.ops.tracking.deformation import Supports, supports_of
-from fingerflow.ops.tracking.outliers import Neighbours
+from fingerflow.ops.tracking.deformation import Supports, correct_points, supports_of
+from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
+from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
-TYPES = {"float32": torch.float32, "float64": torch.float64}
-
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
-#: Graphs that process a fixed number `engines.engine.ROWS` of points (rows), and their inputs that are cut to this
-#: number.
-OF_FEW: dict[str, tuple[str, ...]] = {
-    "renew": ("points", "warp"),
-    "track_few": (*_TEMPLATES, "prediction"),
-    "search": ("points", "prediction"),
-    "windows": ("points", "warp"),
-}
-
 _LIGHT = ("light", "black")
 _ELLIPSE = GrossEllipse._fields
 _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
@@ -99,17 +87,29 @@ class _Call(nn.Module):
         return self.function(*tensors)
 
 
-def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported.
+def graphs_of(recipe: Recipe) -> dict[GraphName, Graph]:
+    """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported."""
+    settings = bundle_settings(recipe.model_dump())
+    return build(settings, recipe.tracking.points, recipe.contact.real_contact_mask)
+
+
+def build(
+    settings: EngineSettings, points: int, real_contact_mask: bool = True, deviations: bool = False
+) -> dict[GraphName, Graph]:
+    """Build all graphs of an engine with these settings, by name in order of execution.
 
     Args:
-        precision: replaces the recipe's.
+        points: number that `detect` finds.
+        real_contact_mask: whether `contact` returns the mask.
+        deviations: whether the graphs of fields take covariances and return standard deviations.
     """
-    kind = precision or TYPES[recipe.export.precision]
-    own = recipe.tracking
-    described = {**_contact_graphs(recipe, kind), **_point_graphs(recipe, kind), **_field_graphs(recipe)}
+    described = {
+        **_contact_graphs(settings, real_contact_mask),
+        **_point_graphs(settings),
+        **_field_graphs(settings, deviations),
+    }
     described["detect"] = (
-        DetectGraph(own.points, own.min_distance_px, own.window_px, kind),
+        DetectGraph(points, settings.min_distance_px, settings.window_px),
         ("topography_view", "mask"),
         ("points", "response"),
     )
@@ -123,37 +123,25 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
 _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]
 
 
-def _contact_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return, by graph name, the function and the input and output names of each graph of the contact view; `kind` is
-    the precision of the light of the empty glass.
-    """
-    own = recipe.contact
+def _contact_graphs(own: EngineSettings, real_contact_mask: bool) -> _Described:
+    """Return, by graph name, the function and the input and output names of each graph of the contact view."""
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
-    shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
+    shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or real_contact_mask)
 
     def contact(view: Tensor, light: Tensor, black: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
         found = graph(view, light, black, 1 - threshold)
         return tuple(getattr(found, name) for name in shown)
 
     return {
-        "light": (lambda empty, dark: glass_light(empty, dark, kind), ("empty", "dark"), _LIGHT),
+        "light": (lambda empty, dark: glass_light(empty, dark, torch.float32), ("empty", "dark"), _LIGHT),
         "contact": (contact, ("contact_view", *_LIGHT, "threshold"), shown),
         "threshold": (lambda *given: (graph.threshold(*given),), ("contact_view", *_LIGHT), ("threshold",)),
     }
 
 
-def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Return, by graph name, the function and the input and output names of each graph of tracked points; `kind` is the
-    precision of the image noise and of the spline coefficients.
-    """
-    own = recipe.tracking
-    key, track, deformation = (
-        KeyGraph(own.window_px, own.gain_offset),
-        TrackGraph(own.forward_backward_limit_px),
-        DeformationGraph(own.window_px),
-    )
-    agreement = AgreementGraph()
-    search = SearchGraph(own.window_px, own.search_px, own.forward_backward_limit_px)
+def _point_graphs(own: EngineSettings) -> _Described:
+    """Return, by graph name, the function and the input and output names of each graph of tracked points."""
+    key, track = KeyGraph(own.window_px, own.gain_offset), TrackGraph(own.forward_backward_limit_px)
 
     def prepare(view: Tensor, points: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
         return _known_tensors(key(view, points, noise))
@@ -169,26 +157,30 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
         return tuple(part for one in supports_of(start, WARP_GAUGE_PX) if one is not None for part in one)
 
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
-        # Fields error, status and estimate are unused.
-        found = Found(points, points[..., 0], covariance, points[..., 0], points)
         numbers, inverse_warp, *of = known
+        given = start, points, covariance, numbers, inverse_warp
         supports = Supports(Support(*of[:2]), Support(*of[2:]))
-        corrected, *others = deformation(start, found, numbers, inverse_warp, supports)
-        return corrected.points, corrected.covariance, *others
+        return tuple(correct_points(*given, own.window_px, WARP_GAUGE_PX, supports))
 
     def outliers(number: Tensor, offset: Tensor, within: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
-        return tuple(agreement(Neighbours(number, offset, within), *given))
+        start, points, deviation = given
+        return tuple(find_outliers(Neighbours(number, offset, within), points - start, deviation))
+
+    def search(key_view: Tensor, view: Tensor, points: Tensor, prediction: Tensor) -> tuple[Tensor, ...]:
+        image, places, guess = _flat(points, points, prediction)
+        reach = (own.window_px, own.search_px, own.forward_backward_limit_px)
+        found = search_and_return(key_view, view, image, places, guess, *reach)
+        return tuple(one.unflatten(0, points.shape[:2]) for one in found)
 
     def windows(view: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        batch, count = points.shape[:2]
-        number = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
-        flat = sample_windows(view, number, points.flatten(0, 1), warp.flatten(0, 1), own.window_px, STEP)
-        return (flat.unflatten(0, (batch, count)),)
+        image, places, deformed = _flat(points, points, warp)
+        flat = sample_windows(view, image, places, deformed, own.window_px, STEP)
+        return (flat.unflatten(0, points.shape[:2]),)
 
     followed = (find, (*_TEMPLATES, "topography_view", "prediction"), Found._fields)
     return {
-        "noise": (lambda view: (estimate_noise(view.to(kind)),), ("topography_view",), ("noise",)),
-        "spline": (lambda view: (spline_coefficients(view).to(kind),), ("topography_view",), ("spline",)),
+        "noise": (lambda view: (estimate_noise(view.to(torch.float32)),), ("topography_view",), ("noise",)),
+        "spline": (lambda view: (spline_coefficients(view).to(torch.float32),), ("topography_view",), ("spline",)),
         "prepare": (prepare, ("topography_view", "points", "noise"), _TEMPLATES),
         "renew": (renew, ("spline", "noise", "points", "warp"), _TEMPLATES),
         "track": followed,
@@ -212,25 +204,41 @@ def _point_graphs(recipe: Recipe, kind: torch.dtype) -> _Described:
     }
 
 
-def _field_graphs(recipe: Recipe) -> _Described:
+def _field_graphs(own: EngineSettings, deviations: bool) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of deformation fields."""
-    graph = FieldsGraph(recipe.fields.gauge_length_mm)
-    inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
+    graph = FieldsGraph(own.gauge_length_mm, own.strain)
+    inputs: tuple[str, ...] = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
+    entered: tuple[str, ...] = ("among", "gradient")
+    outputs: tuple[str, ...] = _FIELDS
+    if deviations:
+        inputs, outputs = (*inputs, "covariance"), (*outputs, "divergence_std", "curl_std", "median_std")
+        entered = (*entered, "gradient_covariance")
 
-    def fields(reference: Tensor, displacement: Tensor, *others: Tensor) -> tuple[Tensor, ...]:
-        ellipse, own = GrossEllipse(*others[:3]), others[3:]
-        found = graph(reference, displacement, None, ellipse, Entered(own[0], own[1], None) if own else None)
-        return tuple(getattr(found, name) for name in _FIELDS)
+    def fields(*given: Tensor) -> tuple[Tensor, ...]:
+        reference, displacement, *ellipse = given[:5]
+        covariance = given[5] if deviations else None
+        among = None
+        if rest := given[len(inputs) :]:
+            among = Entered(rest[0], rest[1], rest[2] if deviations else None)
+        found = graph(reference, displacement, covariance, GrossEllipse(*ellipse), among)
+        return tuple(getattr(found, name) for name in outputs)
 
     return {
-        "fields": (fields, inputs, _FIELDS),
-        "fields_entered": (fields, (*inputs, "among", "gradient"), _FIELDS),
+        "fields": (fields, inputs, outputs),
+        "fields_entered": (fields, (*inputs, *entered), outputs),
         "fit": (
             lambda *given: (gradients_at(*given),),
             ("reference", "displacement", "queries", "gauge_length"),
             ("gradient",),
         ),
     }
+
+
+def _flat(points: Tensor, *of_points: Tensor) -> tuple[Tensor, ...]:
+    """Return the image (B N,) of each of the points (B, N, 2), and tensors (B, N, ...) as (B N, ...)."""
+    batch, count = points.shape[:2]
+    number = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
+    return number, *(one.flatten(0, 1) for one in of_points)
 
 
 def _known_tensors(templates: Templates) -> tuple[Tensor, ...]:

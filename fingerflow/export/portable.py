@@ -1,8 +1,16 @@
-"""Torch mode that selects the portable implementation of every op, which can be exported to ONNX."""
+"""Portable form of the ops: a torch mode that selects it, and graphs that run in it like a session."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
+
+if TYPE_CHECKING:
+    from fingerflow.export.build import Graph
 
 
 class Portable(TorchDispatchMode):
@@ -15,3 +23,24 @@ class Portable(TorchDispatchMode):
 
     def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
         return operation(*arguments, **(named or {}))
+
+
+class PortableSession:
+    """Graph that torch runs, with the interface of `engines.sessions.GraphSession`.
+
+    Attributes:
+        inputs: tensors of the latest call, by name.
+    """
+
+    shares_memory = True
+
+    def __init__(self, graph: "Graph") -> None:
+        self.graph = graph
+        self.inputs: dict[str, Tensor] = {}
+
+    def kept(self, name: str, array: NDArray[Any]) -> NDArray[Any]:
+        return array
+
+    def __call__(self, given: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+        self.inputs = {name: torch.from_numpy(np.ascontiguousarray(given[name])) for name in self.graph.inputs}
+        return {name: one.numpy() for name, one in self.graph.run(self.inputs).items()}

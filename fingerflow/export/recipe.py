@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
-from fingerflow.engines.bundle import GRAPHS as GRAPHS
-from fingerflow.engines.bundle import GraphName as GraphName
+from fingerflow.engines.bundle import GRAPHS, GraphName
 from fingerflow.errors import FingerflowError
 
 _LARGEST_SIDE = 4096  # px, largest side of a view: counts of pixels are exact in float32 up to 2^24
@@ -29,7 +28,7 @@ class _Table(BaseModel):
 
 
 class ViewRecipe(_Table):
-    """Settings [views] of a recipe: size of both views in px, bit depth, and batch size.
+    """Settings [views] of a recipe: size of both views in px, and bit depth.
 
     Pixels are uint8 for 8 bits, else uint16.
     """
@@ -37,7 +36,6 @@ class ViewRecipe(_Table):
     height: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
     width: Annotated[int, Field(ge=48, le=_LARGEST_SIDE)]
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
-    batch: Annotated[int, Field(ge=1, le=64)] | Literal["dynamic"] = 1
 
 
 class ContactRecipe(_Table):
@@ -72,10 +70,9 @@ class FieldsRecipe(_Table):
 
 
 class ExportRecipe(_Table):
-    """Settings [export] of a recipe: the graphs to export, and the precision of all operations except the median."""
+    """Settings [export] of a recipe: the graphs to export."""
 
     graphs: Annotated[tuple[GraphName, ...], Strict(False)] = GRAPHS  # not strict, since TOML has lists and no tuples
-    precision: Literal["float32", "float64"] = "float32"
 
 
 class Recipe(_Table):

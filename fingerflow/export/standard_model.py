@@ -18,7 +18,7 @@ _CONTROL_FLOW = {"Loop", "If", "Scan"}
 
 
 def standard_model(
-    module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], shapes: Any = None
+    module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
 ) -> Any:
     """Convert a torch module to an `onnx.ModelProto` of standard operators.
 
@@ -26,9 +26,8 @@ def standard_model(
 
     Args:
         module: without data-dependent branches.
-        tensors: example inputs; sizes are fixed to theirs, except where ``shapes`` makes them dynamic.
+        tensors: example inputs; sizes are fixed to theirs.
         inputs, outputs: their names.
-        shapes: `dynamic_shapes` of `torch.onnx.export`.
 
     Raises:
         FingerflowError: the module needs operators that are not standard, or control flow.
@@ -43,7 +42,6 @@ def standard_model(
             opset_version=OPSET,
             input_names=list(inputs),
             output_names=list(outputs),
-            dynamic_shapes=shapes,
             optimize=False,
             verbose=False,
         )

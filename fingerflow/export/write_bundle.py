@@ -1,31 +1,34 @@
 """Export of a recipe to a deployment bundle: a folder of ONNX files that a lab PC runs without torch.
 
-Every graph is verified before the folder is created: ONNX Runtime on the CPU against torch in the recipe's precision
-and in float64, on a press and on hard cases. Only standard operators of opset 18 are used, without control flow.
+Every graph is verified before the folder is created: ONNX Runtime on the CPU has to give the numbers of torch by the
+start check of the player. Only standard operators of opset 18 are used, without control flow.
 """
 
 import hashlib
 import json
 import re
 import shutil
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.engines.bundle import bundle_settings
-from fingerflow.engines.check import expected_of
+from fingerflow.engines.bundle import GraphName, bundle_settings
+from fingerflow.engines.check import Difference, built_in, check_engine, expected_of, numbers_of
+from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.sessions import open_sessions
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
-from fingerflow.export.build import UNITS, Graph, build
+from fingerflow.export.build import UNITS, Graph, graphs_of
 from fingerflow.export.carried_modules import carry_modules
-from fingerflow.export.graph_verification import Difference, verify
-from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GraphName, Recipe, load_recipe
+from fingerflow.export.portable import Portable, PortableSession
+from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.unfinished import finish, unfinished
 
@@ -42,7 +45,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         progress: show a progress bar.
 
     Returns:
-        The differences found by the verification, one row an output.
+        The differences found by the verification, one row a result.
 
     Raises:
         FingerflowError: an invalid recipe, an existing folder, missing packages, or a graph that differs from torch;
@@ -55,13 +58,18 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     part = unfinished(folder)
     try:
         part.mkdir(parents=True)
-        graphs = {name: graph for name, graph in build(recipe).items() if name in recipe.export.graphs}
+        views, settings = recipe.views, bundle_settings(recipe.model_dump())
+        size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
+        sessions = {name: PortableSession(graph) for name, graph in graphs_of(recipe).items()}
+        numbers_of(OnnxEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
         models = {
-            name: write_graph(recipe, name, graph, part)
-            for name, graph in tqdm(graphs.items(), "export", disable=not progress)
+            name: write_graph(recipe, name, sessions[name].graph, tuple(sessions[name].inputs.values()), part)
+            for name in tqdm(recipe.export.graphs, "export", disable=not progress)
         }
-        found = verify(recipe, part)
-        _bundle(recipe, models, part)
+        with torch.inference_mode(), Portable():
+            expected = expected_of(TorchEngine(settings, torch.device("cpu")), *size)
+        found = verify(recipe, part, sessions, expected)
+        _bundle(recipe, models, expected, part)
         finish(part, folder)
     except OSError as error:
         raise FingerflowError(
@@ -72,20 +80,34 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     return found
 
 
-def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
-    """Export one graph to an ONNX file in a folder and check the file; return its name and SHA-256 hash for
-    bundle.json.
+def verify(
+    recipe: Recipe, folder: Path, sessions: Mapping[GraphName, PortableSession], expected: Mapping[str, Any]
+) -> list[Difference]:
+    """Check that ONNX Runtime gives the expected numbers of the built-in frame with the exported graphs of a recipe in
+    a folder, as a player does when it starts, and return the differences; `sessions` run the graphs that were not
+    exported.
+    """
+    files = {str(name): folder / f"{name}.onnx" for name in recipe.export.graphs}
+    opened: dict[Any, Any] = {**sessions, **open_sessions(files)}
+    return check_engine(OnnxEngine(opened, bundle_settings(recipe.model_dump()), recipe.tracking.points), expected)
+
+
+def as_text(rows: list[Difference]) -> str:
+    """Return the largest differences between ONNX Runtime and torch as a text table, one row for each result."""
+    lines = [f"{row.result:<20}{row.difference:>11.2g}{row.tolerance:>11.2g} {row.unit}" for row in rows]
+    return "\n".join((f"{'result':<20}{'to torch':>11}{'at most':>11}", *lines))
+
+
+def write_graph(
+    recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Tensor, ...], folder: Path
+) -> dict[str, str]:
+    """Export one graph to an ONNX file in a folder, for inputs of the shapes of `tensors`, and check the file; return
+    its name and SHA-256 hash for bundle.json.
     """
     import onnx
 
-    dynamic = recipe.views.batch == "dynamic"
-    # A dynamic batch is traced with 2, since the exporter would treat a batch of 1 as a constant.
-    batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
-    known = complete_inputs(recipe, cases(recipe, batch)[0])
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
-    tensors = tuple(tensor.clone() for tensor in inputs_of(name, graph, known).values())
-    shapes = (tuple({0: torch.export.Dim.DYNAMIC} for _ in graph.inputs),) if dynamic else None
-    model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
+    model = standard_model(graph.module, tuple(one.clone() for one in tensors), graph.inputs, graph.outputs)
     model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()
@@ -104,14 +126,10 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
-def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
+def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], expected: Mapping[str, Any], folder: Path) -> None:
     """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which
-    describes the graphs by `models`.
+    describes the graphs by `models` and has the `expected` numbers of the built-in frame.
     """
-    engine = TorchEngine(bundle_settings(recipe.model_dump()), torch.device("cpu"))
-    views = recipe.views
-    with torch.inference_mode(), Portable():
-        expected = expected_of(engine, views.height, views.width, views.bit_depth, recipe.tracking.points)
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,

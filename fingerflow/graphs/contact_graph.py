@@ -18,7 +18,7 @@ class Contact(NamedTuple):
         real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
         real_area_px, gross_area_px: (B,) px, area of the micro-junctions and of the apparent contact that they span.
         center, semi_axes: (B, 2) px, `angle` (B,) rad: ellipse of the apparent contact, NaN without contact.
-        density_margin: (B, 1, h, w) of the apparent contact on cells; `ops.contact.cells.covered` tests with it
+        density_margin: (B, 1, h, w) of the apparent contact on cells; `engines.cells.covered` tests with it
             whether a position lies inside.
         illumination_gain: (B,) gain of the light relative to the image of the empty glass. NaN where no glass is
             visible; a gain of 1 is used there.
@@ -62,7 +62,8 @@ class ContactGraph(nn.Module):
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
         """Segment the contact in frames (B, 1, H, W) of the contact view.
 
-        `light`, `black` and `limit` are those of a `Light` of one view or of B views.
+        `light` and `black` (1 or B, 1, H, W) are those of `ops.filters.illumination.glass_light`; `limit` (B,) is the
+        share of the light below which a pixel is in contact: 1 - threshold, NaN for no contact.
         """
         gain = illumination_gain(frames, light, black, self.gross_radius_px)
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)

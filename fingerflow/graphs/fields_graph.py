@@ -1,6 +1,6 @@
 """Divergence, curl and strain from displacements of scattered points, at the points and over the contact."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -72,8 +72,6 @@ class FieldsGraph(nn.Module):
     `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
     `ops.fields.area_medians` computes the medians over the contact.
     """
-
-    point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1, "entered": 1}
 
     def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
         super().__init__()

@@ -11,7 +11,8 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs import ContactGraph, LightGraph
+from fingerflow.graphs import ContactGraph
+from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
@@ -115,7 +116,7 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
     view = scene.views.contact
     graph = ContactGraph(scene.contact.median_px, scene.contact.gross_radius_px)
     with torch.inference_mode():
-        light, black, _ = LightGraph()(inputs.reference(view), inputs.dark(view), torch.full((1,), torch.nan))
+        light, black = glass_light(inputs.reference(view), inputs.dark(view))
         limit = 1 - torch.full((1,), threshold, dtype=light.dtype)
         contact = graph(inputs.contact_view(counts), light, black, limit)
     found: NDArray[np.bool_] = contact.real_contact_mask[0, 0].numpy()

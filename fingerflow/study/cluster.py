@@ -43,7 +43,6 @@ def run_on_workers(
     scheduler: str | None = None,
     workers: int | None = None,
     progress: bool = True,
-    trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
     """Run a function on each task in worker processes of a Dask cluster, and yield the results in the order in which
     tasks finish.
@@ -51,11 +50,10 @@ def run_on_workers(
     Args:
         function: of a module, so that a worker can run it.
         tasks: (name, task) with unique names; consumed as capacity becomes free.
-        count: number of trials, by default one per task.
+        count: number of tasks.
         result_of_error: returns the result for a task that has raised, or whose workers were killed repeatedly.
         scheduler, workers: as in `run_study`.
         progress: show a bar with the remaining time.
-        trials_of: returns the number of trials in a result.
 
     Raises:
         FingerflowError: the cluster is not available.
@@ -70,7 +68,7 @@ def run_on_workers(
             of_round = islice(chain([first], waiting), each_round)
             with _client(scheduler, many, threads_each(scheduler, many)) as client:
                 for result in _run_tasks(client, function, of_round, result_of_error):
-                    bar.update(trials_of(result))
+                    bar.update()
                     yield result
 
 

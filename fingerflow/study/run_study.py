@@ -1,17 +1,14 @@
 """Select the trials of a study that must run, and run them on Dask."""
 
-import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
-from fingerflow.engines.memory import recordings_that_fit
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, keys_of
 from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.trial import Job, Outcome, is_current, run_trials
+from fingerflow.study.trial import Job, Outcome, is_current, run_trial
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
 
@@ -78,11 +75,10 @@ def run_study(
     only: str | None = None,
     retry_failed: bool = False,
     progress: bool = True,
-    together: int | None = None,
 ) -> Summary:
     """Run the trials selected by `plan_run`, in processes on this computer or on a cluster.
 
-    Each task is one trial, or a batch of trials. Finished trials are stored in the results folder: Ctrl-C or the loss
+    Each task is one trial. Finished trials are stored in the results folder: Ctrl-C or the loss
     of a worker or of the scheduler ends the run without losing them.
 
     Args:
@@ -90,13 +86,9 @@ def run_study(
         scheduler: the address of a Dask scheduler, or the name of a deployment class, such as
             "dask_jobqueue.SLURMCluster", which takes its settings from Dask's own configuration. None for a cluster
             of processes on this computer.
-        workers: processes; by default one per core, or one with batched trials. Remaining cores become
-            threads of each.
+        workers: processes; by default one per core. Remaining cores become threads of each.
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
-        together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), which
-            benefits an accelerator; by default as many as its memory holds, at most `engines.memory.TOGETHER`, or 1 if
-            this computer has none.
 
     Raises FingerflowError if the cluster is not available.
     """
@@ -105,68 +97,18 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    together = _default_group_size(manifest, scheduler) if together is None else together
-    if together > 1 and scheduler is None:
-        workers = workers or 1
+    codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
+    jobs = ((one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.redo, codes, threads)) for one in planned)
+
+    def of_error(name: str, error: BaseException) -> Outcome:
+        return _outcome_of_error(error, name, manifest)
+
     try:
-        # Run the trials of an unfinished group one by one: one of them may be the cause, or their memory together.
-        for size in dict.fromkeys((together, 1)):
-            ended = {one.name for one in summary.outcomes}
-            left = [one for one in planned if one.entry.name not in ended]
-            for outcomes in _run_groups(manifest, left, size, scheduler, workers, progress):
-                summary.outcomes.extend(outcomes)
+        for outcome in run_on_workers(run_trial, jobs, len(planned), of_error, scheduler, workers, progress):
+            summary.outcomes.append(outcome)
     except Interrupted as stop:
         summary.interrupted = str(stop)
     return summary
-
-
-def _run_groups(
-    manifest: Manifest,
-    planned: Sequence[Planned],
-    size: int,
-    scheduler: str | None,
-    workers: int | None,
-    progress: bool,
-) -> Iterator[list[Outcome]]:
-    """Run the planned trials in groups of at most ``size``, each of which one worker computes in lock-step as a batch,
-    and yield the list of a group's outcomes as it completes.
-
-    Left out are groups that no worker could finish, and trials that failed in a group for a transient reason: memory
-    that was too small for all may suffice for one.
-    """
-    if not planned:
-        return
-    size, codes = min(size, -(-len(planned) // (workers or 1))), all_codes()
-    groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
-    threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
-    jobs = (
-        (name, [Job(replace(manifest, trials=(one.entry,)), one.redo, codes, threads) for one in group])
-        for name, group in groups.items()
-    )
-
-    def of_error(name: str, error: BaseException) -> list[Outcome]:
-        if len(groups[name]) > 1 and not isinstance(error, FingerflowError):
-            return []
-        return [_outcome_of_error(error, name, manifest)]
-
-    for outcomes in run_on_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
-        yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
-
-
-def _default_group_size(manifest: Manifest, scheduler: str | None) -> int:
-    """Return how many trials a worker computes together by default: several if this computer has a GPU and no
-    `scheduler` is given, else 1.
-
-    They are as many as its memory holds of trials like the first one (`engines.memory.recordings_that_fit`).
-    """
-    import torch
-
-    if scheduler is not None or not torch.cuda.is_available():
-        return 1
-    scene = manifest.scene_of(manifest.trials[0])
-    height, width = max((view.shape for view in scene.views.values()), key=math.prod)
-    free, _ = torch.cuda.mem_get_info()
-    return recordings_that_fit(free, height, width, scene.tracking.points, scene.tracking.window_px)
 
 
 def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:

@@ -6,7 +6,7 @@ import os
 import platform
 import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -18,9 +18,8 @@ import cv2
 import torch
 
 from fingerflow import __version__
-from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
-from fingerflow.pipeline.run import run_steps, steps_to
+from fingerflow.pipeline.run import process_to_file
 from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.cache_keys import Keys, all_codes, code_of, describe_file, keys_of
@@ -52,7 +51,7 @@ class Job:
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of one trial in a study run: name, status, reason of a failure, whether that is transient (`passing`),
-    and processor time (s), a share of the total for trials computed together.
+    and processor time (s).
     """
 
     name: str
@@ -62,18 +61,10 @@ class Outcome:
     cpu_seconds: float = 0.0
 
 
-def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Process several trials in lock-step as one batch, write result and table row of each into its folder, and return
-    their outcomes.
+def run_trial(job: Job) -> Outcome:
+    """Process one trial, write its result and table row into its folder, and return the outcome.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
-    """
-    return run_steps([_steps(job, len(jobs)) for job in jobs])
-
-
-def _steps(job: Job, together: int) -> Steps[Outcome]:
-    """Process one trial and write its result and table row, as a generator that pauses at each step so that `together`
-    trials can be computed in lock-step, and that returns the outcome.
     """
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
@@ -101,7 +92,7 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
                 row, curves = measure(result)
         else:
             # Overwrite, since an existing file of this name may be damaged and not be recognised as a result.
-            yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
+            process_to_file(path, scene, earlier=earlier, overwrite=True)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(describe_file(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
@@ -110,14 +101,13 @@ def _steps(job: Job, together: int) -> Steps[Outcome]:
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
         trial = TrialRow(FAILED, reason, _is_transient(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
-    cpu_seconds = (time.process_time() - cpu) / together
+    cpu_seconds = time.process_time() - cpu
     made = {
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(time.perf_counter() - wall, 3),
         "cpu_seconds": round(cpu_seconds, 3),
         "redone_from": job.redo,
         "threads": job.threads,
-        "together": together,
         "seed": None,  # `process` uses no random numbers
         **_machine(),
         **trace,

@@ -18,11 +18,8 @@ from fingerflow.engines.engine import (
     FoundPoints,
     Images,
     TemplateBuffers,
-    Tracked,
-    TracksWhole,
     nothing_found,
 )
-from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.curvature import curvature_variance
@@ -138,8 +135,6 @@ class Points:
         self._gap = 0
         self._index = 1  # number of the next frame
         self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
-        # Points of the last frames with these points corrected, where the engine has done so in the same call.
-        self._whole: tuple[FoundPoints, Corrected] | None = None
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
         self._key = engine.key(image)
         self._templates = engine.prepare(self._key, points)
@@ -177,11 +172,10 @@ class Points:
         """Predict the positions (N, 2) px of the points, `ahead` frames after the last frame tracked or skipped."""
         return self.motion.expect(self._gap + ahead)
 
-    def follow(self, images: Images, around: FoundPoints | None = None) -> Steps[FoundPoints]:
+    def follow(self, images: Images, around: FoundPoints | None = None) -> FoundPoints:
         """Track the N points through the next n images (n, 1, h, w), and return the result (n, N).
 
-        `around` (n, A) is the result of the surrounding points. Estimates are the last known positions. Points of
-        several recordings may be tracked in batched calls (`engines.together`).
+        `around` (n, A) is the result of the surrounding points. Estimates are the last known positions.
         """
         around = nothing_found(len(images)) if around is None else around
         steps: list[FoundPoints] = []
@@ -191,17 +185,17 @@ class Points:
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
             now = slice(done, done + count)
-            step = yield from self._step(images[now], around.of(now))
+            step = self._step(images[now], around.of(now))
             assert self._last is not None
             registered, corrected = self._last.found.estimate, self._last.found.points
             corrections.append(registered - corrected)
             if not self._knowledge.ahead:
-                step = yield from self._verified(images[now], step)
+                step = self._verified(images[now], step)
             steps.append(step)
             done += count
         self.correction = np.concatenate(corrections)
         found = steps[0] if len(steps) == 1 else FoundPoints(*map(np.concatenate, zip(*steps, strict=True)))
-        return (yield from self._verified(images, found)) if self._knowledge.ahead else found
+        return self._verified(images, found) if self._knowledge.ahead else found
 
     def curvature_variance(self, found: FoundPoints, around: FoundPoints | None = None) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of the positions `found` (n, N) by displacement since the key frame that is
@@ -225,7 +219,8 @@ class Points:
 
         `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
         """
-        return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
+        found, jolted = self._recovered(image, guess, found, frames)
+        return Resolved(self._corrected(found, nothing_found(1) if around is None else around), jolted)
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
         """Update motion and templates from a usable frame, `frames` after the last, verify the points (1, N) by their
@@ -236,8 +231,7 @@ class Points:
         """
         if index is not None:
             self._index = index
-        found = run_alone(self._accepted(resolved, frames, image))
-        return run_alone(self._verified(image, found))
+        return self._verified(image, self._accepted(resolved, frames, image))
 
     def changes(self, index: int) -> bool:
         """Return whether template updates are due before frame `index`; all earlier frames must finish first."""
@@ -245,7 +239,16 @@ class Points:
 
     def update_due(self, index: int) -> None:
         """Carry out the template updates that are due before frame `index`, in the order in which they were planned."""
-        run_alone(self._updated(index))
+        while self._pending and self._pending[0].due <= index:
+            with self._preparing:
+                one = self._pending.pop(0)
+                self._prepare_rows(one, len(one.rows))
+            done = 0
+            for piece in one.prepared:
+                rows = one.rows[done : done + len(piece.numbers)]
+                self._engine.update(self._templates, rows, piece)
+                done += len(rows)
+            self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
     def prepare_ahead(self) -> None:
         """Prepare part of the templates of the next planned update, so that no frame waits for all of them.
@@ -256,81 +259,46 @@ class Points:
         with self._preparing:
             for pending in self._pending[:1]:
                 calls = -(-len(pending.rows) // (ROWS * (MOST_FRAMES - 1)))
-                run_alone(self._prepared(pending, ROWS * calls))
+                self._prepare_rows(pending, ROWS * calls)
 
-    def _updated(self, index: int) -> Steps[None]:
-        while self._pending and self._pending[0].due <= index:
-            with self._preparing:
-                one = self._pending.pop(0)
-                yield from self._prepared(one, len(one.rows))
-            done = 0
-            for piece in one.prepared:
-                rows = one.rows[done : done + len(piece.numbers)]
-                self._engine.update(self._templates, rows, piece)
-                done += len(rows)
-            self._inverse_warp[one.rows] = inverse_2x2(one.warp)
-
-    def _prepared(self, pending: _Pending, rows: int) -> Steps[None]:
+    def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
         some = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[some]]
-            pending.prepared.append((yield Call(self._engine.prepare, (self._key, start, pending.warp[some]))))
+            pending.prepared.append(self._engine.prepare(self._key, start, pending.warp[some]))
 
-    def _step(self, images: Images, around: FoundPoints) -> Steps[FoundPoints]:
-        yield from self._updated(self._index)
+    def _step(self, images: Images, around: FoundPoints) -> FoundPoints:
+        self.update_due(self._index)
         guess = self.expect()
         if len(images) == 1:
             frames = self._gap + 1
-            found = (yield from self._follow(images, guess, np.zeros_like(guess))).found
-            resolved = yield from self._resolved(images, guess, found, frames, around)
-            return (yield from self._accepted(resolved, frames, images))
+            resolved = self.resolve(images, guess, self.look(images, guess), frames, around)
+            return self._accepted(resolved, frames, images)
         speed = self.motion.speed
-        followed = yield from self._follow(images, guess - speed, speed)
-        return (yield from self._finish_images(images, followed, around))
+        followed = self._engine.follow(self._templates, images, guess - speed, speed)
+        return self._finish_images(images, followed, around)
 
-    def _follow(self, images: Images, place: Array, speed: Array) -> Steps[Followed]:
-        """Track all points through images from their positions and speeds before the first one; an engine that corrects
-        them in the same call does so.
-        """
-        engine = self._engine
-        if isinstance(engine, TracksWhole) and self._by_key and 1 < len(self._every) == len(self):
-            given = self._templates, images, place, speed, self._found_neighbours(), self._every, self._inverse_warp
-            tracked: Tracked = yield Call(engine.track, given)
-            self._whole = None if tracked.corrected is None else (tracked.followed.found, tracked.corrected)
-            return tracked.followed
-        followed: Followed = yield Call(engine.follow, (self._templates, images, place, speed, None))
-        return followed
-
-    def _track_image(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[FoundPoints]:
-        """Track all points, or those with indices `rows`, in one image near guessed positions."""
+    def _track_image(self, image: Images, guess: Array, rows: Array) -> FoundPoints:
+        """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
-        followed: Followed = yield Call(
-            self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
-        )
-        return followed.found
+        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess), rows).found
 
-    def _resolved(
-        self, image: Images, guess: Array, found: FoundPoints, frames: int, around: FoundPoints
-    ) -> Steps[Resolved]:
-        found, jolted = yield from self._recovered(image, guess, found, frames)
-        return Resolved((yield from self._corrected(found, around)), jolted)
-
-    def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
+    def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> FoundPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
         skin, update the motion, and return the tracked points.
         """
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
-            followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
+            followed = self._recover_all(images, followed, np.flatnonzero(lost))
         before, frames = self.motion, self._gap + len(images)
-        corrected = yield from self._corrected(followed.found, around)
+        corrected = self._corrected(followed.found, around)
         last, expected = corrected.found.points[-1], corrected.expected[-1]
         self.motion = before.followed(followed.place, followed.speed, last, frames, expected)
-        return (yield from self._checked_templates(corrected, before.place, len(images)))
+        return self._checked_templates(corrected, before.place, len(images))
 
-    def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
+    def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Followed:
         """Recover points, with indices `rows`, that were lost in any of several images: track them again image by
         image, and search for them where tracking fails.
         """
@@ -338,11 +306,11 @@ class Points:
         for k in range(len(images)):
             image = images[k : k + 1]
             guess = motion.expect(gap + 1)
-            found = yield from self._track_image(image, guess, rows)
+            found = self._track_image(image, guess, rows)
             look, search = self._track_and_search(image, rows)
-            known = yield from recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
-            motion = motion.see(known.found.points[0], gap + 1, jolted=known.searched)
-            every.append(known.found)
+            found, searched = recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
+            motion = motion.see(found.points[0], gap + 1, jolted=searched)
+            every.append(found)
             gap = 0
         found = replaced(followed.found, rows, FoundPoints(*map(np.concatenate, zip(*every, strict=True))))
         place, speed = followed.place.copy(), followed.speed.copy()
@@ -355,7 +323,7 @@ class Points:
         They number these points from 0.
         """
 
-        def look(places: Array, some: Array) -> Steps[FoundPoints]:
+        def look(places: Array, some: Array) -> FoundPoints:
             return self._track_image(image, places, rows[some])
 
         def search(some: Array, guess: Array) -> tuple[Array, Array]:
@@ -363,14 +331,14 @@ class Points:
 
         return look, search
 
-    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> Steps[FoundPoints]:
+    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> FoundPoints:
         before, corrected = self.motion, resolved.corrected
         self.motion = before.see(corrected.found.points[0], frames, corrected.expected[0], resolved.jolted)
-        return (yield from self._checked_templates(corrected, before.place, 1, image))
+        return self._checked_templates(corrected, before.place, 1, image)
 
     def _recovered(
         self, image: Images, guess: Array, found: FoundPoints, frames: int
-    ) -> Steps[tuple[FoundPoints, Array | None]]:
+    ) -> tuple[FoundPoints, Array | None]:
         """Recover the lost points of a frame by tracking them again and by searching for them.
 
         Return the result, and the points (N,) that were searched for (None if none).
@@ -385,22 +353,21 @@ class Points:
             # By now the frames in between are known, and a prediction from them is closer.
             guess = expected
             rows = np.flatnonzero(lost)
-            found = replaced(found, rows, (yield from self._track_image(image, guess[rows], rows)))
+            found = replaced(found, rows, self._track_image(image, guess[rows], rows))
             lost &= lost_points(found.status[0])
         searched = None
         if self._engine.settings.search_px and lost.any():
             look, search = self._track_and_search(image, np.arange(len(self)))
             limits = self._knowledge.searched, self._by_neighbours
-            recovered = yield from recover(found, guess, wanted, look, search, *limits)
-            found, searched = recovered.found, recovered.searched
+            found, searched = recover(found, guess, wanted, look, search, *limits)
         return found, searched
 
-    def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
+    def _by_neighbours(self, found: FoundPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
+        places: Array = self._corrected(found, nothing_found(1)).expected[0]
         return places
 
-    def _corrected(self, found: FoundPoints, around: FoundPoints) -> Steps[Corrected]:
+    def _corrected(self, found: FoundPoints, around: FoundPoints) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
 
         With template "previous" the points are returned unchanged.
@@ -409,35 +376,30 @@ class Points:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
             nothing = np.zeros(found.status.shape, np.float32)
             return Corrected(found, unchanged, nothing, np.full_like(found.points, np.nan))
-        if self._whole is not None and found is self._whole[0]:  # no point was searched for
-            return self._whole[1]
         count, others = len(self), around.status.shape[1]
         if others:
             found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
         numbers, inverse_warp = self._template_data(others)
-        judged = yield from self._mark_outliers(found)
-        corrected: Corrected = yield Call(self._engine.correct, (self._every, judged, numbers, inverse_warp))
+        judged = self._mark_outliers(found)
+        corrected = self._engine.correct(self._every, judged, numbers, inverse_warp)
         if not others:
             return corrected
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
-    def _mark_outliers(self, found: FoundPoints) -> Steps[FoundPoints]:
+    def _mark_outliers(self, found: FoundPoints) -> FoundPoints:
         """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
-        off_neighbours, uncertain = yield Call(self._engine.outliers, (self._found_neighbours(), self._every, found))
+        if self._neighbours is None:
+            self._neighbours = self._engine.neighbours(self._every)
+        off_neighbours, uncertain = self._engine.outliers(self._neighbours, self._every, found)
         tracked = found.status == TrackStatus.TRACKED
         uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
         for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
             if which.any():
                 found = rejected(found, which, status)
         return found
-
-    def _found_neighbours(self) -> Any:
-        if self._neighbours is None:
-            self._neighbours = self._engine.neighbours(self._every)
-        return self._neighbours
 
     def _template_data(self, others: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -455,7 +417,7 @@ class Points:
 
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
-    ) -> Steps[FoundPoints]:
+    ) -> FoundPoints:
         """Check after `frames` tracked frames whether templates need an update, plan it if so, and return the tracked
         points; `before` (N, 2) px are their positions before these frames.
 
@@ -469,7 +431,7 @@ class Points:
         if not self._by_key:
             assert image is not None
             self._key = self._engine.key(image)
-            self._templates = yield Call(self._engine.prepare, (self._key, found.points[0], None))
+            self._templates = self._engine.prepare(self._key, found.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
         return found._replace(estimate=_last_seen(found.points, before))
@@ -496,7 +458,7 @@ class Points:
             later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
-    def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
+    def _verified(self, images: Images, found: FoundPoints) -> FoundPoints:
         """Reject points whose window no longer resembles that in the key frame, or which dust on the glass holds back;
         return all points (n, N).
 
@@ -504,10 +466,10 @@ class Points:
         """
         check = self._verification.check
         if self._knowledge.ahead:
-            verified = yield from check(images, found.points, found.status, self._last_warp())
+            verified = check(images, found.points, found.status, self._last_warp())
         else:
             if self._followed % MOST_FRAMES == 0:
-                yield from check(images, found.points, found.status, self._last_warp())
+                check(images, found.points, found.status, self._last_warp())
             verified = self._verification.latest
         covariance = found.covariance
         if not self._by_key:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import FoundPoints
-from fingerflow.engines.together import Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
-Look = Callable[[Array, Array], Steps[FoundPoints]]
+Look = Callable[[Array, Array], FoundPoints]
 #: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
 #: there returns to the start (L,).
 Search = Callable[[Array, Array], tuple[Array, Array]]
@@ -22,18 +21,6 @@ Search = Callable[[Array, Array], tuple[Array, Array]]
 ROUNDS = 3  # largest number of searches in a frame
 _YIELD = 0.25  # share of the searched points that must be found for another round to follow
 _NEARER = 0.5  # px, distance from the guess below which tracking again would find the same
-
-
-class Recovered(NamedTuple):
-    """Tracking result of a frame after lost-point recovery.
-
-    Attributes:
-        found: (1, N) points.
-        searched: (N,) points that were searched for, or tracked again where their neighbours predict them.
-    """
-
-    found: FoundPoints
-    searched: Array
 
 
 def lost_points(status: Array) -> Array:
@@ -51,9 +38,10 @@ def recover(
     look: Look,
     search: Search,
     most: int | None = None,
-    by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
-) -> Steps[Recovered]:
-    """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2).
+    by_neighbours: Callable[[FoundPoints], Array] | None = None,
+) -> tuple[FoundPoints, Array]:
+    """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2); return all points,
+    and which of them (N,) were searched for, or tracked again where their neighbours predict them.
 
     If more than `most` points are lost, a round searches for a sample of them spread over the view. The others are then
     tracked where their neighbours predict them. There are up to three rounds: after a jump of the skin, a few points
@@ -78,19 +66,19 @@ def recover(
             some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
         left[some] = False
         places, returns = search(some, guess[some])
-        found = replaced(found, some, _reject_unreturned((yield from look(places, some)), returns, guess[some]))
+        found = replaced(found, some, _reject_unreturned(look(places, some), returns, guess[some]))
         searched[some] = True
         if len(some) == len(rows) or by_neighbours is None:
             break
         if np.mean(found.status[0, some] == TrackStatus.TRACKED) < _YIELD:
             break
-        places = yield from by_neighbours(found)
+        places = by_neighbours(found)
         away = np.abs(places - guess).max(-1) > _NEARER  # False where the position is unknown
         others = np.flatnonzero(wanted & lost_points(found.status[0]) & away)
         if len(others):
-            found = replaced(found, others, (yield from look(places[others], others)))
+            found = replaced(found, others, look(places[others], others))
             searched[others] = True
-    return Recovered(found, searched)
+    return found, searched
 
 
 def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import STEP, Engine, Images
-from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.window_match import Alike, compare, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -79,7 +77,7 @@ class Verification:
         self.latest = Verified.none(len(points))
         self.correlation = np.full(len(points), np.nan, np.float32)
 
-    def check(self, images: Images, points: Array, status: Array, warp: Array) -> Steps[Verified]:
+    def check(self, images: Images, points: Array, status: Array, warp: Array) -> Verified:
         """Verify the points in several images, and return which points to reject in these images.
 
         Positions are (n, N, 2) px, images (n, 1, h, w). Each point is checked once, in the last image in which it is
@@ -93,10 +91,13 @@ class Verification:
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
-        now = yield from self._sampled(images, number, places, warp)
-        alike = compare(self._first, now)
+
+        def sample(number: Array, places: Array, warp: Array) -> Array:
+            return self._engine.windows(images, number, places, warp, STEP)
+
+        alike = compare(self._first, sample(number, places, warp))
         apart = 1 - alike.correlation
-        noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
+        noise: float = self._engine.noise(images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
         known = np.sort(apart[np.isfinite(apart)])
@@ -106,15 +107,14 @@ class Verification:
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
             # limit.
-            sample = partial(self._sampled, images)
             some = (number[suspect], places[suspect])
-            better = yield from deformed_alike(
+            better = deformed_alike(
                 self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = 1 - compare(self._first[suspect], (yield from self._sampled(images, *some, better))).correlation
+            again = 1 - compare(self._first[suspect], sample(*some, better)).correlation
             apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
         before, unknown = self.latest, np.isnan(apart)
-        shift, deviations, excluded = yield from self._shifts(images, number, places, warp, alike, noise)
+        shift, deviations, excluded = self._shifts(sample, number, places, warp, alike, noise)
         away = np.square(shift).sum(1)
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - apart).astype(np.float32)
@@ -124,8 +124,8 @@ class Verification:
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 
     def _shifts(
-        self, images: Images, number: Array, places: Array, warp: Array, alike: Alike, noise: float
-    ) -> Steps[tuple[Array, Array, Array]]:
+        self, sample: Sampler, number: Array, places: Array, warp: Array, alike: Alike, noise: float
+    ) -> tuple[Array, Array, Array]:
         """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
         standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
         do; all are 0 for other windows.
@@ -136,12 +136,7 @@ class Verification:
             usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
             some = np.flatnonzero(alike.largest > _PEAK * usual)
             if len(some):
-                sample = partial(self._sampled, images)
                 given = (number[some], places[some], warp[some], math.sqrt(2) * noise)
-                found = yield from shifted_alike(self._first[some], sample, *given)
+                found = shifted_alike(self._first[some], sample, *given)
                 shift[some], deviations[some], excluded[some] = found.shift, found.deviations, found.excluded
         return shift, deviations, excluded
-
-    def _sampled(self, images: Images, number: Array, places: Array, warp: Array) -> Steps[Array]:
-        found: Array = yield Call(self._engine.windows, (images, number, places, warp, STEP))
-        return found

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.together import Steps
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
 from fingerflow.kernels.window_match import Shifts, shift_windows
@@ -19,7 +18,7 @@ from fingerflow.kernels.window_match import Shifts, shift_windows
 Array = NDArray[Any]
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
 #: (N, 2, 2).
-Sampler = Callable[[Array, Array, Array], Steps[Array]]
+Sampler = Callable[[Array, Array, Array], Array]
 
 _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
@@ -64,7 +63,7 @@ def _mean_product(one: Array, other: Array) -> Array:
 
 def deformed_alike(
     first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
-) -> Steps[Array]:
+) -> Array:
     """Fit the deformation gradients (N, 2, 2), starting from `warp`, with which windows in present images correlate
     best with the earlier windows `first` (N, m).
 
@@ -81,11 +80,11 @@ def deformed_alike(
     steps = np.stack([one.ravel() for one in np.meshgrid(offsets, offsets)], axis=-1)
     ones = np.ones_like(first)[..., None]
     for _ in range(_ROUNDS):
-        here = yield from sample(number, places, warp)
+        here = sample(number, places, warp)
         slopes = []
         for along in np.array([[_BESIDE, 0.0], [0.0, _BESIDE]], np.float32):
-            ahead = yield from sample(number, places + along, warp)
-            behind = yield from sample(number, places - along, warp)
+            ahead = sample(number, places + along, warp)
+            behind = sample(number, places - along, warp)
             slopes.append((ahead - behind) / (2 * _BESIDE))
         by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
         unknown = np.concatenate((by_warp, -first[..., None], -ones), -1)
@@ -99,9 +98,7 @@ def deformed_alike(
     return warp
 
 
-def shifted_alike(
-    first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float
-) -> Steps[Shifts]:
+def shifted_alike(first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float) -> Shifts:
     """Fit the shifts by which most samples of windows in present images match the earlier windows `first` (N, m), with
     robust weights that exclude the samples that do not match.
 
@@ -116,11 +113,11 @@ def shifted_alike(
     """
     count = len(first)
     beside = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
-    around = yield from sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
+    around = sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
     around = around.reshape(4, count, -1)
     found = Shifts(np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count)))
     for _ in range(_SHIFT_ROUNDS):
-        here = yield from sample(number, places + found.shift.astype(np.float32), warp)
+        here = sample(number, places + found.shift.astype(np.float32), warp)
         found = fit_shifts(first, around, here, found.shift, found.weight, noise)
     return found
 

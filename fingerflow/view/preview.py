@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.engines.together import run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.plan import VARIABLES, plan
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -95,7 +94,7 @@ class Previewer:
         """Return the predicted contact in a frame, given by its index among the selected frames of the recording."""
         if frame not in self._seen:
             with torch.inference_mode():
-                found = run_alone(self._contact.step(self._batch(frame)))
+                found = self._contact.step(self._batch(frame))
             self._seen = {frame: Preview(found.real_contact_mask[0, 0], numbers_of(self._contact, frame))}
         return self._seen[frame]
 
@@ -114,8 +113,8 @@ class Previewer:
         with torch.inference_mode():
             tracking.begin()
             batch = self._batch(frame)
-            batch.keep(self._contact, run_alone(self._contact.step(batch)))
-            run_alone(tracking.step(batch))
+            batch.keep(self._contact, self._contact.step(batch))
+            tracking.step(batch)
         points = trial.results["position_px"][np.array([frame])][0]
         return PredictedPoints(points, frame, list(tracking.warnings))
 

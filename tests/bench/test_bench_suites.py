@@ -4,14 +4,12 @@ tested.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from bench import dic_codes, timing
@@ -23,12 +21,10 @@ from bench.suites import (
     drift,
     flow,
     flow_outliers,
-    gpu,
     image_ops,
     interpolant,
     large_motion,
     pipeline,
-    process_together,
     simulated_studies,
     speed_against_error,
     stated,
@@ -58,7 +54,6 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         dense,
         dic,
         flow,
-        gpu,
         image_ops,
         interpolant,
         large_motion,
@@ -311,55 +306,3 @@ def test_stated() -> None:
     assert 0.3 < number(energy, "z_rms") < 2
     assert 0.3 < number(between, "z_rms") < 2
     assert number(energy, "percent_rms") < 15
-
-
-def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the processor the suite gives the same results; without CUDA its rows state the work that would run."""
-    rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
-    works = ("contact", "key", "tracking", "outliers", "deformation", "fields")
-    assert {(row["work"], row["recordings"]) for row in rows} == {(work, batch) for work in works for batch in (1, 3)}
-    assert all(row["deviation"] == 0 for row in rows)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    rows = gpu.run(quick=True)
-    fused = [
-        f"{work}, fused" for work in (*works, "points", "frame") if work != "key" and find_spec("triton") is not None
-    ]
-    assert {(row["work"], row["recordings"]) for row in rows} == {
-        (work, batch) for work in (*works, "frame", *fused) for batch in (1, 4)
-    }
-    assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
-    fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
-    assert fields[0] == fields[1] > 50
-    of_first = {str(row["work"]): row for row in rows if row["recordings"] == 1}
-    assert number(of_first["frame"], "launches") == sum(
-        number(of_first[work], "launches") for work in works if work != "key"
-    )
-    for work in fused:
-        alone = of_first.get(work.partition(",")[0])
-        assert 1 <= number(of_first[work], "launches") < (number(alone, "launches") / 3 if alone else 120)
-    assert [of_first[work]["launches_captured"] for work in ("tracking", "frame")] == [3, 15]
-    if fused:
-        assert of_first["frame, fused"]["launches_captured"] == 9
-    for row in rows:  # the captured way is faster than the eager one
-        assert number(row, "H100 eager") < number(row, "H100 captured") or row["work"] in fused
-        assert row["measured"] == "none: no device here"
-
-
-def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two recordings together call an accelerator little more often than one, for the same positions."""
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    rows = process_together.run(quick=True)
-    assert [(row["recordings"], row["way"]) for row in rows] == [
-        (number, way) for number in (1, 2) for way in ("one by one", "together")
-    ]
-    assert number(rows[1], "calls_to_peer") == pytest.approx(1, abs=0.02)
-    assert 0.5 < number(rows[3], "calls_to_peer") < 0.85
-    # px: matrix products of two recordings are summed in another order than those of one.
-    assert all(number(row, "deviation") < 2e-4 for row in rows)
-
-
-def test_gpu_deviation_of_known_results() -> None:
-    nan = float("nan")
-    assert gpu._deviation(torch.tensor([1.0, nan]), torch.tensor([1.5, nan])) == 0.5
-    assert gpu._deviation(torch.tensor([1.0, 2.0]), torch.tensor([1.0, nan])) == float("inf")
-    assert gpu._deviation(torch.tensor([nan]), torch.tensor([nan])) == 0

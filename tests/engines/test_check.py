@@ -13,6 +13,7 @@ from torch.utils._pytree import tree_map
 
 from fingerflow.engines.bundle import GRAPHS, Bundle, GraphName, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, both_numbers_of, built_in, check_engine, check_frames
+from fingerflow.engines.choice import open_onnx
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.engines.onnx import OnnxEngine
@@ -131,7 +132,7 @@ def bundle(bundle_of_trials: Path) -> Bundle:
 
 @pytest.fixture(scope="module")
 def graphs(bundle: Bundle) -> OnnxEngine:
-    return OnnxEngine(bundle.files, bundle.engine_settings, "cpu")
+    return open_onnx(bundle)
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=() if one in EVERY_FRAME else LONG) for one in GRAPHS])
@@ -139,7 +140,7 @@ def test_a_wrong_graph_of_a_bundle_is_refused(
     name: GraphName, graphs: OnnxEngine, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A provider that computes any one graph wrongly, or always returns its first result, is refused."""
-    sessions = graphs._sessions._sessions
+    sessions: Any = graphs._sessions
     right = sessions[name]
 
     class Wrong:

@@ -2,23 +2,18 @@
 alone, and beside them the one package that an output or a camera needs.
 """
 
-import contextlib
 import json
 import os
-import shutil
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from fingerflow import player
 from tests.export.lab_pc import ENGINES, LabPC, set_up
-from tests.player import simulated_gentl
 from tests.small_trials import FRAMES, write_trial
 
 pytestmark = pytest.mark.long
@@ -63,39 +58,16 @@ def take(frame, values):
     with open("taken.txt", "a") as file:
         file.write(f"{frame.number} {values['normal_force']}\\n")
 """
-LOOP = """
-import sys
-
-from fingerflow import player
-
-engine, output = sys.argv[1:]
-found, looped = [], []
-
-
-def take(to, frame, values):  # all but how long it took
-    to.append((frame.number, str({name: value for name, value in values.items() if name != "latency"})))
-
-
-options = {"frames": 72, "page": "off", "engine": engine, "threads": 1}
-summary = player.play(".", "synthetic", lambda *given: take(found, *given), output=output + "/called", **options)
-for given in player.live_frames(".", "synthetic", output=output + "/looped", **options):
-    take(looped, *given)
-print(summary["processed"], *[number for number, _ in found])
-print(len(looped), found == looped)
-"""
 
 
 @pytest.fixture(scope="module", params=ENGINES)
 def live(request: pytest.FixtureRequest, bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> LabPC:
-    """Return a lab PC with the recording of a press, a camera wrapper, a sensor, and a simulated GenTL producer."""
+    """Return a lab PC with the recording of a press, a camera wrapper and a sensor."""
     lab = set_up(tmp_path_factory.mktemp("lab"), bundle_of_trials, request.param)
     write_trial(lab.bundle / "trial")
     (lab.bundle / "my_camera.py").write_text(CAMERA)
     (lab.bundle / "my_sensor.py").write_text(SENSOR)
     (lab.bundle / "go").touch()
-    (lab.bundle / "harvesters").mkdir()
-    (lab.bundle / "harvesters" / "__init__.py").touch()
-    shutil.copy(simulated_gentl.__file__, lab.bundle / "harvesters" / "core.py")
     return lab
 
 
@@ -123,39 +95,6 @@ def test_a_wrapper_of_ten_lines_is_a_camera(live: LabPC, of_file: Records, tmp_p
     for name in SEEN:
         np.testing.assert_array_equal(records[name], of_file[name], err_msg=name)
     np.testing.assert_allclose(records["time"], np.arange(FRAMES) / 300, atol=1e-9)
-
-
-def test_a_gentl_camera_is_read_by_harvesters(live: LabPC, of_file: Records, tmp_path: Path) -> None:
-    script = (
-        "import sys, numpy as np\nfrom harvesters.core import Harvester\nfrom fingerflow import player\n"
-        "frames = np.load('trial/frames.npy')\n"
-        "Harvester.frames = [(frame, 10**9 + 4_000_000 * k) for k, frame in enumerate(frames)]\n"
-        "sys.exit(player.main(sys.argv[1:]))"
-    )
-    (live.bundle / "maker.cti").touch()
-    always = (".", "--output", str(tmp_path / "out"), "--page", "off", "--threads", "1", *live.options)
-    ended = live.run("-c", script, *always, *_camera("genicam:maker.cti,serial=17,ExposureTime=900"))
-    records = _records(ended, tmp_path / "out")
-    for name in SEEN:
-        np.testing.assert_array_equal(records[name], of_file[name], err_msg=name)
-    np.testing.assert_allclose(records["time"], np.arange(FRAMES) * 0.004, atol=1e-9)
-
-
-def test_opencv_is_a_camera_where_it_is_installed(live: LabPC, of_file: Records, tmp_path: Path) -> None:
-    """A video takes the place of a camera: OpenCV opens both in the same way. Its codec loses nothing."""
-    refused = live.play(tmp_path / "refused", *_camera("opencv:0"))
-    assert refused.returncode == 2
-    assert "`pip install opencv-python-headless`" in refused.stderr
-    frames = np.load(live.bundle / "trial" / "frames.npy")
-    path, (height, width) = live.bundle / "trial.avi", frames.shape[1:]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 50.0, (width, height), isColor=False)
-    for frame in frames:
-        writer.write(frame)
-    writer.release()
-    live.install("opencv-contrib-python-headless")
-    records = _records(live.play(tmp_path / "out", *_camera("opencv:trial.avi")), tmp_path / "out")
-    for name in SEEN:
-        np.testing.assert_array_equal(records[name], of_file[name], err_msg=name)
 
 
 def test_zeromq_and_lsl_reach_their_receivers(live: LabPC, tmp_path: Path) -> None:
@@ -207,76 +146,16 @@ def test_zeromq_and_lsl_reach_their_receivers(live: LabPC, tmp_path: Path) -> No
             assert value == pytest.approx(float(records["gross_contact_area"][number]), rel=1e-6)
 
 
-def test_a_function_and_a_loop_get_every_frame(live: LabPC, tmp_path: Path) -> None:
-    """A source without a rate waits for the function and for the loop, so that both get the same values."""
-    ended = live.run("-c", LOOP, live.options[1], str(tmp_path))
-    assert ended.returncode == 0, ended.stderr
-    called, looped = ended.stdout.splitlines()[-2:]
-    assert [int(one) for one in called.split()] == [FRAMES, *range(FRAMES)]
-    assert looped == f"{FRAMES} True"
-
-
 def test_forces_of_a_function_go_into_records_and_outputs(live: LabPC, tmp_path: Path) -> None:
     forces = ("--forces", "callback:my_sensor:make", "--send", "callback:my_sensor:take")
     records = _records(live.play(tmp_path / "out", *_camera("my_camera:make", *forces)), tmp_path / "out")
-    _check_forces(records, 1.5, 0.5)
+    known = np.isfinite(records["normal_force"])
+    assert known.any()  # of all frames, on a machine that reads the sensor at least every 50 ms
+    np.testing.assert_allclose(records["normal_force"][known], 1.5, rtol=1e-6)
+    np.testing.assert_allclose(records["tangential_force"][known], 0.5, rtol=1e-6)
     taken = dict(line.split() for line in (live.bundle / "taken.txt").read_text().splitlines())
     for number, force in taken.items():
         assert float(force) == pytest.approx(float(records["normal_force"][int(number)]), nan_ok=True)
-
-
-@contextlib.contextmanager
-def _repeated(send: Callable[[], None]) -> Iterator[None]:
-    """Call a function every 5 ms in a thread of its own, as a sensor sends, until the context ends."""
-    ended = threading.Event()
-
-    def sensor() -> None:
-        while not ended.wait(0.005):
-            send()
-
-    sending = threading.Thread(target=sensor)
-    sending.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        sending.join()
-
-
-def test_forces_of_a_serial_line_go_into_records(live: LabPC, tmp_path: Path) -> None:
-    terminal, line = os.openpty()
-    os.set_blocking(terminal, False)  # nobody reads before the player has opened the line
-
-    def send() -> None:
-        with contextlib.suppress(BlockingIOError):
-            os.write(terminal, b"2.25, 0.3, 0.4\n")
-
-    try:
-        with _repeated(send):
-            camera = _camera("my_camera:make", "--forces", f"serial:{os.ttyname(line)}")
-            records = _records(live.play(tmp_path / "out", *camera), tmp_path / "out")
-    finally:
-        os.close(terminal)
-        os.close(line)
-    _check_forces(records, 2.25, 0.5)
-
-
-def test_forces_of_lsl_go_into_records(live: LabPC, tmp_path: Path) -> None:
-    lsl = pytest.importorskip("pylsl", reason="the package pylsl is not installed")
-    live.install("pylsl")
-    name = f"force-of-bundle-{os.getpid()}"
-    outlet = lsl.StreamOutlet(lsl.StreamInfo(name, "force", 2, lsl.IRREGULAR_RATE, lsl.cf_double64, name))
-    with _repeated(lambda: outlet.push_sample([3.0, 0.25])):
-        camera = _camera("my_camera:make", "--forces", f"lsl:{name}")
-        records = _records(live.play(tmp_path / "out", *camera), tmp_path / "out")
-    _check_forces(records, 3.0, 0.25)
-
-
-def _check_forces(records: Records, normal: float, tangential: float) -> None:
-    known = np.isfinite(records["normal_force"])
-    assert known.any()  # of all frames, on a machine that reads the sensor at least every 50 ms
-    np.testing.assert_allclose(records["normal_force"][known], normal, rtol=1e-6)
-    np.testing.assert_allclose(records["tangential_force"][known], tangential, rtol=1e-6)
 
 
 def test_the_benchmark_heeds_the_engine(live: LabPC) -> None:

@@ -9,8 +9,9 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from fingerflow.graphs import Contact, ContactGraph, LightGraph
+from fingerflow.graphs import Contact, ContactGraph
 from fingerflow.ops.contact.cells import mask_of
+from fingerflow.ops.filters.illumination import glass_light
 from tests.ops.contact.test_apparent_contact import by_scipy
 
 PERIOD_PX = 14.0  # period of ridges 0.45 mm apart
@@ -53,7 +54,7 @@ def found(
 ) -> Measured:
     """Return the contact and its threshold: the given one, or one measured in each frame."""
     graph = graph or ContactGraph()
-    light, black, _ = LightGraph()(reference, None, torch.zeros(1))
+    light, black = glass_light(reference)
     if threshold is None:
         threshold = graph.threshold(frames, light, black)
     return Measured(graph(frames, light, black, 1 - threshold), threshold)

@@ -1,13 +1,15 @@
 """Tests of what the tracking graph adds to single points: deformation, its effect on positions, and neighbours."""
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.graphs.track import AgreementGraph, DeformationGraph
-from fingerflow.kernels.tracking_limits import Number, TrackStatus
-from fingerflow.ops.tracking.outliers import find_neighbours
-from fingerflow.ops.tracking.templates import find_templates, inverse_2x2, prepare_templates
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, Number, TrackStatus
+from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
+from fingerflow.ops.tracking.templates import Found, Templates, find_templates, inverse_2x2, prepare_templates
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM = 0.0325
@@ -32,6 +34,13 @@ def grid() -> Tensor:
     return torch.stack((x, y), -1).reshape(1, -1, 2)
 
 
+def corrected_for_deformation(points: Tensor, found: Found, templates: Templates, inverse_warp: Tensor) -> Any:
+    """Return the points with their positions and covariances corrected, the deformation and expected positions."""
+    given = points, found.points, found.covariance, templates.numbers, inverse_warp
+    position, covariance, warp, _, expected = correct_points(*given, 25, WARP_GAUGE_PX)
+    return found._replace(points=position, covariance=covariance), warp, expected
+
+
 def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() -> None:
     """The correction leaves less than a fifth of the bias of templates that do not know the deformation: with a stretch
     of 2 % the edge of a window of 25 px is off by a quarter of a pixel. At the corners of the cloud of points fits are
@@ -44,12 +53,12 @@ def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() 
     found = find_templates(templates, picture(deformation), truth)
     assert (found.status == TrackStatus.TRACKED).all()
     inverse = torch.eye(2).expand(1, points.shape[1], 2, 2)
-    deformed = DeformationGraph(25)(points, found, templates.numbers, inverse)
-    before, after = ((one - truth).norm(dim=-1) for one in (found.points, deformed.found.points))
+    corrected, warp, expected = corrected_for_deformation(points, found, templates, inverse)
+    before, after = ((one - truth).norm(dim=-1) for one in (found.points, corrected.points))
     assert before.square().mean().sqrt() > 0.02
     assert after.square().mean().sqrt() < 0.2 * before.square().mean().sqrt()
-    assert (deformed.warp - deformation.float()).abs().amax() < 5e-3
-    assert (deformed.expected - truth).norm(dim=-1).max() < 0.15  # a mean over points with a bias
+    assert (warp - deformation.float()).abs().amax() < 5e-3
+    assert (expected - truth).norm(dim=-1).max() < 0.15  # a mean over points with a bias
 
 
 @pytest.mark.parametrize("gain_offset", [True, False])
@@ -72,7 +81,7 @@ def test_the_stated_deviation_does_not_count_the_deformation_as_noise(gain_offse
     for warp in (straight, known):
         templates = prepare_templates(key, points, 25, warp, gain_offset=gain_offset, noise=torch.full((1,), 2.0))
         found = find_templates(templates, frame, truth)
-        corrected = DeformationGraph(25)(points, found, templates.numbers, inverse_2x2(warp)).found
+        corrected, *_ = corrected_for_deformation(points, found, templates, inverse_2x2(warp))
         assert (corrected.covariance.det() > 0).all()
         ratios += [one.variance.mean() for one in (found, corrected)]
     naive, corrected_variance, known_variance, known_corrected = ratios
@@ -88,7 +97,7 @@ def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() 
     noise = torch.randn(clean.shape, generator=torch.Generator().manual_seed(1))
     found = find_templates(templates, clean + noise, points)
     turned = torch.tensor([[1.3, 0.0], [0.0, 1.3]]).expand(1, points.shape[1], 2, 2)
-    corrected = DeformationGraph(25)(points, found, templates.numbers, turned).found
+    corrected, *_ = corrected_for_deformation(points, found, templates, turned)
     of_key = 0.25 * templates.numbers[..., Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1 : 2].mean(-1)
     # A deformation that contradicts the displacements leaves no smooth field, which adds to some variances.
     assert (corrected.variance / of_key).min() > 1 - 1e-3
@@ -103,7 +112,7 @@ def test_points_elsewhere_and_unsure_ones_are_told_apart() -> None:
     points[0, 7] = torch.nan
     deviation = torch.full((3, count), 1e-2)
     deviation[2, 200] = 0.05**0.5
-    judged = AgreementGraph()(find_neighbours(start, 120.0), start, points, deviation)
+    judged = find_outliers(find_neighbours(start, 120.0), points - start, deviation)
     off_neighbours, uncertain = (torch.zeros(3, count, dtype=torch.bool) for _ in range(2))
     off_neighbours[1, 100] = uncertain[2, 200] = True
     assert torch.equal(judged.off_neighbours, off_neighbours)

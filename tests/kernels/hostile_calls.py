@@ -25,8 +25,7 @@ from torch import Tensor
 from fingerflow.kernels import arrays, library
 from fingerflow.kernels import tensors as kernels
 from tests.embedded import tensors_of
-from tests.kernels.kernel_calls import Call, in_tensors, kernel_calls, reached
-from tests.kernels.short_of_memory import calls
+from tests.kernels.kernel_calls import Call, calls, in_tensors, kernel_calls, reached
 
 SECONDS, BYTES = 60, 8 << 30  # limits of a call
 NO_ACCESS = 0  # PROT_NONE of sys/mman.h

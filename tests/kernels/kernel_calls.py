@@ -1,11 +1,12 @@
 """One call of every function of kernels, with work for several threads.
 
-Tests of faults, of refused memory, of NumPy arrays and of the compiler use these calls. A new function gets a row in
-`kernel_calls`; tests/kernels/short_of_memory.py names kernels that no call reaches.
+Tests of faults, of NumPy arrays and of the compiler use these calls. A new function gets a row in `kernel_calls`;
+tests/kernels/hostile_calls.py names kernels that no call reaches.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from fingerflow.kernels import (
 )
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
-from tests.embedded import scene
+from tests.embedded import CASES, scene
 
 
 class Call(NamedTuple):
@@ -97,6 +98,12 @@ def kernel_calls() -> dict[str, Call]:
         "flow_template": call(kernels.flow_template, wide, torch.ones_like(wide), 2),
         **calls_on_arrays(tall, light),
     }
+
+
+def calls() -> dict[str, Callable[[], Any]]:
+    """Return calls that reach every kernel, by itself and through the ops."""
+    of_ops: dict[str, Callable[[], Any]] = {name: partial(case.call, *case.inputs) for name, case in CASES.items()}
+    return kernel_calls() | of_ops
 
 
 def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:

@@ -20,7 +20,6 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.fields.point_gradients import point_gradients
-from fingerflow.ops.flow.dense_flow import dense_flow
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.ops.tracking.templates import find_templates, prepare_templates
 from fingerflow.ops.tracking.track_points import track_points
@@ -107,10 +106,9 @@ def same_found(found: Any, expected: Any, case: str) -> int:
     return int(tracked.sum())
 
 
-@pytest.mark.parametrize("base", [0, 1000])
-def test_tracked_points(instruction_set: int, portable: Portable, base: int) -> None:
+def test_tracked_points(instruction_set: int, portable: Portable) -> None:
     tracked = 0
-    for seed in range(base, base + DRAWS):
+    for seed in range(DRAWS):
         first, second, points, settings = drawn(seed)
 
         def call() -> Any:
@@ -175,42 +173,8 @@ def test_tiny_frames(portable: Portable, size: tuple[int, int]) -> None:
         same_found(call(), portable(call), f"draw {seed}, {settings}")
 
 
-@pytest.mark.parametrize("shape", [(0, 7), (2, 0), (0, 0)])
-def test_no_points_and_no_frames(portable: Portable, shape: tuple[int, int]) -> None:
-    images, points = torch.zeros(shape[0], 1, 40, 50), torch.zeros(*shape, 2)
-    warp = torch.eye(2).expand(*shape, 2, 2)
-    flat = points.flatten(0, 1)
-    index = torch.zeros(len(flat), dtype=torch.int64)
-    for call in (
-        lambda: track_points(images, images, points).status,
-        lambda: find_templates(prepare_templates(images, points, 9, warp), images, points, rounds=2).status,
-        lambda: search_windows(images, images, index, flat, flat, 9, 3),
-    ):
-        assert call().shape == portable(call).shape
-
-
-def test_flow(instruction_set: int, portable: Portable) -> None:
-    """Dense flow of frames without NaN agrees to 5e-4 px, the rounding of float32 through all warps; these draws differ
-    by up to 8e-5 px.
-    """
-    for seed in range(20):
-        first, second, _, _ = drawn(seed)
-        if not first.isfinite().all():
-            continue
-
-        def call() -> Any:
-            return dense_flow(first, second)  # noqa: B023
-
-        found, expected = call(), portable(call)
-        for name in found._fields:
-            one, other = getattr(found, name), getattr(expected, name)
-            assert torch.equal(one.isfinite(), other.isfinite()), f"draw {seed}: {name}"
-        off = (found.displacement - expected.displacement).nan_to_num(0.0).abs().max()
-        assert off < 5e-4, f"draw {seed}: {off} px"
-
-
 @pytest.mark.parametrize("size", [(40, 50), (9, 12)])
-def test_windows_searched_outside_the_image(instruction_set: int, portable: Portable, size: tuple[int, int]) -> None:
+def test_windows_searched_outside_the_image(portable: Portable, size: tuple[int, int]) -> None:
     """Searches outside the image agree, up to positions that no integer can hold: the repeated border is blank
     there.
     """
@@ -230,7 +194,7 @@ def test_windows_searched_outside_the_image(instruction_set: int, portable: Port
 
 
 @pytest.mark.parametrize("radius", [1, 8, 12])
-def test_illumination_gain_of_small_images(instruction_set: int, portable: Portable, radius: int) -> None:
+def test_illumination_gain_of_small_images(portable: Portable, radius: int) -> None:
     known = 0
     for height, width in product(range(34), (0, 15, 16, 17, 40)):
         light = torch.full((1, 1, height, width), 105.0)

@@ -2,7 +2,6 @@
 
 import csv
 import http.client
-import os
 import socket
 import stat
 import subprocess
@@ -16,7 +15,6 @@ from unittest import mock
 
 import numpy as np
 
-from fingerflow.export.runtime import OnnxRuntime
 from fingerflow.player.live_data import LiveData
 from fingerflow.player.page_server import serve_page
 from fingerflow.schema.spreadsheet_cell import quoted_cell
@@ -38,13 +36,12 @@ _FORMULAS = ("=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "p01", "-
 
 
 def cases() -> Iterator[Case]:
-    """Yield the cases; the numbers count requests, connections, cells or folders."""
+    """Yield the cases; the numbers count requests, connections or cells."""
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(connection, "_REQUEST", 1.0):
         yield from _pages(Path(folder))
         yield _command_line(Path(folder))
         yield _scheduler()
         yield _cells(Path(folder))
-        yield _graphs(Path(folder))
 
 
 def _case(name: str, wrong: int, count: int, stated: str) -> Case:
@@ -112,24 +109,3 @@ def _cells(folder: Path) -> Case:
         (cells,) = csv.reader(file)
     run = sum(one[:1] in "=+-@\t\r" and one != "-0.5" for one in cells)
     return _case("cells that a spreadsheet would run", run, len(_FORMULAS), "apostrophe")
-
-
-def _graphs(folder: Path) -> Case:
-    """Judge the folder of cached graphs, which are executed: the folder must belong to this user and be writable by
-    nobody else.
-    """
-    user, used = os.getuid(), 0
-    with mock.patch("tempfile.gettempdir", return_value=str(folder)), mock.patch("tempfile.tempdir", str(folder)):
-        own = folder / f"fingerflow-graphs-{user}"
-        (folder / "elsewhere").mkdir()
-        own.symlink_to(folder / "elsewhere")
-        used += OnnxRuntime(1).folder == own
-        own.unlink()
-        own.mkdir()
-        own.chmod(0o777)
-        used += OnnxRuntime(1).folder == own
-        with mock.patch("os.getuid", return_value=user + 1):
-            foreign = folder / f"fingerflow-graphs-{user + 1}"
-            foreign.mkdir()
-            used += OnnxRuntime(1).folder == foreign
-    return _case("folders for exported graphs that others made", used, 3, "another")

@@ -5,7 +5,6 @@ import random
 import re
 import signal
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,17 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 import xarray as xr
 from typer.testing import CliRunner
 
-from bench.suites import gpu
 from fingerflow.cli import app
-from fingerflow.engines.memory import TOGETHER
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, read_own
-from fingerflow.study import run_study as run
 from fingerflow.study import trial as worker
 from fingerflow.study.cluster import Interrupted
 from fingerflow.study.manifest import Manifest, load_manifest
@@ -83,79 +78,6 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     (planned,) = plan_run(changed)
     assert (planned.entry.name, planned.redo) == ("02_0_1", "everything")
     assert "recording.frames changed" in planned.why
-
-
-def test_trials_together_are_what_each_is_by_itself(
-    study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
-) -> None:
-    """Trials processed together have the same numbers as alone, and a failed trial is one failed row."""
-    (lab / "p01/2um/trial3/forces.csv").write_text("no forces", encoding="utf-8")
-    found = _run(study, scheduler, together=3)
-    assert [name for name, status in found.items() if status == FAILED] == ["01_2_3"]
-    assert len(found) == 8
-    table, expected = table_of(study), table_of(undisturbed)
-    whole = table["status"] == MEASURED
-    assert whole.sum() == 7
-    pd.testing.assert_frame_equal(table[whole], expected[whole], check_exact=True, check_dtype=False)
-    made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
-    assert sorted(one["together"] for one in made) == [2, 2, 3, 3, 3, 3, 3, 3]
-
-
-def test_trials_together_on_a_gpu(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A group has as many trials as the free GPU memory holds, at most the 32 for which rates are predicted; without a
-    GPU or on a cluster one.
-    """
-    assert run._default_group_size(study, None) == 1
-    free = [80e9]
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free[0], 80e9))
-    assert run._default_group_size(study, None) == TOGETHER == max(gpu.BATCHES)
-    assert run._default_group_size(study, "tcp://elsewhere") == 1
-    found = []
-    for free[0] in np.linspace(1e9, 10e9, 400):
-        found.append(run._default_group_size(study, None))
-    assert found == sorted(found)
-    assert found[0] == 1
-    assert {2, 8, TOGETHER} <= set(found)
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: groups were tested on the processor")
-def test_a_study_on_a_gpu(study: Manifest, undisturbed: Manifest) -> None:
-    """All trials of a small study, measured together on the GPU, have the same numbers as each measured alone."""
-    assert set(_run(study, None).values()) == {MEASURED}
-    made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
-    assert {one["together"] for one in made} == {min(TOGETHER, len(study.trials))}
-    table, expected = table_of(study), table_of(undisturbed)
-    for name in ("real_contact_area", "gross_contact_area", "divergence"):
-        np.testing.assert_allclose(table[name], expected[name], rtol=1e-3, atol=1e-3)
-
-
-def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:
-    if len(jobs) > 1:
-        raise MemoryError("as where all of them are too much for a worker")
-    return worker.run_trials(jobs)
-
-
-def _no_room_for_the_last(jobs: list[worker.Job]) -> list[worker.Outcome]:
-    if len(jobs) == 1:
-        return worker.run_trials(jobs)
-    (last,) = jobs[-1].manifest.trials
-    return [*worker.run_trials(jobs[:-1]), worker.Outcome(last.name, FAILED, "no memory", passing=True)]
-
-
-@pytest.mark.parametrize("act", [_killed_by_a_group, _no_room_for_the_last])
-def test_what_a_group_does_not_bring_to_an_end_is_run_one_by_one(
-    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch, act: Callable[..., Any]
-) -> None:
-    monkeypatch.setattr(run, "run_trials", act)
-    assert _run(study, scheduler, only="01_*", together=3) == dict.fromkeys(
-        [entry.name for entry in study.trials if entry.name.startswith("01_")], MEASURED
-    )
-    last_of_group = [entry.name for entry in study.trials if entry.name.startswith("01_")][2]
-    made = read_row(study.results / last_of_group)
-    assert made is not None
-    assert made.made["together"] == 1
 
 
 def test_a_row_has_where_it_comes_from_and_reads_what_it_needs(study: Manifest, scheduler: str) -> None:
@@ -255,7 +177,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         raise NoRoomError("the disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(worker, "steps_to", full)
+        patched.setattr(worker, "process_to_file", full)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert {one.entry.name for one in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 
@@ -326,7 +248,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        (outcome,) = worker.run_trials([worker.Job(replace(study, trials=(entry,)), "everything", codes, 1)])
+        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), "everything", codes, 1))
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 

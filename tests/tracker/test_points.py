@@ -10,7 +10,6 @@ from known_skin import Array, KnownSkin
 from scipy import ndimage
 
 from fingerflow.engines.engine import Engine, EngineSettings, FoundPoints
-from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import UPDATE_PX, TrackStatus
 from fingerflow.tracker.point_prediction import TRUSTED
 from fingerflow.tracker.points import FASTEST_PX, MOST_FRAMES, STREAM, Points, Resolved
@@ -225,6 +224,6 @@ def test_points_without_neighbours_are_followed(make_engine: Callable[[EngineSet
     view = np.clip(ndimage.gaussian_filter(rng.standard_normal((80, 90)), 2) * 250 + 120, 0, 255).astype(np.uint8)
     start = np.array([[45, 40]], np.float32)[:count]
     points = Points(engine, engine.images(view[None]), start)
-    found = run_alone(points.follow(engine.images(np.roll(view, 1, axis=1)[None].repeat(3, axis=0))))
+    found = points.follow(engine.images(np.roll(view, 1, axis=1)[None].repeat(3, axis=0)))
     assert (found.status == TrackStatus.TRACKED).all()
     np.testing.assert_allclose(found.points, np.broadcast_to(start + np.float32([1, 0]), found.points.shape), atol=1e-3)

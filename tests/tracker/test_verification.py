@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from fingerflow import load_scene, process
 from fingerflow.engines.engine import Engine, EngineSettings
-from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.variables import TRACK_STATUS
@@ -171,11 +170,11 @@ def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
     first = engine.windows(engine.images(picture(UNMOVED, (0, 0), 0.0, 1)), number, then, straight, STEP)
     after = engine.images(picture(GRADIENT, (0.0, 0.0), 0.0, 2))
 
-    def sample(images: Array, places: Array, warp: Array) -> Steps[Array]:
-        found: Array = yield Call(engine.windows, (after, images, places, warp, STEP))
+    def sample(images: Array, places: Array, warp: Array) -> Array:
+        found: Array = engine.windows(after, images, places, warp, STEP)
         return found
 
-    found = run_alone(deformed_alike(first, sample, number, now, straight, WINDOW, STEP))
+    found = deformed_alike(first, sample, number, now, straight, WINDOW, STEP)
     assert np.array_equal(found[7], STRAIGHT)
     near = np.abs(found - STRAIGHT - GRADIENT).max((1, 2))
     assert float(np.quantile(near, 0.9)) < 0.01
@@ -193,7 +192,7 @@ def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: fl
     status = np.zeros((2, len(then)), np.uint8)
     warp = warps(GRADIENT, len(then))
     both = np.stack((now, now))
-    assert not run_alone(Verification(engine, first, then).check(images, both, status, warp)).differs.any()
+    assert not Verification(engine, first, then).check(images, both, status, warp).differs.any()
     generator = torch.Generator().manual_seed(4)
     found = count = 0
     for offset in range(10):
@@ -203,7 +202,7 @@ def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: fl
         distance = least + (most - least) * torch.rand(len(then), generator=generator).numpy()
         away = np.where(some, distance, 0.0)
         shift = (away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)).astype(np.float32)
-        failed = run_alone(Verification(engine, first, then).check(images, both + shift, status, warp)).differs
+        failed = Verification(engine, first, then).check(images, both + shift, status, warp).differs
         assert not failed[~some].any()
         found, count = found + int(failed.sum()), count + int(some.sum())
     assert found >= share * count
@@ -220,7 +219,7 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     beside = now + only[:, None] * np.array([6.0, 3.0], np.float32)
 
     def check(places: Array, of: Array = status) -> Array:
-        return run_alone(verification.check(image, places[None], of, straight)).differs
+        return verification.check(image, places[None], of, straight).differs
 
     np.testing.assert_array_equal(check(beside), only)
     np.testing.assert_array_equal(check(now), only)
@@ -231,7 +230,7 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     np.testing.assert_array_equal(check(np.where(only[:, None], np.float32(np.nan), now), lost), only)
     # A point of unknown deformation cannot be checked either.
     unknown = np.where(only[:, None, None], np.float32(np.nan), straight)
-    np.testing.assert_array_equal(run_alone(verification.check(image, beside[None], status, unknown)).differs, only)
+    np.testing.assert_array_equal(verification.check(image, beside[None], status, unknown).differs, only)
 
 
 def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -> None:
@@ -242,7 +241,7 @@ def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -
     blurred = np.lib.stride_tricks.sliding_window_view(sharp, (5, 5)).mean((2, 3))[None]
     status = np.zeros((1, len(then)), np.uint8)
     images = engine.images((0.6 * blurred + 30).astype(np.float32))
-    found = run_alone(verification.check(images, now[None], status, warps(GRADIENT, len(then))))
+    found = verification.check(images, now[None], status, warps(GRADIENT, len(then)))
     assert not (found.differs | found.held).any()
     assert float(found.variance.max()) < 0.1**2
 
@@ -269,7 +268,7 @@ def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make
 
     def check(back: float) -> Any:
         places = now - some[:, None] * np.array([back, 0.0], np.float32)
-        return run_alone(Verification(engine, first, then).check(after, places[None], status, straight))
+        return Verification(engine, first, then).check(after, places[None], status, straight)
 
     far, near = check(0.6), check(0.2)
     assert far.held[some].mean() > 0.9
@@ -299,8 +298,8 @@ def test_points_that_fail_have_no_position_and_are_counted(scene_path: Path, mon
     """
     step, seen = Points._step, [1]
 
-    def beside(points: Points, images: Any, around: Any) -> Steps[Any]:
-        found = yield from step(points, images, around)
+    def beside(points: Points, images: Any, around: Any) -> Any:
+        found = step(points, images, around)
         numbers = np.arange(seen[0], seen[0] + len(images))
         seen[0] += len(images)
         shifted = found.points.copy()

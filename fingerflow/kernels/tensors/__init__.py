@@ -14,10 +14,7 @@ from fingerflow.kernels import checks, contact, deformation, fields, flow, track
 from fingerflow.kernels.library import inject_fault as inject_fault
 from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
 from fingerflow.kernels.tensors.serving import constant_to_compiler as constant_to_compiler
-from fingerflow.kernels.tensors.serving import fused_serves as fused_serves
-from fingerflow.kernels.tensors.serving import fused_tracking_serves as fused_tracking_serves
 from fingerflow.kernels.tensors.serving import serve as serve
-from fingerflow.kernels.tensors.serving import twin_serves as twin_serves
 from fingerflow.kernels.tensors.torch_op import torch_op
 
 

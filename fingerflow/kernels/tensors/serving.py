@@ -1,18 +1,12 @@
 """Check whether the compiled kernels can be used for given tensors in the present state of torch."""
 
-import functools
-import os
-import shutil
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.library import is_present
-
-LARGEST_FUSED = 57  # px, largest side of a window of the fused kernel; with its margin it fills a tile of 64 x 64
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -53,40 +47,6 @@ def is_recorded() -> bool:
         or torch._C._len_torch_dispatch_stack() > 0
         or torch._C._are_functorch_transforms_active()
     )
-
-
-def fused_serves(*tensors: Tensor | None) -> bool:
-    """Return whether GPU kernels of Triton (`fused_*`) can be used for the given tensors.
-
-    They need Triton and a GPU of CUDA, compute in float32, and give no derivatives. Compilers and exporters see the
-    portable form.
-    """
-    if torch.compiler.is_compiling() or is_recorded() or not _has_triton():
-        return False
-    return all(one is None or (one.dtype != torch.float64 and _is_on_gpu(one)) for one in tensors)
-
-
-def fused_tracking_serves(samples: Tensor, *tensors: Tensor) -> bool:
-    """Return whether the kernel of `fused_tracking` can be used for the `samples` of templates and the other tensors:
-    as `fused_serves`, and the windows fit into its tiles.
-    """
-    return samples.shape[-1] <= LARGEST_FUSED**2 and fused_serves(samples, *tensors)
-
-
-def twin_serves(*tensors: Tensor | None) -> bool:
-    """Return whether a compiled kernel or one of Triton can be used in place of the portable form."""
-    return serve(*tensors) or fused_serves(*tensors)
-
-
-@functools.cache
-def _has_triton() -> bool:
-    """Return whether Triton is installed, and a C compiler with which it builds the launchers of its kernels."""
-    compilers = (os.environ.get("CC"), "cc", "gcc", "clang")
-    return find_spec("triton") is not None and any(name is not None and shutil.which(name) for name in compilers)
-
-
-def _is_on_gpu(tensor: Tensor) -> bool:
-    return tensor.is_cuda and not (tensor.requires_grad and torch.is_grad_enabled())
 
 
 @constant_to_compiler

@@ -80,17 +80,9 @@ def apparent_contact(
     if not 1 <= side <= 2 * radius + 1:
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
-        return _of_numbers(*kernels.apparent_contact(mask, radius, side))
-    if precision == torch.float32 and kernels.fused_serves(mask):
-        from fingerflow.kernels.tensors.fused_contact import apparent_contact as fused  # needs Triton
-
-        return _of_numbers(*fused(mask, radius, side))
+        margin, numbers = kernels.apparent_contact(mask, radius, side)
+        return ApparentRegion(margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
     return _region(cell_means(mask, side, precision), radius, side)
-
-
-def _of_numbers(density_margin: Tensor, numbers: Tensor) -> ApparentRegion:
-    """Return the region that a twin describes by its density margin and seven numbers a frame (B, 7)."""
-    return ApparentRegion(density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
 
 
 def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:

@@ -50,51 +50,9 @@ def enlarge(cells: Tensor, times: int) -> Tensor:
     return functional.interpolate(cells, scale_factor=times, mode="nearest")
 
 
-def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Interpolate values on cells (B, 1, h, w) bilinearly at positions x and y (B, N), in units of cells.
-
-    Positions are finite. Positions beyond the centres of the outermost cells take the value at the nearest position
-    between centres.
-    """
-    height, width = cells.shape[-2:]
-    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
-    left, top = x.floor().clamp(0, max(width - 2, 0)), y.floor().clamp(0, max(height - 2, 0))
-    first = (top * width + left)[:, None].to(torch.int64)
-    # Index steps to the next cell, 0 if the grid has only one column or row.
-    right, down = min(1, width - 1), width * min(1, height - 1)
-    corners = torch.cat((first, first + right, first + down, first + (down + right)), dim=1)
-    values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
-    across, along = (x - left)[:, None], (y - top)[:, None]
-    rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
-    result: Tensor = rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
-    return result
-
-
-def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Return a mask (B, N) bool of the positions x, y (B, N) px that lie in the apparent contact: where
-    `density_margin`, interpolated between cells, is positive.
-
-    Interpolation between cells locates the border to a fraction of a pixel.
-
-    Args:
-        density_margin: (B, 1, h, w) of `ApparentRegion`, on cells of `cell` px.
-        x, y: (B, N) px.
-        cell: side of a cell, px.
-
-    Returns:
-        (B, N) bool; False beyond the cells and where x or y is not finite.
-    """
-    height, width = density_margin.shape[-2:]
-    # Move positions that are not finite outside the frame, where no region lies.
-    known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
-    column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
-    inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
-    return (at_places(density_margin, column, row) > 0) & inside
-
-
 def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
     """Return the mask (B, 1, height, width) bool of the pixels in the apparent contact: where `density_margin`,
-    interpolated between cells of `cell` px as in `covered`, is positive.
+    interpolated between cells of `cell` px, is positive.
 
     All pixels of an image column lie between the same two cell columns, so rows are interpolated first, then columns.
     """
@@ -111,8 +69,8 @@ def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor,
     """Return, for each of `pixels` pixels along an axis of `count` cells of `cell` px, the indices of the two cells to
     interpolate between, and the weight of the second cell.
 
-    The weight is the distance from the first cell, in cells; the line is clamped as in `at_places`, in the dtype of
-    `cells`. Each result is (pixels,).
+    The weight is the distance from the first cell, in cells; positions beyond the middle of the outermost cells are
+    clamped to it, in the dtype of `cells`. Each result is (pixels,).
     """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))

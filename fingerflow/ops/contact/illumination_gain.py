@@ -34,10 +34,6 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
     single = light.dtype == black.dtype == torch.float32
     if frames.dtype in kernels.FRAME_KINDS and single and kernels.serve(frames, light, black):
         return kernels.illumination_gain(frames, light, black, block)
-    if single and kernels.fused_serves(frames, light, black):
-        from fingerflow.kernels.tensors.fused_pixels import illumination_gain as fused  # needs Triton
-
-        return fused(frames, light, black, block)
     some, given, dark = (image[..., sizes.LINE_STEP // 2 :: sizes.LINE_STEP, :] for image in (frames, light, black))
     if some.shape[2] < block // sizes.LINE_STEP or some.shape[3] < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)

@@ -48,10 +48,6 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         and kernels.serve(frames, light, black, limit)
     ):
         return kernels.real_contact_mask(frames, light, black, share, median_px)
-    if single and kernels.fused_serves(frames, light, black, limit):
-        from fingerflow.kernels.tensors.fused_pixels import real_contact_mask as fused  # needs Triton
-
-        return fused(frames, light, black, share, median_px)
     compute = partial(_mask, median_px)
     result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
     return result

@@ -1,7 +1,6 @@
 """Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -97,10 +96,9 @@ def area_medians(
     if apart is not None:
         apart = _check_apart(apart, displacement, covariance is not None)
     among, fields, std = (None, None, None) if apart is None or not displacement.shape[1] else apart
-    compute = _twin(reference, displacement, *frame, covariance, among, fields, std)
-    if kind == torch.float32 and compute is not None:
+    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
         return AreaMedians(
-            *compute(
+            *kernels.area_medians(
                 reference,
                 displacement,
                 torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
@@ -118,17 +116,6 @@ def area_medians(
         *(*frame, reference, displacement, covariance, among, fields, std),
     )
     return result
-
-
-def _twin(*given: Tensor | None) -> Callable[..., tuple[Tensor, Tensor | None, Tensor]] | None:
-    """Return the compiled form of the medians, or that of Triton, or None where the tensors need the portable form."""
-    if kernels.serve(*given):
-        return kernels.area_medians
-    if not kernels.fused_serves(*given):
-        return None
-    from fingerflow.kernels.tensors.fused_medians import area_medians as fused  # needs Triton
-
-    return fused
 
 
 def _medians_of_known(

@@ -1,7 +1,6 @@
 """Value and gradient of a field known at scattered points, from a weighted linear fit around each query position."""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -9,7 +8,6 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
-from fingerflow.kernels.fields import FittedPlanes
 from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.fields.weighted_moments import weighted_moments
 
@@ -80,9 +78,8 @@ def local_gradients(
     noise = None
     if variance is not None:
         noise = variance.to(dtype).flatten(2) if variance.dim() == 4 else variance.to(dtype)[..., None]
-    compute = _twin(positions, measured, wanted, noise)
-    if compute is not None:
-        fitted = compute(
+    if kernels.serve(positions, measured, wanted, noise):
+        fitted = kernels.local_gradients(
             positions,
             measured,
             wanted,
@@ -143,17 +140,6 @@ def local_gradients(
         covariance = or_nan(_gradient_covariance(sums.noise, centre, safe_mass, inverse, components))
     offset = torch.hypot(centre_x, centre_y).detach()
     return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
-
-
-def _twin(*given: Tensor | None) -> Callable[..., FittedPlanes[Tensor]] | None:
-    """Return the compiled form of the fits, or that of Triton, or None where the tensors need the portable form."""
-    if kernels.serve(*given):
-        return kernels.local_gradients
-    if not kernels.fused_serves(*given):
-        return None
-    from fingerflow.kernels.tensors.fused_fits import local_gradients as fused  # needs Triton
-
-    return fused
 
 
 def _check(

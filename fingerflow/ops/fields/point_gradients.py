@@ -19,10 +19,9 @@ def point_gradients(
     Displacements are (B, N, 2), reference positions (1 or B, N, 2). With `covariance` (B, N, 2, 2) of the
     displacements, that of the gradients is (B, N, 2, 2, 2, 2), else None; gradients and covariance are as in
     `LocalFit`. They are NaN also where a point's own displacement, or its covariance, is not known. Compiled kernels
-    and those of Triton fit differences of positions; the portable form, which is exported, uses matrix products
-    (`ops.fields.plane_fit`).
+    fit differences of positions; the portable form, which is exported, uses matrix products (`ops.fields.plane_fit`).
     """
-    if kernels.twin_serves(reference, displacement, covariance):
+    if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
         across, down = displacement.unbind(-1)  # torch is slow over an axis of two
         own = across + down
@@ -69,7 +68,7 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
 
     `reference` is (1 or B, N, 2). None where compiled kernels run, which do not need it.
     """
-    if kernels.twin_serves(reference):
+    if kernels.serve(reference):
         return None
     places, _ = about_their_mean(reference, gauge_length / 2)
     return support_of(places, places)
@@ -85,7 +84,7 @@ def neighbour_planes(
     fit of its neighbours. A point with one unknown component counts as unknown. Compiled and portable forms are as for
     `point_gradients`; the latter can reuse the `neighbours_support` of these positions.
     """
-    if kernels.twin_serves(reference, values):
+    if kernels.serve(reference, values):
         fit = local_gradients(reference, values, gauge_length=gauge_length)
         return fit.value, fit.gradient
     radius = gauge_length / 2

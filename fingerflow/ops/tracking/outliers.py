@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import outlier_limits as limits
-from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.tensors import finite
 
@@ -92,10 +91,6 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
         position_std: (B, N) standard deviation of a component.
     """
     index, offset, within = neighbours
-    if kernels.fused_serves(*neighbours, displacement, position_std):
-        from fingerflow.kernels.tensors.fused_outliers import find_outliers as fused  # needs Triton
-
-        return Outliers(*fused(*neighbours, displacement, position_std))
     # (P, k, N), broadcast over frames. Contiguous: interleaved pairs would not be vectorised.
     x, y = (part.contiguous() for part in offset.unbind(-1))
     known = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all quantities per point

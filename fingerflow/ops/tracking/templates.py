@@ -239,11 +239,6 @@ def find_templates(
     ):
         followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
-    if kernels.fused_tracking_serves(templates.samples, current, guess):
-        from fingerflow.kernels.tensors.fused_tracking import find_templates as fused  # needs Triton
-
-        given = templates, current, guess, None, variance, rounds, *settings
-        return Found(*[one[0] for one in fused(*given)[:5]])
     return in_rounds(lambda some, near: _step(some, current, near, variance, *settings), templates, guess, rounds)
 
 

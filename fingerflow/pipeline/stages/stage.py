@@ -1,6 +1,6 @@
 """Base class of pipeline stages, with the inputs and outputs of a stage and the methods that a run calls."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
@@ -26,12 +26,10 @@ class Batch:
     Attributes:
         indices: (n,) frame numbers, from 0 for the first selected frame; ascending or descending by one.
         frames: (n, H, W) pictures; None where no stage of the pass reads them.
-        ahead: functions that return the images of a view whose upload to the device has begun.
     """
 
     indices: NDArray[np.intp]
     frames: NDArray[np.generic] | None = None
-    ahead: dict[View, Callable[[], Images]] = field(default_factory=dict)
     _steps: dict[type["Stage"], Any] = field(default_factory=dict)
 
     def keep(self, stage: "Stage", result: Any) -> None:
@@ -39,10 +37,9 @@ class Batch:
         self._steps[type(stage)] = result
 
     def images(self, inputs: Inputs, view: View) -> Images:
-        """Return the images of a view as the engine of the inputs takes them, uploaded ahead or now."""
+        """Return the images of a view as the engine of the inputs takes them."""
         assert self.frames is not None
-        ready = self.ahead.get(view) or inputs.images_ahead(self.frames, view)
-        return ready()
+        return inputs.engine.images(inputs.counts(self.frames, view))
 
     def of(self, stage: type["Stage"]) -> Any:
         """Return what the method `step` of another stage returned for this batch."""
@@ -138,10 +135,7 @@ class Stage:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Compute the results of a batch of frames; later stages of the pass get the returned value from `Batch.of`.
-
-        It may be a generator of engine calls that several recordings share (`engines.together`).
-        """
+        """Compute the results of a batch of frames; later stages of the pass get the returned value from `Batch.of`."""
 
     def finish(self) -> None:
         """Compute the results that need all frames, and add warnings, after the last batch."""

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import EngineSettings
-from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.plan import VARIABLES
-from fingerflow.pipeline.run import _pass, _RunOptions
+from fingerflow.pipeline.run import _pass
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
@@ -76,7 +75,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
 def run(trial: RunContext, *stages: Stage) -> None:
     """Run all parts of these stages in one pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
-    run_alone(_pass(stages, trial, {}, _RunOptions(progress=False)))
+    _pass(stages, trial, {}, progress=False)
 
 
 def values_of(trial: RunContext, name: str) -> NDArray[Any]:

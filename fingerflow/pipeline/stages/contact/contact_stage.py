@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.engines.engine import FrameContact, Images
-from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
@@ -99,7 +98,7 @@ class ContactStage(Stage):
 
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
-        contact, threshold = yield from self._contact_in(batch.images(self.inputs, self._view))
+        contact, threshold = self._contact_in(batch.images(self.inputs, self._view))
         size, indices = self.inputs.mm_per_px, batch.indices
         for name, values in {
             "contact_threshold": threshold,
@@ -197,7 +196,7 @@ class ContactStage(Stage):
         light = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))[0][0, 0].cpu().numpy()
         self.warnings.extend(view_faults.of_background_lines(light))
         if region.any():
-            contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[self.reference_frame]])))
+            contact, _ = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
             period = self._period_px
             self.warnings.extend(view_faults.of_unlit_glass(region, light, self.inputs.scene.contact.gross_radius_px))
             if np.isfinite(period):
@@ -218,7 +217,7 @@ class ContactStage(Stage):
         self.warnings.extend(view_faults.of_moved_glass(pictures, light, region))
 
     def _region_of(self, frame: int) -> Tensor:
-        contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
+        contact, _ = self._contact(read_frames(self.inputs.recording[[frame]]))
         if not (contact.density_margin > 0).any():
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
@@ -253,15 +252,15 @@ class ContactStage(Stage):
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
-    def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
+    def _contact(self, frames: NDArray[np.generic]) -> tuple[FrameContact, NDArray[np.floating]]:
         return self._contact_in(self._engine.images(self.inputs.counts(frames, self._view)))
 
-    def _contact_in(self, images: Images) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
+    def _contact_in(self, images: Images) -> tuple[FrameContact, NDArray[np.floating]]:
         if self._threshold is None:
-            threshold = yield Call(self._engine.threshold, (images, self._light))
+            threshold = self._engine.threshold(images, self._light)
         else:
             threshold = np.full(len(images), self._threshold, np.float32)
-        return (yield Call(self._engine.contact, (images, self._light, threshold))), threshold
+        return self._engine.contact(images, self._light, threshold), threshold
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None:

@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from fingerflow import graphs
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.engines.together import Call, Steps
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
@@ -80,7 +79,7 @@ class FieldsStage(Stage):
                 moved.onset_variance,
             )
 
-    def step(self, batch: Batch) -> Steps[None]:
+    def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
         ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
@@ -88,8 +87,7 @@ class FieldsStage(Stage):
         covariance *= self._gain[:, None, None]
         entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
-        given = self._reference, shift, ellipse, covariance, entered
-        found: FrameFields = yield Call(self._engine.fields, given)
+        found = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
             if not name.endswith("_std"):
                 self.results[name][batch.indices] = getattr(found, name)

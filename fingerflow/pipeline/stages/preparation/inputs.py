@@ -1,6 +1,5 @@
 """Inputs of a run, opened and checked: recording, background, calibration and compute engine."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.engines.choice import engine_for
-from fingerflow.engines.engine import Engine, EngineSettings, Images
-from fingerflow.engines.torch import Modules, TorchEngine, images_on
+from fingerflow.engines.choice import ENGINES, engine_for
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import frame_asked
@@ -91,15 +90,6 @@ class Inputs:
     def _is_bright(self, view: View) -> bool:
         return self.scene.contact.appears == "bright" and view == self.scene.views.contact
 
-    def images_ahead(self, frames: NDArray[Any], view: View) -> Callable[[], Images]:
-        """Crop frames (n, H, W) to a view and begin to copy them to the device of the engine; return a function that
-        returns the images as the engine takes them.
-        """
-        counts = self.counts(frames, view)
-        if isinstance(self.engine, TorchEngine):
-            return self.engine.images_ahead(counts)
-        return lambda: self.engine.images(counts)
-
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
         """Crop frames (n, H, W) to a view; return a read-only tensor (n, 1, h, w) on the device of the run.
 
@@ -166,14 +156,18 @@ def read_frames(part: Recording) -> NDArray[Any]:
         ) from error
 
 
-def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
+def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
     """Open the recording of a scene, and check that all views of the scene lie within the frames.
 
-    `engine` is that of `engines.choice.engine_for`; with `modules` it is a `TorchEngine` of these.
+    `engine` is one of `engines.choice.ENGINES`.
 
     Raises FingerflowError for what does not fit; the message gives the value and the remedy.
     """
-    chosen = _device(device)
+    if engine not in ENGINES:
+        raise FingerflowError(f"the engine {engine!r} is not known; choose {', '.join(ENGINES[:-1])} or {ENGINES[-1]}")
+    if engine == "onnx" and device not in ("auto", "cpu"):
+        raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
+    chosen = _device("cpu" if engine == "onnx" else device)
     settings = scene.recording
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
     if not len(recording):
@@ -208,9 +202,16 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Module
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
     warnings += plausibility.of_frames(len(recording))
-    of_engine = _engine_settings(scene)
-    computing = TorchEngine(of_engine, chosen, modules) if modules else engine_for(engine, of_engine, chosen)
-    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, computing)
+    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, _engine(engine, scene, chosen))
+
+
+def _engine(name: str, scene: Scene, device: torch.device) -> Engine:
+    if name != "onnx":
+        return engine_for(name, _engine_settings(scene), device)
+    # Imported here, as the import is slow and needed for this engine only.
+    from fingerflow.export.recording_engine import recording_engine
+
+    return recording_engine(_engine_settings(scene), torch.get_num_threads())
 
 
 def _engine_settings(scene: Scene) -> EngineSettings:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.engines.engine import FoundPoints, Images, nothing_found
-from fingerflow.engines.together import Call, Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -115,7 +114,7 @@ class TrackingStage(Stage):
         for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
             indices = batch.indices[some]
             if self._usable[indices[0]]:
-                yield from self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
+                self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
             else:
                 self._skip_frames(indices)
 
@@ -128,20 +127,20 @@ class TrackingStage(Stage):
         for points in self._seeded:
             points.pass_over(len(indices))
 
-    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
+    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
         every: list[FoundPoints] = []
         curved: list[NDArray[np.float32]] = []
         if not self._seeded:
             first = self._seed(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
-            rest = [(yield from self._seeded[0].follow(images[1:]))] if len(images) > 1 else []
+            rest = [self._seeded[0].follow(images[1:])] if len(images) > 1 else []
             every.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
             curved.append(self._seeded[0].curvature_variance(every[0]))
         else:
             for points, numbers in zip(self._seeded, self._around, strict=True):
                 around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
-                every.append((yield from points.follow(images, around)))
+                every.append(points.follow(images, around))
                 curved.append(points.curvature_variance(every[-1], around))
         found = beside(every)
         before, last = found.status.shape[1], len(images) - 1
@@ -150,7 +149,7 @@ class TrackingStage(Stage):
             found = beside([found, _extend_to_batch(len(images), new)])
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = found.points, found.error, found.status
-        covered = yield Call(self._engine.covered, (margin, found.estimate, self._matrix))
+        covered = self._engine.covered(margin, found.estimate, self._matrix)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),

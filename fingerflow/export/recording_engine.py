@@ -1,0 +1,106 @@
+"""Engine of a recording that runs graphs in ONNX Runtime, exported in memory for the shapes of the recording."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+
+from fingerflow.engines.engine import Array, EngineSettings, Fit, Images
+from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.torch import TorchEngine
+from fingerflow.export.build import Graph, build
+from fingerflow.export.standard_model import need_packages, standard_model
+
+_EXPORT = threading.Lock()  # torch exports one graph at a time
+
+
+@lru_cache(maxsize=4)
+def recording_engine(settings: EngineSettings, threads: int) -> RecordingEngine:
+    """Return the engine for recordings with these settings; it keeps the graphs that it has exported.
+
+    Raises FingerflowError if a package for export is not installed.
+    """
+    need_packages()
+    return RecordingEngine(settings, threads)
+
+
+class RecordingEngine(OnnxEngine):
+    """`OnnxEngine` for recordings: several frames a call, any number of points, and standard deviations of fields.
+
+    `detect` and `fit` are those of torch: each number of points would need a graph of its own, and `fit` is computed in
+    float64.
+
+    Args:
+        settings: of the engine.
+        threads: inside an operator.
+    """
+
+    def __init__(self, settings: EngineSettings, threads: int) -> None:
+        graphs = build(settings, points=1, deviations=True)
+        super().__init__({name: ExportedGraph(graph, threads) for name, graph in graphs.items()}, settings)
+        self._torch = TorchEngine(settings, torch.device("cpu"))
+
+    def detect(self, image: Images, mask: Array, count: int) -> Array:
+        return self._torch.detect(self._torch.images(image[:, 0]), mask, count)
+
+    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+        return self._torch.fit(points, values, queries, gauge, variance)
+
+
+class ExportedGraph:
+    """Graph with the interface of `engines.sessions.GraphSession`, exported at the first call with new shapes.
+
+    A call of K frames is K runs; inputs of one frame are the same in all of them.
+    """
+
+    shares_memory = True
+
+    def __init__(self, graph: Graph, threads: int) -> None:
+        self._graph, self._threads = graph, threads
+        self._sessions: dict[Any, Any] = {}
+
+    def kept(self, name: str, array: Array) -> Array:
+        return array
+
+    def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
+        arrays = {name: _single(given[name]) for name in self._graph.inputs}
+        frames = max(map(len, arrays.values()))
+        parts = [
+            self._run({name: one[k : k + 1] if len(one) == frames else one for name, one in arrays.items()})
+            for k in range(frames)
+        ]
+        return {
+            name: np.concatenate(one) for name, one in zip(self._graph.outputs, zip(*parts, strict=True), strict=True)
+        }
+
+    def _run(self, arrays: dict[str, Array]) -> list[Array]:
+        shapes = tuple((one.shape, one.dtype) for one in arrays.values())
+        with _EXPORT:
+            if shapes not in self._sessions:
+                self._sessions[shapes] = self._exported(arrays)
+        session = self._sessions[shapes]
+        # The session lacks inputs that the graph does not use.
+        found: list[Array] = session.run(
+            self._graph.outputs, {one.name: arrays[one.name] for one in session.get_inputs()}
+        )
+        return found
+
+    def _exported(self, arrays: dict[str, Array]) -> Any:
+        import onnxruntime
+
+        with torch.inference_mode(False):
+            # Copies: the exporter would merge two inputs that are the same tensor.
+            tensors = tuple(torch.from_numpy(one.copy()) for one in arrays.values())
+            model = standard_model(self._graph.module, tensors, self._graph.inputs, self._graph.outputs)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = self._threads
+        return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+
+
+def _single(array: Array) -> Array:
+    return np.ascontiguousarray(array, np.float32 if array.dtype == np.float64 else None)
