@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from bench.papers.chain import HIGH
+from bench.papers.half_sphere import DEPTH_MM, RADIUS_MM
+from bench.papers.press_stages import contact_mask
+from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
+from bench.papers.printed import Obtained, Row, exactly, number, rounded, unobtainable
+from bench.papers.tribometer import MODULATION_HZ
 from fingerflow.calibration.registration import fit_affine
 from fingerflow.errors import FingerflowError
 from fingerflow.models.half_space import stress
@@ -18,12 +24,6 @@ from fingerflow.models.observer.trials_table import leave_out_moved
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.report.half_sphere import DEPTH_MM, RADIUS_MM
-from fingerflow.report.simulated_presses import HIGH
-from fingerflow.reproduce.presses import DIVERGENCE_UNIT, PressStudy
-from fingerflow.reproduce.printed_row import Obtained, Row, exactly, number, rounded, unobtainable
-from fingerflow.reproduce.stages_of_a_press import contact_mask
-from fingerflow.reproduce.tribometer_trace import MODULATION_HZ
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
@@ -35,24 +35,21 @@ _EXACT = 1e-9
 
 
 def _modulation(study: PressStudy) -> Obtained:
-    amplitude = study.trace.amplitude.numpy()
+    amplitude = study.trace.amplitude
     step = float(study.trace.time[1] - study.trace.time[0])
     power = np.abs(np.fft.rfft(amplitude - amplitude.mean()))
     found = float(np.fft.rfftfreq(amplitude.size, step)[power.argmax()])
-    epochs = study.sources.epochs
-    count = 0 if epochs is None else len(epochs.start)
+    count = len(study.trace.epochs.start)
     return Obtained(f"{found:.2f} Hz; {count} epochs", ((found, found),), f"{MODULATION_HZ:g} Hz")
 
 
 def _sliding_force(study: PressStudy) -> Obtained:
-    normal = study.trace.normal.numpy()
-    mean, spread = float(normal.mean()), float(normal.std())
+    mean, spread = float(study.trace.normal.mean()), float(study.trace.normal.std())
     return Obtained(f"{number(mean, spread)} N", ((mean - spread, mean + spread),))
 
 
 def _friction(study: PressStudy) -> Obtained:
-    epochs = study.sources.epochs
-    assert epochs is not None
+    epochs = study.trace.epochs
     median = epochs.over_epochs()[0].numpy()
     middles = 1e6 * (epochs.edges[1:] + epochs.edges[:-1]).numpy() / 2
     truth = study.design.friction_at(middles)
@@ -215,8 +212,8 @@ def _internal_force(_: PressStudy) -> Obtained:
 
 
 def _motion(study: PressStudy) -> Obtained:
-    chain = study.sources.presses.chain
-    left = float((chain.balance[-1] / study.sources.presses.force[-1]).max())
+    chain = study.chain.chain
+    left = float((chain.balance[-1] / study.chain.force[-1]).max())
     return Obtained(
         f"implicit steps with error control; unbalanced forces {left:.1g} of the load at the end of a press",
         because="the printed lines are explicit Euler steps under the name Runge-Kutta, and change the sign of F_ext",
@@ -296,7 +293,7 @@ def _gains_over_low_friction(study: PressStudy, quantity: str, values: Values) -
     """Compute the ratios of a quantity (K,), one value per simulated friction, at high friction to that at each other
     one; the ratio to the lowest is compared with the printed number.
     """
-    frictions = study.sources.presses.friction
+    frictions = study.chain.friction
     high = values[frictions.index(HIGH)]
     ratios = {one: float(high / values[frictions.index(one)]) for one in frictions if one != HIGH}
     text = "; ".join(f"{ratio:.3f} over {one:g}" for one, ratio in ratios.items())
@@ -310,14 +307,14 @@ _STUCK = (
 
 
 def _stress_gain(study: PressStudy) -> Obtained:
-    return _gains_over_low_friction(study, "peak of σ_z", study.sources.depth.receptor_stress[1].min(-1))
+    return _gains_over_low_friction(study, "peak of σ_z", study.depth.receptor_stress[1].min(-1))
 
 
 def _strain_gain(study: PressStudy) -> Obtained:
     """Compute how many times larger the compression at receptor depth, 2 mm below the middle of the contact, is at high
     than at lower friction in the skin-chain model.
     """
-    depth = study.sources.depth
+    depth = study.depth
     compression = -depth.strain_z[-1, :, len(depth.place) // 2]
     return _gains_over_low_friction(study, "compression 2 mm deep", compression)
 

@@ -8,19 +8,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 
-from fingerflow import plot
-from fingerflow.plot.axes_style import INK, finished
-from fingerflow.plot.captions import caption_of
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
-from fingerflow.recordings import open_recording
-from fingerflow.report.decomposition import decompose, draw_decomposition
-from fingerflow.report.model_movie import movie_pictures
-from fingerflow.report.supplement import FIGURES as SHEETS
-from fingerflow.report.supplement import Sheet, SheetPanel, Sources
-from fingerflow.report.view_painter import ViewPainter
-from fingerflow.reproduce.drawn_figure import Drawn, Picture, PrintedFigure, PrintedMovie
-from fingerflow.reproduce.presses import PressStudy, TypicalPress
-from fingerflow.reproduce.stages_of_a_press import (
+from bench.papers import half_sphere, receptors
+from bench.papers.chain import draw_fastest_point, draw_largest_displacement
+from bench.papers.chain_movie import movie_pictures
+from bench.papers.decomposition import decompose, draw_decomposition
+from bench.papers.drawn import Drawn, Picture, PrintedFigure, PrintedMovie
+from bench.papers.press_stages import (
     contact_mask,
     contact_stages,
     difference_panel,
@@ -28,6 +21,16 @@ from fingerflow.reproduce.stages_of_a_press import (
     skin_stages,
     view_of,
 )
+from bench.papers.presses import PressStudy, TypicalPress
+from bench.papers.tribometer import draw_friction, draw_trace
+from fingerflow import plot
+from fingerflow.plot.axes_style import INK, finished
+from fingerflow.plot.captions import caption_of
+from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.recordings import open_recording
+from fingerflow.report.sheet import Sheet, SheetPanel
+from fingerflow.report.supplement import supplement_sheet
+from fingerflow.report.view_painter import ViewPainter
 from fingerflow.study.figures import draw_curves
 
 _FORCES_N = (1.0, 2.0, 3.0)
@@ -36,6 +39,7 @@ _MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
 _CHAIN_STEP = 4  # every 4th simulated time of the chain is shown in movie M3
 _MOVIE_FORCES = 12  # number of normal forces in movie M4
 _ARROWS = 10.0  # magnification of displacements in movie M1
+_STACKED = 1.6  # height of a panel with several axes relative to one with a single axis
 
 
 def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
@@ -44,18 +48,16 @@ def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
     return figure, "\n".join((shown, *captions))
 
 
-def _supplement_panels(study: PressStudy, name: str, sources: Sources | None = None) -> list[SheetPanel]:
-    """Return those panels of the supplement's figure `name`, such as "S5", that can be drawn from the simulated study's
-    table of trials and from models.
-    """
-    return list(SHEETS[name](sources or study.sources).panels)
+def _of_trials(study: PressStudy, name: str) -> list[SheetPanel]:
+    """Return the panels of the supplement's figure `name`, such as "S5", that the table of trials supports."""
+    return list(supplement_sheet(name, study.sample.trials).panels)
 
 
 def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[PressStudy], Drawn]:
     """Return the function that draws the supplement's figure `name`, such as "S7", from a study; `shown` is the first
     line of its caption, with ``{count}`` for the number of trials.
     """
-    return lambda study: _sheet(name, _supplement_panels(study, name), shown.format(count=_count(study)))
+    return lambda study: _sheet(name, _of_trials(study, name), shown.format(count=_count(study)))
 
 
 def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
@@ -71,9 +73,13 @@ def _count(study: PressStudy) -> str:
 def _friction_and_area(study: PressStudy) -> Drawn:
     trials = study.sample.trials
     at_3n = {area: study.column_of_sample(f"{area}_at_3n") for area in ("gross_contact_area", "real_contact_area")}
-    sources = replace(study.sources, trials=replace(trials, metrics={**trials.metrics, **at_3n}))
-    panels = _supplement_panels(study, "S1", sources)
-    panels += [_curve(study, "C", "gross_contact_area"), _curve(study, "E", "real_contact_area")]
+    panels = [
+        SheetPanel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), study.trace), 2, 1.4),
+        SheetPanel.of_axes("B", draw_friction, study.trace.epochs),
+        *supplement_sheet("S1", replace(trials, metrics={**trials.metrics, **at_3n})).panels,
+        _curve(study, "C", "gross_contact_area"),
+        _curve(study, "E", "real_contact_area"),
+    ]
     high, low = study.typical
     moments = [(force, high.frame_at(force), low.frame_at(force)) for force in _FORCES_N]
     pairs = [
@@ -98,13 +104,21 @@ def _stages(study: PressStudy) -> Drawn:
     return _sheet("S3", panels, f"One simulated press at {float(low.result['normal_force'][frame]):.1f} N.")
 
 
+def _half_sphere(_: PressStudy) -> Drawn:
+    draws = half_sphere.draw_half_sphere, half_sphere.draw_lengths, half_sphere.draw_radial_strain
+    panels = [SheetPanel.of_axes(letter, draw) for letter, draw in zip("ABC", draws, strict=True)]
+    return _sheet("S4", panels, "From the closed form.")
+
+
 def _kinematics(study: PressStudy) -> Drawn:
     high, _ = study.typical
-    one = SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes))
-    return _sheet(
-        "S5", [one, *_supplement_panels(study, "S5")],
-        f"Of the study, {_count(study)}; the chain's panels are of the model alone.",
-    )  # fmt: skip
+    panels = [
+        SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes)),
+        *_of_trials(study, "S5"),
+        SheetPanel.of_axes("J (skin chain)", draw_largest_displacement, study.chain),
+        SheetPanel.of_axes("K (skin chain)", draw_fastest_point, study.chain),
+    ]
+    return _sheet("S5", panels, f"Of the study, {_count(study)}; the chain's panels are of the model alone.")
 
 
 def _decomposition(study: PressStudy) -> Drawn:
@@ -125,7 +139,7 @@ def _strain(study: PressStudy) -> Drawn:
         SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
         SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
         SheetPanel.of_axes("F", draw_curves, study.rate_curves, "strain_rate"),
-        *[panel for panel in _supplement_panels(study, "S8") if panel.letter[0] in "GHI"],
+        *_of_trials(study, "S8"),
     ]
     return _sheet(
         "S8", panels,
@@ -140,9 +154,22 @@ def _strain_energy(study: PressStudy) -> Drawn:
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         _curve(study, "B", "strain_energy"),
         SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
-        *[panel for panel in _supplement_panels(study, "S9") if panel.letter[0] in "DE"],
+        *_of_trials(study, "S9"),
     ]
     return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
+
+
+def _receptors(study: PressStudy) -> Drawn:
+    chain, depth = study.chain, study.depth
+    panels = [
+        SheetPanel("A", lambda part: receptors.draw_evolution(part, chain), rows=_STACKED),
+        SheetPanel("B", lambda part: receptors.draw_surface(part, chain), rows=_STACKED),
+        SheetPanel("C", lambda part: receptors.draw_stress_map(part, chain, depth), rows=_STACKED),
+        SheetPanel("D", lambda part: receptors.draw_receptor_stress(part, chain, depth), rows=_STACKED),
+        SheetPanel("E", lambda part: receptors.draw_strain_in_time(part, chain, depth)),
+        SheetPanel.of_axes("F", receptors.draw_compression, chain, depth),
+    ]
+    return _sheet("S10", panels, "The skin chain with the stiffness that gives the printed area, 3 N.")
 
 
 def _curl(study: PressStudy) -> Drawn:
@@ -150,7 +177,7 @@ def _curl(study: PressStudy) -> Drawn:
     panels = [
         SheetPanel.of_axes("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
         _curve(study, "B", "curl"),
-        *[panel for panel in _supplement_panels(study, "S13") if panel.letter == "C"],
+        *_of_trials(study, "S13"),
     ]
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
@@ -245,7 +272,7 @@ def _movie_protocol(study: PressStudy) -> Drawn:
 
 
 def _movie_chain(study: PressStudy) -> tuple[Iterator[Picture], str]:
-    presses = study.sources.presses
+    presses = study.chain
     frictions = f"{min(presses.friction):g} and {max(presses.friction):g}"
     shown = f"The skin chain at friction {frictions}, up to {presses.force[-1]:g} N."
     return movie_pictures(presses, _CHAIN_STEP), shown
@@ -259,7 +286,7 @@ FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
     PrintedFigure("S3", "A1 to 6: raw, normalised, subtracted and filtered, binarised, opened with ellipse, area "
                   "against force; B1 to 6: raw, enhanced, features, tracks, divergence map and median", _stages),
     PrintedFigure("S4", "A: finger geometry; B: L, a against δ; C: strain against δ",
-                  _supplement("S4", "From the closed form.")),
+                  _half_sphere),
     PrintedFigure("S5", "A: force in time; B, C, D: histograms of force, time to maximum, duration; E to G, I: "
                   "answers; H: force rate; J: largest displacement; K: speed of the furthest point", _kinematics),
     PrintedFigure("S6", "displacement field split into conservative components", _decomposition),
@@ -269,8 +296,7 @@ FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
     PrintedFigure("S9", "A: energy density, high and low friction; B, C: energy, its rate against force by α; D: energy"
                   " against divergence; E: answers", _strain_energy),
     PrintedFigure("S10", "A: pressure and deformation; B: surface stresses; C: stress maps with receptors; D: stresses "
-                  "at depth; E: strains in time; F: compression",
-                  _supplement("S10", "The skin chain with the stiffness that gives the printed area, 3 N.")),
+                  "at depth; E: strains in time; F: compression", _receptors),
     PrintedFigure("S11", "A: Gaussian fits over normalised divergence; B: ROC; C: d' and AUC",
                   _supplement("S11", "Of the study, {count}; intervals are of 95 %.")),
     PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",

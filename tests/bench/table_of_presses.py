@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fingerflow.reproduce.presses import PressStudy
+from bench.papers.presses import PressStudy
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.simulated_trials import Design
 from fingerflow.study.statistics import sample_of, statistics_of
@@ -85,4 +85,4 @@ def study() -> PressStudy:
     frame = table()
     sample = sample_of(frame)
     statistics = statistics_of(sample, resamples=100)
-    return PressStudy(None, frame, curves(), sample, statistics, DESIGN, None, None)  # type: ignore[arg-type]
+    return PressStudy(None, frame, curves(), sample, statistics, DESIGN, None)  # type: ignore[arg-type]

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded
+from bench.papers.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, friction_ratio, load_ratio
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
 from fingerflow.recordings import open_forces
-from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded
-from fingerflow.reproduce.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
 
 Values = NDArray[np.float64]
 _OUTCOMES = tuple(EXPECTED.values())

@@ -1,6 +1,6 @@
 """Figure of the supplement, made of lettered panels, with a list of panels that lack input."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,25 +43,22 @@ class SheetPanel:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Figure of the supplement: name, title, panels, and sentences on printed panels left out.
+    """Figure of the supplement: name, title, panels, and pairs (letter, need) of printed panels left out.
 
     Panels of the figure have letters without gaps; its caption says which panel in print each is.
     """
 
     name: str
     panels: tuple[SheetPanel, ...]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[tuple[str, str], ...] = ()
     title: str = ""
 
-    @staticmethod
-    def missing_sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-        """Return one sentence per missing input, such as "A, B need a table of trials", from pairs (panel letter,
-        input).
-        """
+    def missing(self) -> list[str]:
+        """Return one sentence per missing input, such as "A, B need values of curl in the table of trials"."""
         letters: dict[str, list[str]] = {}
-        for letter, need in missing:
+        for letter, need in self.left_out:
             letters.setdefault(need, []).append(letter)
-        return tuple(f"{', '.join(of)} need{'s' * (len(of) == 1)} {need}" for need, of in letters.items())
+        return [f"{', '.join(of)} need{'s' * (len(of) == 1)} {need}" for need, of in letters.items()]
 
     def figure(self, width_mm: float = TWO_COLUMNS_MM) -> Figure:
         """Draw the panels in rows of at most three, each with its letter, and attach the caption."""

@@ -12,18 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fingerflow.models.observer import auc, pearson, printed_observer, repeated_anova, spearman
+from bench.papers.chain import HIGH
+from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded, within
+from fingerflow.models.observer import Correlation, auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
-from fingerflow.report.simulated_presses import HIGH
-from fingerflow.report.supplement.of_observer import OBSERVED
-from fingerflow.reproduce.presses import DIVERGENCE_UNIT, PressStudy
-from fingerflow.reproduce.printed_row import Interval, Obtained, Row, exactly, likely, number, rounded, within
+from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.statistics import correlate_with_answers
 
 Values = NDArray[np.float64]
 _ALPHA = 0.05
 _SMALL_UM = 1.0  # µm, largest amplitude at which the groups differ in the paper
+
+
+def _mean(values: Values) -> tuple[float, float, Interval]:
+    """Return mean and standard deviation of the known values, and the 95 % confidence interval of the mean."""
+    known = values[np.isfinite(values)]
+    mean, deviation = float(known.mean()), float(known.std(ddof=1))
+    return mean, deviation, likely(mean, deviation / math.sqrt(known.size))
+
+
+def _with_limits(found: Correlation) -> str:
+    low, high = found.interval
+    return f"{found.value:.2f} ({low:.2f} to {high:.2f})"
 
 
 # Rows on distributions over presses
@@ -35,12 +47,11 @@ def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple
     """
     values = study.values(metric)
     values = values[np.isfinite(values)]
-    mean, deviation = float(values.mean()), float(values.std(ddof=1))
+    mean, deviation, interval = _mean(values)
     # The variance of a variance is (fourth moment - squared variance) / n, for any distribution.
     fourth = float(((values - mean) ** 4).mean())
     error = math.sqrt(max(fourth - deviation**4, 0.0) / values.size) / (2 * deviation)
-    numbers = likely(mean, deviation / math.sqrt(values.size)), likely(deviation, error)
-    return f"{number(mean, deviation)} {unit} in {values.size} presses", numbers
+    return f"{number(mean, deviation)} {unit} in {values.size} presses", (interval, likely(deviation, error))
 
 
 def _forces(study: PressStudy) -> Obtained:
@@ -98,10 +109,10 @@ def _area(study: PressStudy, metric: str) -> Obtained:
     """
     own = study.frame.groupby("participant")[[metric, f"true_{metric}"]].median()
     found, truth = own[metric].to_numpy(float), own[f"true_{metric}"].to_numpy(float)
-    mean, deviation = float(found.mean()), float(found.std(ddof=1))
+    mean, deviation, interval = _mean(found)
     return Obtained(
         f"{mean:.1f} ± {deviation:.1f} mm² over {found.size} participants, at the largest force",
-        (likely(mean, deviation / math.sqrt(found.size)),),
+        (interval,),
         f"{truth.mean():.1f} ± {truth.std(ddof=1):.1f} mm²",
         "the median of a participant depends on the forces of the few presses",
     )
@@ -117,9 +128,8 @@ def _slopes(study: PressStudy) -> Obtained:
     median = frame.groupby("participant")["real_contact_area"].transform("median")
     slope = (frame["real_contact_area_at_3n"] - frame["real_contact_area_at_1n"]) / 2 / median
     found = spearman(frame["condition"], slope, participants=frame["participant"])
-    low, high = found.interval
     return Obtained(
-        f"{found.value:.2f} ({low:.2f} to {high:.2f}), p = {found.p:.2g}, {found.trials} presses that reach 3 N",
+        f"{_with_limits(found)}, p = {found.p:.2g}, {found.trials} presses that reach 3 N",
         (found.interval,),
         because="few participants leave a wide interval",
     )
@@ -241,11 +251,10 @@ def _angle_at(study: PressStudy, place: int) -> Obtained:
     frame = study.measured
     amplitude = sorted(set(frame["condition"]))[place]
     own = np.degrees(frame.loc[frame["condition"] == amplitude, "force_angle"].to_numpy(float))
-    own = own[np.isfinite(own)]
-    mean, deviation = float(own.mean()), float(own.std(ddof=1))
+    mean, deviation, interval = _mean(own)
     return Obtained(
-        f"{mean:.1f}° ± {deviation:.1f}° at {amplitude:g} µm, {own.size} presses",
-        (likely(mean, deviation / math.sqrt(own.size)),),
+        f"{mean:.1f}° ± {deviation:.1f}° at {amplitude:g} µm, {np.isfinite(own).sum()} presses",
+        (interval,),
         f"{study.design.angle[place]:g}° in the mean",
         _CHANCE,
     )
@@ -293,9 +302,10 @@ def _force_of_peak_rate(study: PressStudy) -> Obtained:
 
 
 def _peak_force(forces: dict[float, float]) -> Obtained:
-    values = np.array([one for one in forces.values() if math.isfinite(one)])
-    mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    return Obtained(f"{number(mean, deviation)} N over {values.size} amplitudes", (likely(mean, deviation),))
+    values = np.array(list(forces.values()))
+    mean, deviation, _ = _mean(values)
+    count = np.isfinite(values).sum()
+    return Obtained(f"{number(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
 
 
 def _strain_against_divergence(study: PressStudy) -> Obtained:
@@ -304,10 +314,9 @@ def _strain_against_divergence(study: PressStudy) -> Obtained:
     known = np.isfinite(divergence) & np.isfinite(strain)
     slope, offset = np.polyfit(divergence[known], strain[known], 1)
     found = pearson(divergence, strain, participants=frame["participant"])
-    low, high = found.interval
     error = float(stats.linregress(divergence[known], strain[known]).stderr)
     return Obtained(
-        f"r = {found.value:.2f} ({low:.2f} to {high:.2f}); y = {slope:.3f} x {offset:+.3f} (% and "
+        f"r = {_with_limits(found)}; y = {slope:.3f} x {offset:+.3f} (% and "
         f"{DIVERGENCE_UNIT}), R² = {found.value**2:.2f}, {found.trials} presses",
         (found.interval, likely(float(slope), error)),
         because="where skin spreads evenly from a centre, the strain along any axis is half of the divergence: 0.05 % "
@@ -324,7 +333,7 @@ def _energy(study: PressStudy) -> Obtained:
 def _peak_energy_rate(study: PressStudy) -> Obtained:
     frame = study.measured
     medians = frame.groupby("condition")["strain_energy_rate"].median().to_numpy(float)
-    mean, deviation = float(medians.mean()), float(medians.std(ddof=1))
+    mean, deviation, _ = _mean(medians)
     force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
     chain = study.chain_strain[HIGH][1][1]
     return Obtained(
@@ -341,11 +350,11 @@ def _energy_slope(study: PressStudy) -> Obtained:
         known = np.isfinite(divergence) & np.isfinite(energy)
         if known.sum() > 3:
             slopes.append(float(np.polyfit(divergence[known], energy[known], 1)[0]))
-    mean, deviation = float(np.mean(slopes)), float(np.std(slopes, ddof=1))
+    mean, deviation, interval = _mean(np.array(slopes))
     return Obtained(
         f"{mean:.2g} ± {deviation:.2g} mJ per unit of divergence ({mean / 1000:.2g} mJ per {DIVERGENCE_UNIT}), "
         f"{len(slopes)} participants",
-        (likely(mean, deviation / math.sqrt(len(slopes))),),
+        (interval,),
         because="no unit makes 3.6 comparable: it is not said what the divergence is in",
     )
 
@@ -422,9 +431,8 @@ def _soft_advantage(study: PressStudy) -> Obtained:
 def _curl(study: PressStudy) -> Obtained:
     frame = study.measured
     found = pearson(frame["divergence"], frame["curl"], participants=frame["participant"])
-    low, high = found.interval
     return Obtained(
-        f"r = {found.value:.2f} ({low:.2f} to {high:.2f}), {_p(found.p)}, {found.trials} presses",
+        f"r = {_with_limits(found)}, {_p(found.p)}, {found.trials} presses",
         (found.interval,),
         "no curl",
         "the simulated finger is axisymmetric: it spreads without turning, and what is measured as curl is noise",

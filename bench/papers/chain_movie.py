@@ -1,40 +1,22 @@
 """Movie M3 of Willemet et al. 2021: deformation of a simulated fingertip at low and at high friction."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from bench.papers.chain import HIGH, SimulatedPresses
 from fingerflow.plot.axes_style import GREY, INK, RED
-from fingerflow.report.simulated_presses import HIGH, SimulatedPresses
-from fingerflow.report.video_writer import encode_video
-from fingerflow.results.atomic_write import write_atomically
 
 _INCHES, _DPI = (10.0, 5.4), 96
 _WIDE_MM = 9.0  # mm, shown half width of the finger
 _LARGEST_MM = 1e-3  # mm, least limit of the colour scale
-_HELD = 20  # number of frames for which the last image is repeated
 
 
-def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
-    """Write an MP4 with one image per time of the simulated presses; raise FingerflowError if it cannot be written."""
-    write_atomically(path, lambda part: encode_video(_with_progress(presses, progress), part))
-    return path
-
-
-def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArray[np.uint8]]:
-    shown = {"total": len(presses.time), "desc": "movie M3", "unit": "frame", "disable": not progress, "leave": False}
-    for picture in tqdm(movie_pictures(presses), **shown):
-        yield picture
-    yield from [picture] * _HELD
-
-
-def movie_pictures(presses: SimulatedPresses, step: int = 1) -> Iterator[NDArray[np.uint8]]:
+def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.uint8]]:
     """Yield one RGB image (H, W, 3) at each `step`-th time of simulated presses: deformed skin and contact loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)

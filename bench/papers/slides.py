@@ -88,21 +88,21 @@ def kind_of(slide: LinearSlip) -> str:
     return UNSTEADY if slide.swing >= _SWINGS[UNSTEADY] else ABRUPT if slide.last > 0 else FADING
 
 
-def record_and_measure(folder: Path, progress: bool = True) -> Slides:
+def record_and_measure(folder: Path) -> Slides:
     """Simulate the recordings of all slides, process them as a study, and return the slides; existing files are kept.
 
     Raises FingerflowError if a file cannot be written.
     """
     recordings = folder / "recordings"
     slides = design_slides()
-    for name, slide in tqdm(slides.items(), desc="slides", disable=not progress):
+    for name, slide in tqdm(slides.items(), desc="slides"):
         if not (recordings / name).exists():
             write_recording(recordings / name, slide, progress=False)
     if not (recordings / "study.toml").exists():
         _write_sets(recordings / "sets.csv", slides)
         init_study(recordings, recordings / "sets.csv")
     manifest = load_manifest(recordings)
-    run_study(manifest, progress=progress)
+    run_study(manifest)
     write_tables(manifest)
     judged, failed = [], []
     for entry in manifest.trials:

@@ -13,14 +13,12 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.signal import savgol_filter
 
+from bench.papers.chain import HIGH, SimulatedPresses, simulate_presses
+from bench.papers.receptors import Depth, compute_strains_at_depth
+from bench.papers.tribometer import TribometerTrace, simulate_trace
 from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_chain import press
-from fingerflow.report.simulated_presses import HIGH
-from fingerflow.report.supplement import Sources
-from fingerflow.report.tribometer import TribometerTrace
-from fingerflow.reproduce.tribometer_trace import write_trace
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import VARIABLES
@@ -36,7 +34,7 @@ from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
 _TRUTHS = 8  # number of trials whose deformation is compared with the truth
-_SLOPE_S = 0.12  # s, window over which rates of the chain are fitted
+_MARGIN = 13  # number of times left out at either end of the rates of the chain
 _LEAST_N = 3.0  # N, least peak force of presses that figures show
 _PEAKS = 200  # largest number of trials whose rates are followed in time
 _BIN_N, _FEWEST_PRESSES = 0.5, 3  # N, width of the force bins for mean rates; least number of presses in a bin
@@ -84,7 +82,6 @@ class PressStudy:
         statistics: as in `statistics.json`.
         design: of the simulation.
         trace: simulated tribometer trace.
-        sources: of the figures that models give.
     """
 
     manifest: Manifest
@@ -94,7 +91,16 @@ class PressStudy:
     statistics: dict[str, Any]
     design: Design
     trace: TribometerTrace
-    sources: Sources
+
+    @cached_property
+    def chain(self) -> SimulatedPresses:
+        """Simulate the presses of the skin chain at several frictions."""
+        return simulate_presses()
+
+    @cached_property
+    def depth(self) -> Depth:
+        """Compute stress and strain below the skin surface in the simulated presses."""
+        return compute_strains_at_depth(self.chain)
 
     @cached_property
     def scene(self) -> Scene:
@@ -214,20 +220,15 @@ class PressStudy:
         The strains (3,) are medians in % relative to the undeformed finger, at 1, 2 and 3 N. The forces (2,) in N are
         those at the largest rate of the strain and of the strain energy.
         """
-        presses = self.sources.presses
-        strain = 100 * np.median(presses.profile().radial, axis=-1)
-        step = float(presses.time[1] - presses.time[0])
-        width = 2 * round(_SLOPE_S / step / 2) + 1
-        found = {}
-        for place, friction in enumerate(presses.friction):
-            at = np.interp((1.0, 2.0, 3.0), presses.force, strain[:, place])
-            peaks = []
-            for series in (strain[:, place], presses.energy()[:, place]):
-                rate = savgol_filter(np.nan_to_num(series), width, polyorder=1, deriv=1, delta=step)
-                inner = slice(width, len(rate) - width)
-                peaks.append(float(presses.force[inner][np.argmax(rate[inner])]))
-            found[friction] = at, np.array(peaks)
-        return found
+        chain = self.chain
+        strain, energy = 100 * np.median(chain.profile()[1], axis=-1), chain.energy()
+        inner = slice(_MARGIN, -_MARGIN)
+        rates = [chain.rate(np.nan_to_num(series))[inner].argmax(0) for series in (strain, energy)]
+        peaks = chain.force[inner][np.stack(rates)]
+        return {
+            friction: (np.interp((1.0, 2.0, 3.0), chain.force, strain[:, k]), peaks[:, k])
+            for k, friction in enumerate(chain.friction)
+        }
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
@@ -262,7 +263,7 @@ class PressStudy:
                 yield entry, result
 
 
-def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True) -> PressStudy:
+def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
     """Simulate the recordings, process them as a study, and compute its statistics; existing files are kept.
 
     Raises FingerflowError if the folder holds a study of another design, or a file cannot be written.
@@ -277,13 +278,13 @@ def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True)
         write_recordings(recordings, design)
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)
-    run_study(manifest, progress=progress)
+    run_study(manifest)
     tables = write_tables(manifest)
     frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
     for column in [name for name in frame if name.startswith("true_")]:
         frame[column] = frame[column].astype(float)
     sample = sample_of(frame)
-    trace = write_trace(folder / "tribometer.csv", design.friction_at, max(design.amplitudes))
+    trace = simulate_trace(folder / "tribometer.csv", design.friction_at, max(design.amplitudes))
     return PressStudy(
         manifest=manifest,
         frame=frame,
@@ -292,5 +293,4 @@ def record_and_analyse(folder: Path, quick: bool = False, progress: bool = True)
         statistics=statistics_of(sample, _RESAMPLES[quick]),
         design=design,
         trace=trace,
-        sources=Sources(tribometer=trace, trials=sample.trials),
     )

@@ -14,7 +14,7 @@ from fingerflow import plot
 from fingerflow.plot.axes_style import GREEN, YELLOW
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.recordings import open_recording
-from fingerflow.report.supplement import SheetPanel
+from fingerflow.report.sheet import SheetPanel
 from fingerflow.schema.scene import Scene
 
 Picture = NDArray[np.float32]

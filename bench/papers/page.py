@@ -4,15 +4,14 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment
 
+from bench.papers.drawn import DrawnFigure
+from bench.papers.printed import Answer
 from fingerflow import __version__
-from fingerflow.reproduce.drawn_figure import DrawnFigure
-from fingerflow.reproduce.printed_row import Answer
 from fingerflow.results.atomic_write import MARK, write_atomically
 
 #: Papers in the order of the page, with their titles.
@@ -48,7 +47,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
 
 def write_page(folder: Path) -> Path:
     """Write `index.html` from the results of all papers in a folder, and return its path."""
-    template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
+    template = Environment(autoescape=True).from_string(Path(__file__).with_name("page.html").read_text("utf-8"))
     html = template.render(papers=read_results(folder), mark=MARK)
     path = folder / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))

@@ -1,6 +1,5 @@
 """Figure S6 of Willemet et al. 2021: a displacement field decomposed into constant, divergence, curl and two shears."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,6 @@ from fingerflow.plot.captions import describe
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
-_WIDE_IN = 5.0  # inches, least width at which four maps are placed beside each other
 PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")
 
 
@@ -40,20 +38,13 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
     The fit is about the centre of the points.
 
     Args:
-        points: (P, 2) mm, reference positions x and y.
+        points: (P, 2) mm, reference positions x and y, three or more that are not on a line.
         displacement: (P, 2) mm; points with NaN in either are left out of the fit.
-
-    Raises:
-        ValueError: shapes other than (P, 2), fewer than three known points, or known points on a line.
     """
     places, moved = np.asarray(points, dtype=np.float64), np.asarray(displacement, dtype=np.float64)
-    if places.shape != moved.shape or places.ndim != 2 or places.shape[1] != 2:
-        raise ValueError(f"points {places.shape} and displacement {moved.shape}: give (P, 2) of the same points")
     known = np.isfinite(places).all(1) & np.isfinite(moved).all(1)
-    apart = places - (places[known].mean(0) if known.any() else 0)
+    apart = places - places[known].mean(0)
     columns = np.column_stack((np.ones(len(apart)), apart))
-    if known.sum() < 3 or np.linalg.matrix_rank(columns[known]) < 3:
-        raise ValueError(f"{known.sum()} known points that span no area: three that are not on a line are needed")
     constant, *slopes = np.linalg.lstsq(columns[known], moved[known], rcond=None)[0]
     (ux, vx), (uy, vy) = (tuple(map(float, row)) for row in slopes)
     x, y = apart.T
@@ -70,7 +61,7 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
     return Decomposition(places, parts, (float(constant[0]), float(constant[1])), ux + vy, vx - uy, (ux - vy, uy + vx))
 
 
-def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
+def draw_decomposition(part: SubFigure, found: Decomposition) -> None:
     """Draw figure S6: the displacement field and each of its parts as arrows, all at the same scale."""
 
     def amount(variable: str, value: float) -> str:
@@ -88,8 +79,7 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         "rest": f"{amount('displacement', rest)} in the median",
     }
     scale = _arrow_scale(found)
-    across = 4 if part.bbox.width / part.dpi_scale_trans.transform((1, 0))[0] > _WIDE_IN else 2
-    grid: list[Axes] = list(part.subplots(8 // across, across, sharex=True, sharey=True).flat)
+    grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
     axes = grid[: len(PARTS)]
     grid[-1].set_axis_off()
     for one, (name, said) in zip(axes, amounts.items(), strict=True):
@@ -110,12 +100,11 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         f"times as long as they are. n = {known} points.",
     )
     axes[0].invert_yaxis()  # the axes share their limits, so this inverts all of them
-    for one in axes[::across]:
+    for one in axes[::4]:
         one.set_ylabel("mm")
-    for one in axes[7 - across :]:
+    for one in axes[3:]:
         one.set_xlabel("mm")
         one.tick_params(labelbottom=True)
-    return axes
 
 
 def _arrow_scale(found: Decomposition) -> float:

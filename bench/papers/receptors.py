@@ -10,15 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
+from bench.papers.chain import HIGH, LOW, SimulatedPresses
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.plot.axes_style import GREY, finished, legend_below, line_styles
 from fingerflow.plot.captions import describe
-from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 
 Values = NDArray[np.float64]
 _REACH_MM = 5.0  # mm, shown range along the surface on either side of the middle of the contact
 _APART_MM = 1.2  # mm, spacing of marked receptors
+_ALONG = "along the plate (mm)"
 _SHAPES = 6  # number of drawn shapes of the skin during a press
 
 
@@ -57,31 +58,24 @@ def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depth
     )
 
 
-def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
+def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> None:
     """Draw figure S10 A: contact pressure (kPa) and shape of the skin (mm) as the force rises, at high friction."""
-    axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
+    above, below = part.subplots(2, 1, sharex=True)
     k = presses.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
     for frame, style in zip(frames, reversed(line_styles(_SHAPES, ordered=True)), strict=True):
         x, z = 1e3 * presses.chain.position[frame, k].T.numpy()
         name = f"{presses.force[frame]:.1f} N"
-        axes[0].plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), label=name, **style)
-        axes[1].plot(x, z, **style)
-    axes[1].axhline(0, color=GREY, linewidth=0.8)
-    axes[0].set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
-    axes[1].set(xlabel="along the plate (mm)", ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
-    for one in axes:
-        one.grid(alpha=0.25)
-    legend_below(part, axes[0])
-    describe(
-        axes[0],
-        f"Pressure on the skin and its shape at n = {_SHAPES} forces of one press of the skin chain, friction "
-        f"coefficient {HIGH:g}.",
-    )
-    return axes
+        above.plot(x, 1e-3 * presses.chain.pressure[frame, k].numpy(), label=name, **style)
+        below.plot(x, z, **style)
+    below.axhline(0, color=GREY, linewidth=0.8)
+    above.set(ylabel="pressure (kPa)", title=f"friction {HIGH:g}")
+    below.set(xlabel=_ALONG, ylabel="skin (mm)", xlim=(-_REACH_MM, _REACH_MM), ylim=(-0.15, 1.8))
+    caption = f"Pressure on the skin and its shape at n = {_SHAPES} forces of one press of the skin chain, friction "
+    _finish(part, (above, below), f"{caption}coefficient {HIGH:g}.")
 
 
-def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
+def draw_surface(part: SubFigure, presses: SimulatedPresses) -> None:
     """Draw figure S10 B: pressure and traction (kPa) on the skin at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     for k, style in enumerate(_line_styles(presses)):
@@ -89,19 +83,11 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
         for one, load in zip(axes, (presses.chain.pressure, presses.chain.traction), strict=True):
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
     axes[0].set(ylabel="pressure (kPa)", title=f"{presses.force[-1]:.1f} N")
-    axes[1].set(xlabel="along the plate (mm)", ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
-    for one in axes:
-        one.grid(alpha=0.25)
-    legend_below(part, axes[0])
-    describe(
-        axes[0],
-        f"Pressure and traction on the skin at {presses.force[-1]:.1f} N. n = {len(presses.friction)} presses of the "
-        "skin chain.",
-    )
-    return axes
+    axes[1].set(xlabel=_ALONG, ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
+    _finish(part, axes, f"Pressure and traction on the skin at {presses.force[-1]:.1f} N. {_count(presses)}")
 
 
-def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
+def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> None:
     """Draw figure S10 C: normal stress (kPa) inside the skin at full load, with receptors as black dots."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
@@ -112,17 +98,16 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
             along = np.arange(-3, 4) * _APART_MM
             one.plot(along, np.full(along.shape, 1e3 * down), "k.", markersize=4)
         one.set(ylabel="depth (mm)", title=f"friction {friction:g}", ylim=(depth.map_depth[-1], 0))
-    axes[1].set_xlabel("along the plate (mm)")
+    axes[1].set_xlabel(_ALONG)
     part.colorbar(image, ax=list(axes), label=r"$\sigma_z$ (kPa)")
     describe(
         axes[0],
         f"Normal stress σz inside the skin at {presses.force[-1]:.1f} N, tension positive, at a low and a high "
         "friction coefficient. Dots: depths of receptors.",
     )
-    return axes
 
 
-def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
+def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> None:
     """Draw figure S10 D: the three stress components (kPa) 2 mm deep at full load, one line per friction."""
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
@@ -130,44 +115,43 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
         for profile, style in zip(values, _line_styles(presses), strict=True):
             one.plot(depth.place, profile, **style)
         one.set_ylabel(name)
-        one.grid(alpha=0.25)
     peak = depth.receptor_stress[1].min(-1)
     axes[0].set_title(f"peak of $\\sigma_z$, {_ratio(presses, peak)}, in print 1.2")
-    legend_below(part, axes[0])
-    axes[2].set_xlabel("along the plate (mm), 2 mm deep")
-    describe(
-        axes[0],
-        f"Stresses 2 mm deep at {presses.force[-1]:.1f} N: along the surface σy, normal σz and shear τyz. "
-        f"n = {len(presses.friction)} presses of the skin chain.",
-    )
-    return axes
+    axes[2].set_xlabel(f"{_ALONG}, 2 mm deep")
+    stresses = f"Stresses 2 mm deep at {presses.force[-1]:.1f} N: along the surface σy, normal σz and shear τyz."
+    _finish(part, axes, f"{stresses} {_count(presses)}")
 
 
-def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Axes:
+def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> None:
     """Draw figure S10 E: tangential strain (%) 2 mm deep as a map over position and time, at high friction."""
-    axes: Axes = part.subplots()
+    axes = part.subplots()
     strain = 100 * depth.strain_y[:, presses.index(HIGH)]
     largest = float(np.abs(strain).max())
     image = axes.pcolormesh(depth.place, presses.time, strain, cmap="RdBu_r", vmin=-largest, vmax=largest)
-    axes.set(xlabel="along the plate (mm), 2 mm deep", ylabel="time (s)", title=f"friction {HIGH:g}")
+    axes.set(xlabel=f"{_ALONG}, 2 mm deep", ylabel="time (s)", title=f"friction {HIGH:g}")
     part.colorbar(image, ax=axes, label=r"$\epsilon_y$ (%), extension positive")
     describe(axes, f"Viscoelastic strain along the surface 2 mm deep, in one press at friction coefficient {HIGH:g}.")
-    return axes
 
 
-def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axes:
+def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> None:
     """Draw figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time."""
-    middle = len(depth.place) // 2
-    compression = -100 * depth.strain_z[:, :, middle]
+    compression = -100 * depth.strain_z[:, :, len(depth.place) // 2]
     for series, style in zip(compression.T, _line_styles(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
     axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2")
-    return finished(
-        axes,
-        "Compression of the tissue 2 mm under the middle of the contact against time. "
-        f"n = {len(presses.friction)} presses of the skin chain.",
-    )
+    finished(axes, f"Compression of the tissue 2 mm under the middle of the contact against time. {_count(presses)}")
+
+
+def _finish(part: SubFigure, axes: Sequence[Axes], caption: str) -> None:
+    for one in axes:
+        one.grid(alpha=0.25)
+    legend_below(part, axes[0])
+    describe(axes[0], caption)
+
+
+def _count(presses: SimulatedPresses) -> str:
+    return f"n = {len(presses.friction)} presses of the skin chain."
 
 
 def _line_styles(presses: SimulatedPresses) -> list[dict[str, Any]]:

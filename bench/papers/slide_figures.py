@@ -7,6 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from bench.papers.drawn import Drawn, PrintedFigure
+from bench.papers.slides import ABRUPT, FADING, JudgedSlide, Slides
 from fingerflow import plot
 from fingerflow.models.partial_slip import (
     CurveComparison,
@@ -21,8 +23,6 @@ from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.report.slip_figures import AREA, LOAD
-from fingerflow.reproduce.drawn_figure import Drawn, PrintedFigure
-from fingerflow.reproduce.slides import ABRUPT, FADING, JudgedSlide, Slides
 
 Values = NDArray[np.float64]
 _ARROWS = 400
