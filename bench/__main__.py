@@ -1,8 +1,10 @@
-"""`python -m bench`: run suites, print their tables, write one JSON file and the figures."""
+"""`python -m bench`: run suites, print their tables, write one JSON file and the figures; `papers` reproduces both."""
 
 import argparse
 import importlib
+import os
 import pkgutil
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -11,14 +13,24 @@ from bench import suites
 from bench.environment import share_cores
 from bench.record import write_record
 from bench.rows import Skipped, as_table
+from fingerflow.schema.variable_record import IN_PERCENT
 
 FIGURES = Path(__file__).parent / "figures"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the suites that the command line names."""
+    """Run the suites that the command line names, or reproduce the papers."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["papers"]:
+        os.environ.pop(IN_PERCENT, None)  # before the rows are imported: the papers print divergence as a ratio
+        importlib.import_module("bench.papers.command").main(arguments[1:])
+        return
     known = [module.name for module in pkgutil.iter_modules(suites.__path__)]
-    parser = argparse.ArgumentParser("python -m bench", description="Speed against error, beside the peers.")
+    parser = argparse.ArgumentParser(
+        "python -m bench",
+        description="Speed against error, beside the peers.",
+        epilog="Both papers: python -m bench papers --help",
+    )
     parser.add_argument("suite", nargs="*", help=f"one or more of: {', '.join(known)}; default all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write machine, versions and all rows to FILE")
     parser.add_argument("--quick", action="store_true", help="small problems, few repetitions, no figure")

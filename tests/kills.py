@@ -41,8 +41,6 @@ from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError
 from fingerflow.export import write_bundle
 from fingerflow.recordings.guard.idle import IdleLimit
-from fingerflow.report import supplement
-from fingerflow.report.supplement import sources
 from fingerflow.results import patient_file
 from fingerflow.results import result as results
 from fingerflow.results.atomic_write import is_marked
@@ -134,7 +132,6 @@ COMMANDS = {
         ("report", "press/scene.toml", "--result", "given.h5"),
         ("press/report.html", "press/overlay.mp4"), ("press", "given.h5"), _same_pictures, True,
     ),
-    "figures": Command(("figures", "drawn"), ("drawn/S4.png", "drawn/M3.mp4"), (), _same_pictures, True),
     "simulate": Command(("simulate", "press", "made"), ("made",), (), _same_files, False),
     "export": Command(("export", "recipe.toml", "--output", "bundle"), ("bundle",), ("recipe.toml",), _same_bundle,
                       False),
@@ -187,8 +184,6 @@ def _make_small() -> None:
 
     press = replace(TINY_PRESS, n_frames=24, frame_rate=24.0)
     synthetic.Press = lambda: press  # type: ignore[misc, assignment]
-    supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
-    sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
     patient_file._PATIENCE = 1.0  # s, instead of half a minute
     write_bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # tested by tests/export
     _ = playing, reporting, load_scene, load_bundle  # load these modules once, here

@@ -2,7 +2,7 @@
 
 Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
 ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;
-and presses that are disturbed from the middle on, as in the suite `disturbances`: the finger jumps by 5 px, the lens is
+and presses that are disturbed from the middle on (`bench/disturbances.py`): the finger jumps by 5 px, the lens is
 out of focus, the light flickers, frames went through a lossy codec.
 
 In the last frames one point in twenty at a time is put beside its place, in any direction, by 1 to 2, 2 to 4, 4 to 8
@@ -21,10 +21,10 @@ from unittest.mock import patch
 
 import numpy as np
 
+from bench.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
 from bench.environment import one_thread
 from bench.recordings import write_quietly
 from bench.rows import Row
-from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
 from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import FingerprintTexture, Press, Slide, SyntheticScene

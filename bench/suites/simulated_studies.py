@@ -36,7 +36,7 @@ from bench.rows import Cell, Row
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, leave_out_moved, observe
-from fingerflow.report.supplement.of_observer import OBSERVED
+from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.row import measure
 from fingerflow.study.simulated_trials import Design, Felt, Presses, answers_of, draw_presses, recording_of

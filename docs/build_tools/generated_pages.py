@@ -8,10 +8,10 @@ from typing import Any
 
 from measured_tables import tables
 
+from bench.papers.page import read_results
 from bench.record import RESULTS, newest_suites
 from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
-from fingerflow.reproduce.paper_page import read_results
 from fingerflow.schema.key_list import ListedKey, key_list
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
@@ -163,8 +163,8 @@ def reproduction_page() -> str:
         "",
         "Recordings of both experiments are simulated, with cameras and forces, and measured by an ordinary study:",
         "",
-        "    fingerflow reproduce folder",
-        "    cp -r folder/page/{slip,press}* docs/reproduced",
+        "    python -m bench papers",
+        "    cp -r bench/out/papers/page/{slip,press}* docs/reproduced",
         "",
         "A number agrees where its interval of 95 % meets the printed interval: a printed deviation, otherwise the "
         "rounding of the print. Truth is that of the simulation. With `--quick` the study of presses has 4 "

@@ -13,7 +13,6 @@ from fingerflow.cli import (  # noqa: F401
     preparation,
     processing,
     reporting,
-    reproduction,
     study,
     synthetic_recordings,
     tables,

@@ -14,14 +14,6 @@ from fingerflow.errors import FingerflowError
 def report(
     scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
     result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
-    friction: Annotated[
-        list[float] | None,
-        typer.Option(
-            help="A coefficient of friction at which the skin chain is pressed with the measured force and drawn "
-            "beside the measured contact area and divergence; may be repeated."
-        ),
-    ] = None,
-    chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
     formats: Format = None,
     width: Width = None,
     overwrite: Overwrite = False,
@@ -31,7 +23,6 @@ def report(
     With --format or --width, each figure of the page is also written as a file into the folder figures beside it.
     """
     from fingerflow.report import write_report
-    from fingerflow.report.chain_comparison import compare_with_chain
     from fingerflow.results.result import load_result
     from fingerflow.schema.scene import load_scene
 
@@ -43,14 +34,11 @@ def report(
             raise FingerflowError(
                 f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
             )
-        if friction:
-            raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
         typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite, figure_files=files)}")
         return
     loaded = load_scene(scene)  # loaded first, so that an error in the scene is not reported as an error in the result
     stored = load_result(result or scene.parent / "result.h5")
-    beside = compare_with_chain(stored, friction, chain) if friction else None
-    page = write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite, figure_files=files)
+    page = write_report(stored, loaded, scene.parent, overwrite=overwrite, figure_files=files)
     typer.echo(f"report: {page}")
 
 
@@ -120,24 +108,9 @@ def slip(
 
 @app.command()
 def figures(
-    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S1.txt (the caption), S4.png ... and M3.mp4.")],
-    tribometer: Annotated[
-        Path | None,
-        typer.Option(help="A trace of sliding friction, for figure S1: CSV, HDF5, .mat or .tdms."),
-    ] = None,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="normal=NAME, tangential=NAME, position=NAME, amplitude=NAME or time=NAME: what a column of the trace "
-            "is called there; may be repeated."
-        ),
-    ] = None,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option(help="NAME=UNIT of a column of the trace that does not state it; may be repeated."),
-    ] = None,
+    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S1.txt (the caption), S5.png ...")],
     trials: Annotated[
-        Path | None,
+        Path,
         typer.Option(
             help="A CSV file, one row a trial: participant, trial, condition (vibration amplitude in µm), answer (1 or "
             "0) and any of max_force, time_to_max_force, duration, force_rate, max_displacement, global_displacement, "
@@ -145,7 +118,7 @@ def figures(
             "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit; "
             "of any with _difference behind its name, comparison less reference."
         ),
-    ] = None,
+    ],
     yes_no: Annotated[
         bool, typer.Option("--yes-no", help="Fit the guess rate of figure S12 C; 0.5, of a forced choice, without it.")
     ] = False,
@@ -154,31 +127,16 @@ def figures(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw figures of Willemet et al. 2021 from simulations, a tribometer trace and a table of trials."""
+    """Draw the figures of the supplement of Willemet et al. 2021 that a table of trials supports."""
     from fingerflow.models.observer import FORCED_CHOICE, YES_NO
-    from fingerflow.report.supplement import Sources, write_supplement
+    from fingerflow.report.supplement import write_supplement
     from fingerflow.report.trials_file import load_trials
-    from fingerflow.report.tribometer import read_tribometer
 
     files = figure_files(formats, width)
-    names, units = _pairs("--column", column), _pairs("--unit", unit)
-    if tribometer is None and (names or units):
-        raise FingerflowError("--column and --unit are of a trace; give the file by --tribometer")
-    sources = Sources(
-        tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
-        trials=None if trials is None else load_trials(trials),
-        design=YES_NO if yes_no else FORCED_CHOICE,
-    )
-    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite, files=files)
-    facts = [
-        {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)} for one in written
+    written = write_supplement(load_trials(trials), folder, YES_NO if yes_no else FORCED_CHOICE, overwrite, files)
+    facts = [{"figure": name, "file": path and str(path), "left_out": missing} for name, path, missing in written]
+    lines = [
+        f"{name}: {path or 'skipped'}" + (f" (without: {'; '.join(missing)})" if missing else "")
+        for name, path, missing in written
     ]
-    tell(facts, "\n".join(map(str, written)), as_json)
-
-
-def _pairs(option: str, given: list[str] | None) -> dict[str, str]:
-    pairs = [text.partition("=") for text in given or []]
-    for name, equals, value in pairs:
-        if not (name and equals and value):
-            raise FingerflowError(f"{option} {name}{equals}{value}: give two names with = between them")
-    return {name: value for name, _, value in pairs}
+    tell(facts, "\n".join(lines), as_json)

@@ -22,7 +22,6 @@ from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.plot.picture import views_of
 from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
-from fingerflow.report.chain_comparison import ChainComparison, draw
 from fingerflow.report.inline_svg import curves_of, inline_svg
 from fingerflow.report.key_frames import ReportFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
@@ -132,7 +131,6 @@ def write_report(
     scene: Scene | None,
     folder: Path,
     comparison: Sequence[Any] = (),
-    chain: ChainComparison | None = None,
     video: bool = True,
     overwrite: bool = False,
     figure_files: FigureFiles | None = None,
@@ -146,7 +144,6 @@ def write_report(
         scene: scene of the result; None leaves out pictures and video, as for a stream whose frames are gone.
         folder: folder to write into.
         comparison: rows with quantity, unit, measured, truth and error, of a synthetic recording.
-        chain: predictions of the skin chain, drawn beside the measurement.
         video: write overlay.mp4 too, which takes longer than all the rest.
         overwrite: replace files that no report has written.
         figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
@@ -163,7 +160,7 @@ def write_report(
     frames = key_frames(result)
     make = _Figures(result, folder / "figures", figure_files, overwrite)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
-        sections = _sections(make, scene, frames, chain)
+        sections = _sections(make, scene, frames)
     seconds = json.loads(result.attrs["stage_seconds"])
     parts = files(__package__)
     curves = {
@@ -204,9 +201,7 @@ def write_report(
     return path
 
 
-def _sections(
-    make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame], chain: ChainComparison | None
-) -> list[Section]:
+def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
     most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
@@ -255,9 +250,6 @@ def _sections(
     shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))
-    if chain is not None:
-        beside = make.whole(draw(chain, make.wide_mm), "beside-chain", "Measured beside the skin chain")
-        sections.append(Section("Beside the skin chain", [Panel("", [beside], "strip")], chain.notes()))
     return [one for one in sections if one is not None]
 
 

@@ -223,15 +223,15 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
     )
 
 
-def draw_curl_against_divergence(axes: Axes, trials: Trials) -> Axes:
-    """Draw figure S13 C: median curl against median divergence of each trial, coloured by participant."""
-    found = pearson(*_draw_by_participant(axes, trials, "divergence", "curl"), participants=trials.participant)
+def draw_medians(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
+    """Draw figure S13 C: one median over the contact against another, a dot a trial, coloured by participant."""
+    found = pearson(*_draw_by_participant(axes, trials, first, second), participants=trials.participant)
     low, high = found.interval
-    axes.set(xlabel=f"median {label_of('divergence')}", ylabel=f"median {label_of('curl')}")
+    axes.set(xlabel=f"median {label_of(first)}", ylabel=f"median {label_of(second)}")
     axes.set_title(f"r = {with_interval(found.value, low, high)}, {found.trials} trials")
     return finished(
         axes,
-        f"One dot a trial, one marker a participant. {_defined('divergence')} {_defined('curl')} r: Pearson's "
+        f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} r: Pearson's "
         f"correlation with its 95 % interval, participants as units. n = {found.trials} trials of "
         f"{np.unique(trials.participant).size} participants.",
     )

@@ -1,6 +1,5 @@
 """Figures of a study: those of the paper's supplement that the table of trials supports, and curves against force."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,13 +11,12 @@ from fingerflow.plot.axes_style import TWO_COLUMNS_MM, finished, line_styles
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
-from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
+from fingerflow.report.sheet import Sheet, SheetPanel
+from fingerflow.report.supplement import FIGURES, supplement_sheet
 from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
-_FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
-_SIMULATED = ("(skin chain)", "(simulated press)")  # endings of the letters of panels that do not depend on the study
 # Letters of the panels that need answers, by figure; None if the whole figure does. A study without answers omits them.
 _OF_ANSWERS: dict[str, str | None] = {"S5": "EFGI", "S7": "CDE", "S8": "HI", "S9": "E", "S11": None, "S12": None}
 # Panels that the paper draws against force, with the metric of the averaged curve, by figure.
@@ -66,7 +64,7 @@ def write_figures(
     on_page = [suffix for suffix in files.formats if suffix in ("svg", "png")] or ["png"]
     files = replace(files, formats=tuple(dict.fromkeys((*files.formats, on_page[0]))))
     written = []
-    for name in _FIGURES:
+    for name in FIGURES:
         trials = sample.trials
         if name == "S1":
             own = frame.set_index(["participant", "trial", "condition"])
@@ -75,18 +73,20 @@ def write_figures(
                 area: own.loc[places, f"{area}_at_3n"].to_numpy(float) for area in _AREAS if f"{area}_at_3n" in own
             }
             trials = replace(trials, metrics={**trials.metrics, **at_3n})
-        sheet = FIGURES[name](Sources(trials=trials, design=design))
+        sheet = supplement_sheet(name, trials, design)
         of_answers = _OF_ANSWERS.get(name, "")
         dropped = [] if sample.answered or of_answers == "" else [of_answers or "all"]
         panels = [
             replace(panel, letter=f"{panel.letter}, at 3 N") if name == "S1" else panel
             for panel in sheet.panels
-            if not panel.letter.endswith(_SIMULATED)
-            and (sample.answered or (of_answers is not None and panel.letter not in of_answers))
+            if sample.answered or (of_answers is not None and panel.letter not in of_answers)
         ]
-        drawn = {letter: metric for letter, metric in _CURVES.get(name, ()) if (curves["metric"] == metric).any()}
-        panels += [SheetPanel.of_axes(letter, draw_curves, curves, metric) for letter, metric in drawn.items()]
-        left_out = [said for said in sheet.left_out if not _is_replaced(said, drawn)]
+        for letter, metric in _CURVES.get(name, ()):
+            if (curves["metric"] == metric).any():
+                panels.append(SheetPanel.of_axes(letter, draw_curves, curves, metric))
+        drawn = {panel.letter[0] for panel in panels}
+        missing = [(letter, need) for letter, need in sheet.left_out if letter not in drawn]
+        left_out = Sheet(name, (), tuple(missing)).missing()
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
             written.append(StudyFigure(name, "", "", tuple(left_out)))
@@ -126,11 +126,3 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     )
     named = bool(axes.get_legend_handles_labels()[0])
     return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)
-
-
-def _is_replaced(said: str, drawn: Mapping[str, str]) -> bool:
-    """Return True if every panel that a sentence such as "B, D need a table of trials" reports as missing is drawn as a
-    curve of the study instead; the keys of `drawn` begin with a panel's letter.
-    """
-    letters = {part.strip() for part in said.partition(" need")[0].split(",")}
-    return bool(letters) and letters <= {letter[0] for letter in drawn}

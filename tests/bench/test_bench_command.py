@@ -84,7 +84,7 @@ def test_unknown_suite_is_refused_with_the_known_ones(capsys: pytest.CaptureFixt
         command.main(["trackin"])
     message = capsys.readouterr().err
     assert "no suite trackin" in message
-    assert "image_ops, interpolant, large_motion" in message
+    assert "flow, flow_outliers, friction_loop" in message
 
 
 def test_table_aligns_words_left_and_numbers_right() -> None:

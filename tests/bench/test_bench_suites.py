@@ -16,14 +16,9 @@ from bench import dic_codes, timing
 from bench.rows import Row, Skipped, number
 from bench.suites import (
     curved,
-    dense,
-    dic,
-    drift,
     flow,
     flow_outliers,
     image_ops,
-    interpolant,
-    large_motion,
     pipeline,
     simulated_studies,
     speed_against_error,
@@ -51,12 +46,8 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}
 
     for suite in (
-        dense,
-        dic,
         flow,
         image_ops,
-        interpolant,
-        large_motion,
         pipeline,
         speed_against_error,
         tracking,
@@ -111,30 +102,6 @@ def test_flow_outliers() -> None:
             assert number(robust, column) < share * number(quadratic, column)
 
 
-def test_large_motion() -> None:
-    """The search finds motion of 50 px as precisely as small motion; OpenCV accepts wrong positions, fingerflow
-    none.
-    """
-    rows = large_motion.run(quick=True)
-    assert number(one(rows, motion_px=5, tracker="fingerflow"), "accepted") >= 0.98
-    for distance, search in ((5, 8), (50, 64)):
-        found = one(rows, motion_px=distance, tracker=f"fingerflow, search {search} px")
-        assert number(found, "accepted") >= 0.98
-        assert number(found, "rms_px") < 0.04
-        assert one(rows, motion_px=distance, tracker="fingerflow")["wrong"] == 0
-    assert number(one(rows, motion_px=50, tracker="opencv, 4 levels"), "wrong") > 0.05
-
-
-def test_drift() -> None:
-    """Errors accumulate from frame to frame but not from a key frame, by frame 12 already."""
-    rows = drift.run(quick=True)
-    walk, key = (one(rows, frame=12, tracker=f"fingerflow, {way}") for way in ("frame to frame", "keyframe"))
-    assert number(key, "over_bound") < 1.25
-    assert number(walk, "over_bound") > number(key, "over_bound")
-    assert key["accepted"] == 1
-    assert {row["frame"] for row in rows} == {1, 3, 10, 12}
-
-
 def test_curved() -> None:
     """On a wave of 100 px the error is less than 0.45 times OpenCV's; there and in uniform displacement it is that
     stated.
@@ -145,45 +112,6 @@ def test_curved() -> None:
     assert number(ours, "rms_px") < 0.016
     assert 0.75 < number(ours, "z") < 1.3
     assert 0.85 < number(one(rows, field="uniform", tracker="fingerflow"), "z") < 1.15
-
-
-def test_dic(shared_data: Path) -> None:
-    """Displacements are found to 0.03 px at the noise of this sample (5 grey levels), and du/dx to 0.0015.
-
-    The gain of 2,000 overlapping windows has a standard error of 2 %, with nearly the same noise for both trackers.
-    """
-    rows = dic.run(quick=True)
-    ours, theirs = one(rows, tracker="fingerflow"), one(rows, tracker="opencv")
-    assert number(ours, "accepted") > 0.99
-    assert number(ours, "u_rms_px") < 0.03
-    assert number(ours, "v_rms_px") < 0.03
-    assert number(ours, "strain_rms_ue") < 1500
-    assert abs(number(ours, "u_gain") - 1) < 0.05
-    assert number(theirs, "u_gain") - number(ours, "u_gain") > 0.03
-    parts = number(ours, "u_systematic_px") ** 2 + number(ours, "u_random_px") ** 2
-    assert parts == pytest.approx(number(ours, "u_rms_px") ** 2, rel=1e-6)
-
-
-def test_dic_without_its_data_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(dic, "FOLDER", tmp_path / "shared" / "data" / "dic" / "sample14")
-    with pytest.raises(Skipped, match="shared/data/dic/sample14"):
-        dic.run(quick=True)
-
-
-def test_interpolant() -> None:
-    """At noise 5 an exact cubic spline has a bias of more than 0.1 px at fractions of a pixel; the smoothed spline has
-    not.
-    """
-    rows = interpolant.run(quick=True)
-    exact, smooth = (one(rows, noise=5, fraction=0.3, interpolant=f"cubic, {kind}") for kind in ("exact", "smoothed"))
-    assert abs(number(exact, "bias_px")) > 0.1
-    assert abs(number(smooth, "bias_px")) < 0.015
-    assert 0.8 < number(smooth, "over_bound") < 1.15
-    assert 25 < (number(exact, "slope_noise") / number(smooth, "slope_noise")) ** 2 < 60
-    without_noise = one(rows, noise=0, fraction=0.3, interpolant="bilinear")
-    assert number(without_noise, "over_bound") > 1.5 * number(
-        one(rows, noise=0, fraction=0.3, interpolant="cubic, smoothed"), "over_bound"
-    )
 
 
 def test_speed_against_error(tmp_path: Path) -> None:
@@ -260,16 +188,6 @@ def test_pipeline() -> None:
     assert number(ours, "gross_area_pct") < number(theirs, "gross_area_pct")
 
 
-def test_dense() -> None:
-    """Every dense flow finds the point when the flow is read at the point's own pixel; with uniform motion some errors
-    fall below the bound.
-    """
-    rows = dense.run(quick=True)
-    assert {(row["motion"], row["way"]) for row in rows} >= {("5 px", "opencv DIS, medium"), ("wave", "fingerflow")}
-    for row in rows:
-        assert row["wrong"] == 0, row
-        assert 0.4 < number(row, "over_bound") < 3, row
-    assert 0.8 < number(one(rows, motion="5 px", way="fingerflow"), "over_bound") < 1.2
 
 
 def test_simulated_studies(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.suites import simulated_studies
-from fingerflow.report.supplement.of_observer import OBSERVED
+from fingerflow.report.supplement import OBSERVED
 from fingerflow.study.simulated_trials import Design, Presses
 
 pytestmark = pytest.mark.long  # the presses of a design are drawn from many solved contacts

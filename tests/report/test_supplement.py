@@ -1,37 +1,28 @@
-"""Tests of `fingerflow figures`: the data of each figure, reasons for omitted figures, and complete files only."""
+"""Tests of `fingerflow figures`: the panels that a table supports, reasons for the others, and legible labels."""
 
 import json
 from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
+from fingerflow.models.observer import Trials
 from fingerflow.plot.captions import caption_of
-from fingerflow.report.press_field import draw_median_curl, press_field
-from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, simulate_presses
-from fingerflow.report.supplement import FIGURES, Sources, sources
-from fingerflow.report.supplement.sheet import Sheet
+from fingerflow.plot.figure_files import settle
+from fingerflow.report.sheet import Sheet
+from fingerflow.report.supplement import FIGURES, supplement_sheet
+from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.trials_file import load_trials
-from fingerflow.synthetic import Press
 
 Command = Callable[..., int]
 Printed = pytest.CaptureFixture[str]
-Patch = pytest.MonkeyPatch
 pytestmark = pytest.mark.long
-
-
-@pytest.fixture(autouse=True)
-def small_presses(monkeypatch: Patch) -> None:
-    """Simulate presses with fewer elements, times and frictions than the figures use, as only the composition is
-    tested.
-    """
-
-    def few() -> SimulatedPresses:
-        return simulate_presses((LOW, HIGH), times=21, elements=101)
-
-    monkeypatch.setattr(sources, "simulate_presses", few)
+_TOUCH_PX = 1.5  # at 100 dpi: labels may overlap by less than half a millimetre
 
 
 def table(path: Path, columns: tuple[str, ...]) -> Path:
@@ -49,57 +40,50 @@ def table(path: Path, columns: tuple[str, ...]) -> Path:
     return path
 
 
-def test_without_tables_the_simulated_figures_come_and_the_others_say_why(
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> Trials:
+    return load_trials(table(tmp_path_factory.mktemp("table") / "t.csv", METRICS))
+
+
+def test_a_table_brings_the_figures_of_its_columns_and_the_others_say_why(
     command: Command, tmp_path: Path, capsys: Printed
 ) -> None:
-    assert command("figures", tmp_path / "new", "--json") == 0
-    found = {one["figure"]: one for one in json.loads(capsys.readouterr().out)}
-    assert list(found) == [*FIGURES, "M3"]
-    assert {name for name, one in found.items() if one["file"] is None} == {"S1", "S7", "S11", "S12"}
-    assert found["S1"]["left_out"] == [
-        "A, B need a tribometer trace (--tribometer)",
-        "C, E need pictures and series of recordings, which no table of trials holds",
-        "D, F need a table of trials (--trials)",
-    ]
-    assert found["S7"]["left_out"] == ["A, B, C, D, E need a table of trials (--trials)"]
-    assert found["S4"]["left_out"] == found["S6"]["left_out"] == found["S10"]["left_out"] == []
-    assert found["S13"]["left_out"] == ["C needs a table of trials (--trials)"]
-    drawn = [f"S{number}" for number in (4, 5, 6, 8, 9, 10, 13)]
-    names = sorted(path.name for path in (tmp_path / "new").iterdir())
-    assert names == sorted([*(f"{name}.{suffix}" for name in drawn for suffix in ("png", "txt")), "M3.mp4"])
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "new").glob("*.png"))
-
-
-def test_a_table_brings_the_panels_of_its_columns(tmp_path: Path) -> None:
     columns = ("divergence", "curl", "strain", "global_displacement", "force_rate")
-    found = Sources(trials=load_trials(table(tmp_path / "t.csv", columns)))
-    letters = {name: [panel.letter for panel in FIGURES[name](found).panels] for name in ("S5", "S7", "S8", "S12")}
-    assert letters["S5"] == ["H", "I", "J (skin chain)", "K (skin chain)"]
-    assert letters["S7"] == ["A", "C"]
-    assert letters["S8"][-2:] == ["G", "H"]
-    assert letters["S12"] == ["A", "B, stiffer skin", "B, softer skin", "C"]
-    assert FIGURES["S7"](found).left_out == (
-        "B, D need values of force_angle in the table of trials",
-        "E needs values of real_contact_area in the table of trials",
-    )
-    observer = FIGURES["S11"](found)
-    assert [panel.letter for panel in observer.panels] == ["A", "B", "C, d'", "C, AUC"]
-    assert observer.left_out == (
-        "the metrics need values of force_angle, strain_rate, strain_energy, real_contact_area in the table of trials",
-    )
-    table_axes = observer.figure().axes[2]
-    assert [label.get_text() for label in table_axes.get_yticklabels()] == [
-        *("divergence", "global displacement", "force rate")
+    path = table(tmp_path / "t.csv", columns)
+    assert command("figures", tmp_path / "new", "--trials", path, "--json") == 0
+    found = {one["figure"]: one for one in json.loads(capsys.readouterr().out)}
+    assert list(found) == list(FIGURES)
+    drawn = ("S5", "S7", "S8", "S11", "S12", "S13")
+    assert [name for name, one in found.items() if one["file"]] == list(drawn)
+    names = sorted(path.name for path in (tmp_path / "new").iterdir())
+    assert names == sorted(f"{name}.{suffix}" for name in drawn for suffix in ("png", "txt"))
+    assert found["S1"]["left_out"] == [
+        "C, E need pictures and series of recordings, which no table of trials holds",
+        "D needs values of gross_contact_area in the table of trials",
+        "F needs values of real_contact_area in the table of trials",
     ]
+    assert found["S11"]["left_out"] == [
+        "the rest needs values of force_angle, strain_rate, strain_energy, real_contact_area in the table of trials"
+    ]
+    sheets = {name: supplement_sheet(name, load_trials(path)) for name in drawn}
+    letters = {name: [panel.letter for panel in sheet.panels] for name, sheet in sheets.items()}
+    assert letters == {
+        "S5": ["H", "I"],
+        "S7": ["A", "C"],
+        "S8": ["G", "H"],
+        "S11": ["A", "B", "C, d'", "C, AUC"],
+        "S12": ["A", "B, stiffer skin", "B, softer skin", "C"],
+        "S13": ["C"],
+    }
+    metrics = sheets["S11"].figure().axes[2].get_yticklabels()
+    assert [label.get_text() for label in metrics] == ["divergence", "global displacement", "force rate"]
 
 
 def test_differences_are_taken_where_the_caption_has_them(tmp_path: Path) -> None:
-    columns = ("divergence", "divergence_difference", "force_angle", "force_angle_difference", "strain")
-    found = Sources(trials=load_trials(table(tmp_path / "t.csv", columns)))
-    labels = {name: [axes.get_xlabel() for axes in FIGURES[name](found).figure().axes] for name in ("S7", "S12")}
-    assert labels["S7"] == ["vibration amplitude (µm)", "median peak force angle difference (°)"]
-    assert labels["S12"][:3] == ["median divergence difference (µm/mm)"] * 3
-    assert found.difference_column("strain") == "strain"
+    columns = ("divergence", "force_angle", "force_angle_difference")
+    found = load_trials(table(tmp_path / "t.csv", columns))
+    axes = supplement_sheet("S7", found).figure().axes
+    assert [one.get_xlabel() for one in axes] == ["vibration amplitude (µm)", "median peak force angle difference (°)"]
 
 
 def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path) -> None:
@@ -107,56 +91,67 @@ def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path)
     heading, *rows = path.read_text().splitlines()
     cells = [row.split(",") for row in rows]
     path.write_text("\n".join([heading, *(",".join([*row[:3], "1", row[4], ""]) for row in cells)]))
-    found = Sources(trials=load_trials(path))
-    one = FIGURES["S11"](found)
-    assert "both are needed" in one.figure().axes[0].get_title()
-    FIGURES["S12"](found).figure()
-    assert FIGURES["S13"](found).left_out == ("C needs values of curl in the table of trials",)
+    found = load_trials(path)
+    assert "both are needed" in supplement_sheet("S11", found).figure().axes[0].get_title()
+    supplement_sheet("S12", found).figure()
+    assert supplement_sheet("S13", found).missing()[-1] == "C needs values of curl in the table of trials"
 
 
-def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(tmp_path: Path) -> None:
-    found = Sources(trials=load_trials(table(tmp_path / "t.csv", ("max_force", "duration", "force_rate"))))
-    for width in (180, 85):
-        figure = FIGURES["S5"](found).figure(width)
-        assert [part._suptitle.get_text() for part in figure.subfigs] == list("ABCDEFGH")
-        heading, *panels = caption_of(figure).splitlines()
-        assert heading == "Figure S5: force and motion of the trials."
-        printed = ["B", "D", "E", "G", "H", "I", "J, skin chain", "K, skin chain"]
-        assert [line.partition(").")[0] for line in panels] == [
-            f"{letter} (as S5 {name}" for letter, name in zip("ABCDEFGH", printed, strict=True)
-        ]
-        assert all("n = " in line for line in panels)
-        assert "± one standard deviation over trials" in panels[0]
-    assert Sheet.missing_sentences([("A", "x"), ("C", "y"), ("B", "x")]) == ("A, B need x", "C needs y")
-
-
-def test_the_field_of_the_simulated_press_is_its_truth() -> None:
-    scene = Press(bumps=(), gradient=((0.0, 0.0), (0.0, 0.0)), shift=(0.1, -0.05))
-    found = press_field(scene)
-    at_rest = np.hypot(*(found.reference - scene.contact_centre).T) < 1.5  # in contact before the skin moved much
-    np.testing.assert_allclose(found.displacement[at_rest], np.tile((0.1, -0.05), (at_rest.sum(), 1)), atol=0.005)
-    assert found.force[-1] == pytest.approx(5.0)
-    assert np.isnan(found.median_curl[0])
-    assert len(found.curl) == len(found.reference) > 100
-    (line,) = draw_median_curl(Figure().subplots(), found).lines
-    np.testing.assert_array_equal(line.get_data(), (found.force, 1e3 * found.median_curl))
+def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(trials: Trials) -> None:
+    figure = supplement_sheet("S8", trials).figure()
+    assert [part._suptitle.get_text() for part in figure.subfigs] == list("ABC")
+    heading, *panels = caption_of(figure).splitlines()
+    assert heading == "Figure S8: strain of the surface."
+    assert [line.partition(").")[0] for line in panels] == ["A (as S8 G", "B (as S8 H", "C (as S8 I"]
+    assert all("n = " in line for line in panels)
+    assert Sheet("S1", (), (("A", "x"), ("C", "y"), ("B", "x"))).missing() == ["A, B need x", "C needs y"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--tribometer", "none.csv"), "none.csv: there is no such file"),
         (("--trials", "none.csv"), "none.csv cannot be read"),
-        (("--format", "jpg"), "--format jpg: 'jpg' is none; give one or more of pdf, svg, png"),
-        (("--width", "85"), "--width 85: give a number and its unit: mm, cm or in, such as 85mm"),
-        (("--column", "normal=Fz"), "give the file by --tribometer"),
-        (("--tribometer", "none.csv", "--column", "normal"), "--column normal: give two names with = between them"),
+        (("--trials", "none.csv", "--format", "jpg"), "'jpg' is none; give one or more of pdf, svg, png"),
+        (("--trials", "none.csv", "--width", "85"), "give a number and its unit: mm, cm or in, such as 85mm"),
     ],
 )
 def test_mistakes_are_named(
-    command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: Patch, capsys: Printed
+    command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: Printed
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert command("figures", "out", *arguments) == 2
+    assert command("figures", tmp_path / "out", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def labels(figure: Figure) -> list[Text]:
+    """Return the visible titles, axis labels, tick labels and panel letters."""
+    found = [part._suptitle for part in figure.subfigs]
+    for axes in figure.axes:
+        found += [axes.title, axes.xaxis.label, axes.yaxis.label]
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            low, high = sorted(limits)
+            ticks = zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=False)
+            found += [text for place, text in ticks if low <= place <= high]
+    return [text for text in found if text is not None and text.get_visible() and text.get_text()]
+
+
+def overlap(first: Bbox, second: Bbox) -> float:
+    """Return the overlap of two boxes in px, in the direction in which they overlap less."""
+    wide = min(first.x1, second.x1) - max(first.x0, second.x0)
+    return min(wide, min(first.y1, second.y1) - max(first.y0, second.y0))
+
+
+@pytest.mark.parametrize(("name", "width"), [*((name, 85) for name in FIGURES), ("S5", 180), ("S12", 180)])
+def test_labels_are_whole_and_apart(name: str, width: int, trials: Trials) -> None:
+    figure = supplement_sheet(name, trials).figure(width)
+    settle(figure)
+    figure.draw_without_rendering()
+    texts = labels(figure)
+    boxes = [text.get_window_extent() for text in texts]
+    legends = [one.get_window_extent() for one in (axes.get_legend() for axes in figure.axes) if one is not None]
+    assert len(texts) > 5
+    assert all(text.get_fontsize() >= 7 for text in texts)
+    for box in (*boxes, *legends):
+        assert max(-box.x0, -box.y0, box.x1 - figure.bbox.width, box.y1 - figure.bbox.height) < _TOUCH_PX, name
+    for (one, first), (other, second) in combinations(zip(texts, boxes, strict=True), 2):
+        assert overlap(first, second) < _TOUCH_PX, f"{one.get_text()!r} lies on {other.get_text()!r}"

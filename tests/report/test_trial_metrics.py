@@ -137,7 +137,7 @@ def test_the_line_of_a_correlation_is_rounded_to_its_standard_error(axes: Axes, 
 def test_curl_against_divergence(axes: Axes, trials: Trials) -> None:
     curl = trials.metrics["strain"] + np.random.default_rng(0).normal(0, 1e-3, trials.answer.size)
     table = replace(trials, metrics={"divergence": trials.metrics["divergence"], "curl": curl})
-    metrics.draw_curl_against_divergence(axes, table)
+    metrics.draw_medians(axes, table, "divergence", "curl")
     assert len(axes.lines) == 4
     x, y = np.concatenate([line.get_data() for line in axes.lines], axis=1)
     np.testing.assert_array_equal(np.sort(x), np.sort(1e3 * table.metrics["divergence"]))

@@ -18,7 +18,7 @@ from fingerflow.models.observer import (
     repeated_anova,
 )
 from fingerflow.plot.figure_files import FigureFiles
-from fingerflow.report.supplement import FIGURES, Sources
+from fingerflow.report.supplement import supplement_sheet
 from fingerflow.schema.trial_columns import DIFFERENCES
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
@@ -201,7 +201,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
     """
     trials = sample_of(pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
-        axes = FIGURES["S12"](Sources(trials=trials, design=design)).figure().axes[-1]
+        axes = supplement_sheet("S12", trials, design).figure().axes[-1]
         dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])
         assert dots[0] < 0.4
         assert (curve[0] < 0.4) == fits

@@ -12,8 +12,6 @@ from fingerflow import load_scene, process
 from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_onset import since_onset
-from fingerflow.report import write_report
-from fingerflow.report.chain_comparison import compare_with_chain
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
 pytestmark = pytest.mark.long
@@ -91,40 +89,6 @@ def test_the_median_divergence_comes_back_from_the_pictures(recorded: list[tuple
         assert np.isfinite(error).sum() > 40
         assert np.sqrt(np.nanmean(error**2)) < 1.0
         assert np.nanmax(np.abs(error)) < 1.6
-
-
-def test_a_report_draws_the_chain_beside_the_trial(
-    recorded: list[tuple[ChainPress, xr.Dataset]], tmp_path: Path
-) -> None:
-    """The fitted stiffness agrees to 5 % (drag of the ramp, edge of the contact); the prediction with the right
-    friction is within 1 um/mm of the measurement, the other one more than 2.5 off.
-    """
-    for number, (_, result) in enumerate(recorded):
-        beside = compare_with_chain(result, FRICTIONS, "paper")
-        assert beside.fit.tissue_stiffness == pytest.approx(130.0, rel=0.05)
-        last = slice(-6, -1)
-        off = np.abs(np.nanmean((beside.chain_inner - beside.inner)[:, last], 1))
-        assert off[number] < 1.0
-        assert off[1 - number] > 2.5
-        assert np.nanmax(np.abs(beside.chain_area / beside.area - 1)[:, last]) < 0.08
-    large = beside.area > 10
-    assert np.isfinite(beside.chain_median[:, large]).all()
-    page = write_report(result, None, tmp_path, chain=beside).read_text(encoding="utf-8")
-    assert "Beside the skin chain" in page
-    assert f"k_t = {beside.fit.tissue_stiffness:.4g} N/m" in page
-
-
-def test_what_cannot_be_compared_with_a_chain_is_refused(recorded: list[tuple[ChainPress, xr.Dataset]]) -> None:
-    _, result = recorded[0]
-    with pytest.raises(FingerflowError, match="0 or more"):
-        compare_with_chain(result, [-0.1])
-    with pytest.raises(FingerflowError, match="choose one of paper, lab"):
-        compare_with_chain(result, [0.2], "foot")
-    with pytest.raises(FingerflowError, match="no normal_force"):
-        compare_with_chain(result.drop_vars("normal_force"), [0.2])
-    blank = result.assign(normal_force=0 * result["normal_force"])
-    with pytest.raises(FingerflowError, match="check the force file"):
-        compare_with_chain(blank, [0.2])
 
 
 def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:

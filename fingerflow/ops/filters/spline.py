@@ -3,7 +3,7 @@
 An image is represented as S(x, y) = sum_kl c[l, k] b(x - k) b(y - l), b the centred B-spline. The coefficients c are
 the samples smoothed once by [1 2 1]/4 in x and y. There is no inverse filter, so S is the image after one fixed
 low-pass filter. It is the same for both images of a pair and therefore does not change their shift. It has two
-advantages over an exact interpolant (measured by ``python -m bench interpolant``):
+advantages over an exact interpolant:
 
 - With exact cubic interpolation the noise of the template and of its own gradient correlate at fractional positions.
   That biases the estimate: 0.04 px at noise of 2 grey levels, 0.26 px at 5 on ridge texture. The low-pass removes the

@@ -1,0 +1,131 @@
+"""Simulated presses of the skin chain at several frictions, and panels J and K of figure S5 of Willemet et al. 2021.
+
+The chain is a section through an axisymmetric finger: its strains are radial and hoop. Strains are relative to the
+undeformed finger, those of a recording to each point's onset of contact.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
+from fingerflow.models.skin_parameters import PARAMETERS
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
+from fingerflow.plot.axes_style import finished, line_styles
+
+Values = NDArray[np.float64]
+FRICTIONS = (0.02, 0.05, 0.2, 1.0)
+LOW, HIGH = 0.2, 1.0  # friction coefficients that the paper calls low and high
+DEPTH_MM = 2.0  # mm, depth over which the paper assumes uniform strain (equation 3)
+_ELEMENTS = 1001  # twice the paper's number: contact grows by whole elements, which is visible in rates
+_SLOPE_S = 0.12  # s, interval of the line fit of a rate, in which contact grows by some elements
+_RADII = 201
+
+
+@dataclass(frozen=True)
+class SimulatedPresses:
+    """Simulations of a press with the skin-chain model at K friction coefficients and T times; `chain` holds arrays (T,
+    K, ...) in SI units.
+    """
+
+    friction: tuple[float, ...]
+    time: Values  # (T,) s, time
+    force: Values  # (T,) N, normal force
+    chain: PressedChain
+
+    def index(self, friction: float) -> int:
+        """Return the index of the simulation with a given friction coefficient."""
+        return self.friction.index(friction)
+
+    def profile(self) -> tuple[Values, Values, Values]:
+        """Return radius (mm), radial strain du/dx and hoop strain u/x of the skin from the centre to the edge of the
+        contact, (T, K, R) each, interpolated between the chain's elements.
+        """
+        radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
+        x = 1e3 * self.chain.position[..., 0].numpy()
+        strain, divergence = self.chain.strain.numpy(), self.chain.divergence_field.numpy()
+        radial, hoop = np.full(radius.shape, np.nan), np.full(radius.shape, np.nan)
+        for place in np.argwhere(radius[..., -1] > 0):
+            at = tuple(place)
+            known = np.isfinite(strain[at])
+            radial[at] = np.interp(radius[at], x[at][known], strain[at][known])
+            hoop[at] = np.interp(radius[at], x[at][known], (divergence[at] - strain[at])[known])
+        return radius, radial, hoop
+
+    def energy(self) -> Values:
+        """Return the strain energy (T, K), mJ, of the skin over the contact disc down to a depth of 2 mm, by equation
+        3; 0 without contact.
+        """
+        radius, radial, hoop = self.profile()
+        gradient = torch.zeros(*radial.shape, 2, 2, dtype=torch.float64)
+        gradient[..., 0, 0], gradient[..., 1, 1] = torch.from_numpy(radial), torch.from_numpy(hoop)
+        density = np.asarray(strain_energy_density(green_lagrange(gradient)))
+        return np.asarray(DEPTH_MM * np.trapezoid(np.nan_to_num(density) * 2 * np.pi * radius, radius, axis=-1))
+
+    def rate(self, series: Values) -> Values:
+        """Return the time derivatives (T, K), per second, of series (T, K): slopes of lines fitted to 0.12 s of values,
+        NaN near the ends.
+        """
+        step = float(self.time[1] - self.time[0])
+        width = max(1, round(_SLOPE_S / step / 2))
+        rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
+        rates[:width] = rates[-width:] = np.nan
+        return np.asarray(rates)
+
+
+def simulate_presses(
+    friction: Sequence[float] = FRICTIONS, times: int = 101, elements: int = _ELEMENTS
+) -> SimulatedPresses:
+    """Simulate a press with the skin-chain model at each friction coefficient, under a normal force that rises to 3 N
+    in one second; `times` and `elements` are the numbers of time steps and chain elements.
+
+    The contact of the skin chain has the area printed in the paper.
+    """
+    time = torch.linspace(0, 1.0, times, dtype=torch.float64)
+    force = 3.0 * time
+    skin = PARAMETERS["fitted"]
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, parameters=skin, elements=elements)
+    return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
+
+
+def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
+    """Draw figure S5 K for the skin-chain model: the tangential speed (mm/s) of the element in contact that is
+    displaced furthest by the end, against normal force.
+    """
+    moved = 1e3 * presses.chain.displacement[..., 0].numpy()
+    furthest = np.where(_touching(presses), np.abs(moved[-1]), -1.0).argmax(-1)
+    own = np.take_along_axis(moved, furthest[None, :, None], axis=-1)[..., 0]
+    styles = line_styles(len(presses.friction), ordered=True)
+    for values, friction, style in zip(np.abs(presses.rate(own)).T, presses.friction, styles, strict=True):
+        axes.plot(presses.force, values, label=f"friction {friction:g}", **style)
+    axes.set(xlabel="normal force (N)", ylabel="speed of the furthest point (mm/s)")
+    return finished(
+        axes,
+        "Speed along the plate of the element of the skin chain that is displaced furthest in contact, by line fits "
+        f"over {_SLOPE_S:g} s, against the normal force. n = {len(presses.friction)} presses.",
+    )
+
+
+def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
+    """Draw figure S5 J for the skin-chain model: the largest tangential displacement (mm) of skin in contact at full
+    load, one bar per friction coefficient.
+    """
+    moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
+    largest = np.where(_touching(presses), np.abs(moved), 0).max(-1)
+    names = [f"{friction:g}" for friction in presses.friction]
+    axes.bar(names, largest, 0.6, color=[style["color"] for style in line_styles(len(names), ordered=True)])
+    axes.set(xlabel="friction coefficient", ylabel="largest displacement (mm)")
+    return finished(
+        axes,
+        "Largest displacement along the plate in contact at full load, of the skin chain, by friction coefficient. "
+        f"n = {len(presses.friction)} presses.",
+    )
+
+
+def _touching(presses: SimulatedPresses) -> NDArray[np.bool_]:
+    return presses.chain.normal_force.numpy()[-1] > CONTACT_N

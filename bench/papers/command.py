@@ -1,0 +1,85 @@
+"""`python -m bench papers`: simulate recordings, measure them, compare with the printed results, write a page."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from bench.papers import method_rows, press_figures, press_rows, slide_figures, slide_rows
+from bench.papers.drawn import PrintedFigure, PrintedMovie, Source
+from bench.papers.page import TITLES, write_page, write_results
+from bench.papers.presses import record_and_analyse
+from bench.papers.printed import Row
+from bench.papers.slides import record_and_measure
+from fingerflow.study.simulated_trials import Design
+
+_ABOUT_SLIDES = (
+    "Ten slides at 60 Hz with a pixel of 40 µm: in four the stick region collapses at the printed sizes and "
+    "durations, in four it shrinks to nothing, in two the tangential force swings. Frictions, forces, contact sizes "
+    "and skin differ from slide to slide. Before a collapse d² falls in a straight line with T/N, as the paper saw no "
+    "parabola."
+)
+
+
+def main(arguments: list[str]) -> None:
+    """Reproduce the papers that the command line names, and print the path of the page."""
+    parser = argparse.ArgumentParser("python -m bench papers", description=__doc__)
+    parser.add_argument("paper", nargs="?", choices=tuple(TITLES), help="slip (2011) or press (2021); default both")
+    parser.add_argument(
+        "--folder", type=Path, default=Path("bench/out/papers"), help="recordings, results and page; a run goes on"
+    )
+    parser.add_argument("--quick", action="store_true", help="a small study of presses, in minutes")
+    options = parser.parse_args(arguments)
+    papers = (options.paper,) if options.paper else tuple(TITLES)
+    print(f"page: {reproduce(options.folder, papers, options.quick)}")
+
+
+def reproduce(folder: Path, papers: Sequence[str] = tuple(TITLES), quick: bool = False) -> Path:
+    """Reproduce one or both papers in a folder, and return the path of the HTML page with all results in that folder.
+
+    Recordings that exist and trials that are measured are kept.
+
+    Args:
+        folder: created if missing; recordings and results are in `slip` and `press`, the page is in `page`.
+        papers: names in `TITLES`.
+        quick: a small study of presses in place of the whole, in `press-quick`.
+
+    Raises FingerflowError if a file cannot be written.
+    """
+    page = folder / "page"
+    for paper in papers:
+        if paper == "slip":
+            slides = record_and_measure(folder / paper)
+            _compare(page, paper, _ABOUT_SLIDES, slides, slide_rows.ROWS, slide_figures.FIGURES)
+        else:
+            study = record_and_analyse(folder / (f"{paper}-quick" if quick else paper), quick)
+            rows = sorted((*method_rows.ROWS, *press_rows.ROWS), key=lambda row: int(row.id[1:]))
+            _compare(page, paper, _about(study.design), study, rows, press_figures.FIGURES)
+    return write_page(page)
+
+
+def _about(design: Design) -> str:
+    high, low = design.friction
+    return (
+        f"A study of {design.participants} participants, {design.trials} pair(s) of presses each at every one of "
+        f"{len(design.amplitudes)} amplitudes: a skin chain turned about its axis, softer for half of the "
+        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. The observer feels "
+        "the difference of divergence, with noise. Equations, settings and models are checked beside it."
+    )
+
+
+def _compare(
+    page: Path,
+    paper: str,
+    about: str,
+    source: Source,
+    rows: Sequence[Row[Source]],
+    figures: Sequence[PrintedFigure[Source] | PrintedMovie[Source]],
+) -> None:
+    """Compute the reproduced results of a paper from its simulated experiment `source`, draw its figures, and write
+    both into the folder `page`.
+    """
+    answers = [row.answer(source) for row in tqdm(rows, desc="rows")]
+    drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures")]
+    write_results(page, paper, about, answers, drawn)

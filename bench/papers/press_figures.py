@@ -1,0 +1,310 @@
+"""Figures S1 to S13 and movies M1 to M4 of Willemet et al. 2021, drawn from the simulated study and from models."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.tri import Triangulation
+
+from bench.papers import half_sphere, receptors
+from bench.papers.chain import draw_fastest_point, draw_largest_displacement
+from bench.papers.chain_movie import movie_pictures
+from bench.papers.decomposition import decompose, draw_decomposition
+from bench.papers.drawn import Drawn, Picture, PrintedFigure, PrintedMovie
+from bench.papers.press_stages import (
+    contact_mask,
+    contact_stages,
+    difference_panel,
+    show,
+    skin_stages,
+    view_of,
+)
+from bench.papers.presses import PressStudy, TypicalPress
+from bench.papers.tribometer import draw_friction, draw_trace
+from fingerflow import plot
+from fingerflow.plot.axes_style import INK, finished
+from fingerflow.plot.captions import caption_of
+from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.recordings import open_recording
+from fingerflow.report.sheet import Sheet, SheetPanel
+from fingerflow.report.supplement import supplement_sheet
+from fingerflow.report.view_painter import ViewPainter
+from fingerflow.study.figures import draw_curves
+
+_FORCES_N = (1.0, 2.0, 3.0)
+_STRAINS = ("exx", "eyy", "exy")
+_MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
+_CHAIN_STEP = 4  # every 4th simulated time of the chain is shown in movie M3
+_MOVIE_FORCES = 12  # number of normal forces in movie M4
+_ARROWS = 10.0  # magnification of displacements in movie M1
+_STACKED = 1.6  # height of a panel with several axes relative to one with a single axis
+
+
+def _sheet(name: str, panels: list[SheetPanel], shown: str) -> Drawn:
+    figure = Sheet(name, tuple(panels)).figure()
+    _, *captions = caption_of(figure).splitlines()  # omits the heading
+    return figure, "\n".join((shown, *captions))
+
+
+def _of_trials(study: PressStudy, name: str) -> list[SheetPanel]:
+    """Return the panels of the supplement's figure `name`, such as "S5", that the table of trials supports."""
+    return list(supplement_sheet(name, study.sample.trials).panels)
+
+
+def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[PressStudy], Drawn]:
+    """Return the function that draws the supplement's figure `name`, such as "S7", from a study; `shown` is the first
+    line of its caption, with ``{count}`` for the number of trials.
+    """
+    return lambda study: _sheet(name, _of_trials(study, name), shown.format(count=_count(study)))
+
+
+def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
+    return SheetPanel.of_axes(letter, draw_curves, study.curves, metric)
+
+
+def _count(study: PressStudy) -> str:
+    used = study.sample.counted.used
+    people = study.frame["participant"].nunique()
+    return f"{used} answered trials, {len(study.measured)} presses of {people} participants"
+
+
+def _friction_and_area(study: PressStudy) -> Drawn:
+    trials = study.sample.trials
+    at_3n = {area: study.column_of_sample(f"{area}_at_3n") for area in ("gross_contact_area", "real_contact_area")}
+    panels = [
+        SheetPanel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), study.trace), 2, 1.4),
+        SheetPanel.of_axes("B", draw_friction, study.trace.epochs),
+        *supplement_sheet("S1", replace(trials, metrics={**trials.metrics, **at_3n})).panels,
+        _curve(study, "C", "gross_contact_area"),
+        _curve(study, "E", "real_contact_area"),
+    ]
+    high, low = study.typical
+    moments = [(force, high.frame_at(force), low.frame_at(force)) for force in _FORCES_N]
+    pairs = [
+        (force, contact_mask(high.result, high.scene, one), contact_mask(low.result, low.scene, other))
+        for force, one, other in moments
+        if one is not None and other is not None
+    ]
+    panels += [difference_panel(pairs)] if pairs else []
+    return _sheet(
+        "S1",
+        sorted(panels, key=lambda panel: panel.letter),
+        f"Friction is that of a simulated tribometer trace; areas are those of the study, by amplitude at 3 N: "
+        f"{_count(study)}. Bars are mean ± SD of trials, bands of curves 95 % over participants.",
+    )
+
+
+def _stages(study: PressStudy) -> Drawn:
+    _, low = study.typical
+    first = int(np.flatnonzero(np.nan_to_num(low.result["gross_contact_area"]) > 0)[0])
+    frame = low.frame_at(min(3.0, low.largest_force)) or low.peak
+    panels = contact_stages(low.result, low.scene, frame) + skin_stages(low.result, low.scene, frame, first)
+    return _sheet("S3", panels, f"One simulated press at {float(low.result['normal_force'][frame]):.1f} N.")
+
+
+def _half_sphere(_: PressStudy) -> Drawn:
+    draws = half_sphere.draw_half_sphere, half_sphere.draw_lengths, half_sphere.draw_radial_strain
+    panels = [SheetPanel.of_axes(letter, draw) for letter, draw in zip("ABC", draws, strict=True)]
+    return _sheet("S4", panels, "From the closed form.")
+
+
+def _kinematics(study: PressStudy) -> Drawn:
+    high, _ = study.typical
+    panels = [
+        SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes)),
+        *_of_trials(study, "S5"),
+        SheetPanel.of_axes("J (skin chain)", draw_largest_displacement, study.chain),
+        SheetPanel.of_axes("K (skin chain)", draw_fastest_point, study.chain),
+    ]
+    return _sheet("S5", panels, f"Of the study, {_count(study)}; the chain's panels are of the model alone.")
+
+
+def _decomposition(study: PressStudy) -> Drawn:
+    _, low = study.typical
+    moved = low.result["displacement"].values[low.peak]
+    found = decompose(low.result["position"].values[low.peak] - moved, moved)
+    panel = SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8)
+    return _sheet("S6", [panel], "The measured field of one press at low friction, at its largest force.")
+
+
+def _strain(study: PressStudy) -> Drawn:
+    high, low = study.typical
+    limit = max(plot.colour_limit(one.result, name, (one.peak,)) for one in (high, low) for name in _STRAINS)
+    panels = [
+        SheetPanel("A (low friction)", lambda part: _triangulated(part, low)),
+        SheetPanel("C (high friction)", lambda part: _triangulated(part, high)),
+        _curve(study, "E", "strain"),
+        SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
+        SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
+        SheetPanel.of_axes("F", draw_curves, study.rate_curves, "strain_rate"),
+        *_of_trials(study, "S8"),
+    ]
+    return _sheet(
+        "S8", panels,
+        f"Pictures and maps are of two presses of one participant, at {low.force_text} (low friction) and "
+        f"{high.force_text} (high friction); the rest is of the study: {_count(study)}.",
+    )  # fmt: skip
+
+
+def _strain_energy(study: PressStudy) -> Drawn:
+    high, low = study.typical
+    panels = [
+        SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
+        _curve(study, "B", "strain_energy"),
+        SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
+        *_of_trials(study, "S9"),
+    ]
+    return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
+
+
+def _receptors(study: PressStudy) -> Drawn:
+    chain, depth = study.chain, study.depth
+    panels = [
+        SheetPanel("A", lambda part: receptors.draw_evolution(part, chain), rows=_STACKED),
+        SheetPanel("B", lambda part: receptors.draw_surface(part, chain), rows=_STACKED),
+        SheetPanel("C", lambda part: receptors.draw_stress_map(part, chain, depth), rows=_STACKED),
+        SheetPanel("D", lambda part: receptors.draw_receptor_stress(part, chain, depth), rows=_STACKED),
+        SheetPanel("E", lambda part: receptors.draw_strain_in_time(part, chain, depth)),
+        SheetPanel.of_axes("F", receptors.draw_compression, chain, depth),
+    ]
+    return _sheet("S10", panels, "The skin chain with the stiffness that gives the printed area, 3 N.")
+
+
+def _curl(study: PressStudy) -> Drawn:
+    _, low = study.typical
+    panels = [
+        SheetPanel.of_axes("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
+        _curve(study, "B", "curl"),
+        *_of_trials(study, "S13"),
+    ]
+    return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
+
+
+def _triangulated(part: SubFigure, press: TypicalPress) -> None:
+    """Draw both views of a press at its largest force, the topography view with the triangles between the tracked
+    points.
+    """
+    left, right = part.subplots(2, 1)
+    show(left, view_of(press.scene, "contact", press.peak))
+    show(right, view_of(press.scene, "topography", press.peak))
+    places = in_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
+    corners = press.result["triangles"].values
+    whole = np.isfinite(places[corners]).all((1, 2))
+    x, y = np.nan_to_num(places).T
+    right.triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.15)
+
+
+def _strain_maps(part: SubFigure, press: TypicalPress, limit: float) -> None:
+    for axes, name in zip(part.subplots(1, 3), _STRAINS, strict=True):
+        plot.field_map(press.result, name, press.peak, axes, limit)
+
+
+def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None:
+    name = "strain_energy_density"
+    limit = max(plot.colour_limit(one.result, name, (one.peak,)) for one in (high, low))
+    for axes, one, friction in zip(part.subplots(1, 2), (high, low), ("high", "low"), strict=True):
+        plot.field_map(one.result, name, one.peak, axes, limit).set_title(f"{friction} friction")
+
+
+# Movies
+
+
+def _processed_frames(study: PressStudy) -> Iterator[Picture]:
+    """Yield the frames of movie M1: a press at high friction above one at low friction, at the same normal forces, with
+    contact outlines and displacement arrows.
+    """
+    high, low = study.typical
+    forces = np.linspace(0.2, min(high.largest_force, low.largest_force), 40)
+    with (
+        open_recording(high.scene.recording.frames, frame_rate=high.scene.recording.frame_rate) as first,
+        open_recording(low.scene.recording.frames, frame_rate=low.scene.recording.frame_rate) as second,
+    ):
+        pairs = [(ViewPainter(one.result, one.scene, frames), one) for one, frames in ((high, first), (low, second))]
+        for painter, one in pairs:
+            painter.paint(one.peak)  # the peak frame sets the contrast
+        for force in map(float, forces):
+            yield np.concatenate([painter.paint(one.frame_at(force) or one.peak, _ARROWS) for painter, one in pairs])
+
+
+def _strain_frames(study: PressStudy) -> Iterator[Picture]:
+    """Yield the frames of movie M4: maps of strain and energy density of a press at high friction above those of one at
+    low friction, at the same normal forces.
+    """
+    pair = study.typical
+    limits = {name: max(plot.colour_limit(one.result, name, (one.peak,)) for one in pair) for name in _MOVIE_MAPS}
+    figure = Figure(figsize=(14, 6.4), dpi=72, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    for force in np.linspace(0.5, min(one.largest_force for one in pair), _MOVIE_FORCES):
+        figure.clear()
+        for row, one, friction in zip(figure.subplots(2, 4), pair, ("high", "low"), strict=True):
+            for axes, name in zip(row, _MOVIE_MAPS, strict=True):
+                plot.field_map(one.result, name, one.frame_at(float(force)) or one.peak, axes, limits[name])
+                axes.set_title(f"{axes.get_title()}, {friction} friction", fontsize="small")
+        figure.suptitle(f"{force:.2f} N")
+        canvas.draw()  # type: ignore[no-untyped-call]
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+
+
+def _movie_contact(study: PressStudy) -> tuple[Iterator[Picture], str]:
+    largest = min(one.largest_force for one in study.typical)
+    shown = f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
+    return _processed_frames(study), shown
+
+
+def _movie_protocol(study: PressStudy) -> Drawn:
+    """Draw the normal force of the two presses of a trial against time, and one frame in both views."""
+    high, low = study.typical
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    force, *views = figure.subplot_mosaic([["force", "force"], ["contact", "topography"]]).values()
+    start = 0.0
+    for one, name in ((high, "reference"), (low, "comparison, vibrating")):
+        time = np.asarray(one.result["time"])
+        force.plot(time - time[0] + start, one.result["normal_force"], label=name)
+        start += float(time[-1] - time[0]) + 1.0
+    force.set(xlabel="time (s)", ylabel="normal force (N)")
+    force.text(0.98, 0.06, "which was more slippery?", transform=force.transAxes, ha="right")
+    finished(force)
+    for axes, name in zip(views, ("contact", "topography"), strict=True):
+        show(axes, view_of(low.scene, name, low.peak)).set_title(f"{name} view", fontsize="medium")
+    return figure, "The two presses of a trial as they are simulated; the presses shown are of one participant."
+
+
+def _movie_chain(study: PressStudy) -> tuple[Iterator[Picture], str]:
+    presses = study.chain
+    frictions = f"{min(presses.friction):g} and {max(presses.friction):g}"
+    shown = f"The skin chain at friction {frictions}, up to {presses.force[-1]:g} N."
+    return movie_pictures(presses, _CHAIN_STEP), shown
+
+
+FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
+    PrintedFigure("S1", "A: sliding trial in time; B: friction against α; C, D: apparent area; E, F: real area, with "
+                  "difference images at 1, 2, 3 N", _friction_and_area),
+    PrintedFigure("S2", "A: rail, 30°; B: friction reduction device and optics",
+                  lambda _: (None, "Photographs of the apparatus, which is not simulated.")),
+    PrintedFigure("S3", "A1 to 6: raw, normalised, subtracted and filtered, binarised, opened with ellipse, area "
+                  "against force; B1 to 6: raw, enhanced, features, tracks, divergence map and median", _stages),
+    PrintedFigure("S4", "A: finger geometry; B: L, a against δ; C: strain against δ",
+                  _half_sphere),
+    PrintedFigure("S5", "A: force in time; B, C, D: histograms of force, time to maximum, duration; E to G, I: "
+                  "answers; H: force rate; J: largest displacement; K: speed of the furthest point", _kinematics),
+    PrintedFigure("S6", "displacement field split into conservative components", _decomposition),
+    PrintedFigure("S7", "A: global displacement, B: peak force angle by α; C to E: answers", _supplement("S7")),
+    PrintedFigure("S8", "A, C: images with triangulation, low and high friction; B, D: strain maps; E, F: strains and "
+                  "rates by α; G: strain against divergence; H, I: answers", _strain),
+    PrintedFigure("S9", "A: energy density, high and low friction; B, C: energy, its rate against force by α; D: energy"
+                  " against divergence; E: answers", _strain_energy),
+    PrintedFigure("S10", "A: pressure and deformation; B: surface stresses; C: stress maps with receptors; D: stresses "
+                  "at depth; E: strains in time; F: compression", _receptors),
+    PrintedFigure("S11", "A: Gaussian fits over normalised divergence; B: ROC; C: d' and AUC",
+                  _supplement("S11", "Of the study, {count}; intervals are of 95 %.")),
+    PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",
+                  _supplement("S12")),
+    PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
+    PrintedMovie("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
+    PrintedFigure("M2", "protocol; contact and ridge images", _movie_protocol),
+    PrintedMovie("M3", "deformation of the surface finger model", _movie_chain, 4),
+    PrintedMovie("M4", "surface strains and energy density, high and low friction", lambda study: (
+        _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."), 8),
+)  # fmt: skip

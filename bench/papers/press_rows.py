@@ -1,0 +1,491 @@
+"""Printed results of Willemet et al. 2021, each with the function that computes it from the simulated study.
+
+Claims such as "no effect" agree where the same test, with participants as units, has p on the same side of 0.05.
+"""
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from bench.papers.chain import HIGH
+from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded, within
+from fingerflow.models.observer import Correlation, auc, pearson, printed_observer, repeated_anova, spearman
+from fingerflow.models.observer.printed import BIN
+from fingerflow.report.supplement import OBSERVED
+from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
+from fingerflow.study.statistics import correlate_with_answers
+
+Values = NDArray[np.float64]
+_ALPHA = 0.05
+_SMALL_UM = 1.0  # µm, largest amplitude at which the groups differ in the paper
+
+
+def _mean(values: Values) -> tuple[float, float, Interval]:
+    """Return mean and standard deviation of the known values, and the 95 % confidence interval of the mean."""
+    known = values[np.isfinite(values)]
+    mean, deviation = float(known.mean()), float(known.std(ddof=1))
+    return mean, deviation, likely(mean, deviation / math.sqrt(known.size))
+
+
+def _with_limits(found: Correlation) -> str:
+    low, high = found.interval
+    return f"{found.value:.2f} ({low:.2f} to {high:.2f})"
+
+
+# Rows on distributions over presses
+
+
+def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple[Interval, ...]]:
+    """Return mean ± standard deviation of a metric over all measured presses as text, and the 95 % confidence intervals
+    of mean and of standard deviation.
+    """
+    values = study.values(metric)
+    values = values[np.isfinite(values)]
+    mean, deviation, interval = _mean(values)
+    # The variance of a variance is (fourth moment - squared variance) / n, for any distribution.
+    fourth = float(((values - mean) ** 4).mean())
+    error = math.sqrt(max(fourth - deviation**4, 0.0) / values.size) / (2 * deviation)
+    return f"{number(mean, deviation)} {unit} in {values.size} presses", (interval, likely(deviation, error))
+
+
+def _forces(study: PressStudy) -> Obtained:
+    values = study.values("max_force")
+    text, numbers = _distribution(study, "max_force", "N")
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return Obtained(
+        f"{low:.1f} to {high:.1f} N, {text}", (*exactly(low, high), numbers[0]), _truth(study, "true_force", "N"),
+        "a few presses differ in mean from many",
+    )  # fmt: skip
+
+
+def _durations(study: PressStudy) -> Obtained:
+    values, (shortest, longest) = study.values("duration"), study.design.duration
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    truth, because = f"{shortest:g} to {longest:g} s", "frames round the duration"
+    return Obtained(f"{low:.2f} to {high:.2f} s", exactly(low, high), truth, because)
+
+
+def _force_rates(study: PressStudy) -> Obtained:
+    because = "forces outside of 1 to 18 N are drawn again, which narrows the distribution of rates"
+    return _as_designed(study, "force_rate", "N/s", study.design.force_rate, because)
+
+
+def _as_designed(study: PressStudy, metric: str, unit: str, design: tuple[float, float], because: str) -> Obtained:
+    """Compare mean and standard deviation of a metric over all measured presses with the values `design` from which the
+    simulation drew them; `because` explains a difference.
+    """
+    return Obtained(*_distribution(study, metric, unit), f"{design[0]:g} ± {design[1]:g} {unit}", because)
+
+
+def _global_displacements(study: PressStudy) -> Obtained:
+    text, numbers = _distribution(study, "global_displacement", "mm")
+    return Obtained(text, numbers, f"{_truth(study, 'true_displacement', 'mm')}, of the skin as a whole", _CHANCE)
+
+
+def _truth(study: PressStudy, column: str, unit: str) -> str:
+    values = study.frame[column].to_numpy(float)
+    return f"{np.nanmean(values):.3g} ± {np.nanstd(values, ddof=1):.2g} {unit}"
+
+
+_CHANCE = "the presses of this study are few"
+# Of 448 presses 15; the true divergence within their contact is up to 1.4.
+_STRETCHED = (
+    "few presses, of over 7 N at low friction, whose skin the chain stretches by up to 130 %, store 5 to 100 mJ"
+)
+
+
+# Rows on contact areas
+
+
+def _area(study: PressStudy, metric: str) -> Obtained:
+    """Return mean and SD over participants of a contact area (mm²) at the largest force, taken for each participant as
+    the median of the presses.
+    """
+    own = study.frame.groupby("participant")[[metric, f"true_{metric}"]].median()
+    found, truth = own[metric].to_numpy(float), own[f"true_{metric}"].to_numpy(float)
+    mean, deviation, interval = _mean(found)
+    return Obtained(
+        f"{mean:.1f} ± {deviation:.1f} mm² over {found.size} participants, at the largest force",
+        (interval,),
+        f"{truth.mean():.1f} ± {truth.std(ddof=1):.1f} mm²",
+        "the median of a participant depends on the forces of the few presses",
+    )
+
+
+def _slopes(study: PressStudy) -> Obtained:
+    """Compute Spearman's rank correlation, over presses, between vibration amplitude and the slope of real contact area
+    against normal force from 1 to 3 N.
+
+    The area is normalised by the median of the participant.
+    """
+    frame = study.measured
+    median = frame.groupby("participant")["real_contact_area"].transform("median")
+    slope = (frame["real_contact_area_at_3n"] - frame["real_contact_area_at_1n"]) / 2 / median
+    found = spearman(frame["condition"], slope, participants=frame["participant"])
+    return Obtained(
+        f"{_with_limits(found)}, p = {found.p:.2g}, {found.trials} presses that reach 3 N",
+        (found.interval,),
+        because="few participants leave a wide interval",
+    )
+
+
+def _area_reduction(study: PressStudy) -> Obtained:
+    """Compute by how many percent the largest vibration amplitude reduces the real contact area at 3 N against the
+    smallest: mean and 95 % interval over participants.
+    """
+    frame = study.measured
+    means = frame.groupby(["participant", "condition"])["real_contact_area_at_3n"].mean().unstack()
+    fall = 100 * (1 - means.iloc[:, -1] / means.iloc[:, 0]).dropna().to_numpy(float)
+    mean, error = float(fall.mean()), float(fall.std(ddof=1) / math.sqrt(fall.size))
+    reach = float(stats.t.ppf(0.975, fall.size - 1)) * error
+    return Obtained(
+        f"{mean:.0f} % ({mean - reach:.0f} to {mean + reach:.0f} %) at 3 N, {fall.size} participants",
+        ((mean - reach, mean + reach),),
+        f"{100 * study.design.real_area_fall:g} %",
+        _CHANCE,
+    )
+
+
+def _trends(study: PressStudy) -> Obtained:
+    frame = study.measured
+    test = repeated_anova(frame["gross_contact_area_at_3n"], frame["condition"], frame["participant"])
+    shares = []
+    for _, own in study.curves[study.curves["metric"] == "real_contact_area"].groupby("condition"):
+        force, mean = own["normal_force_N"].to_numpy(float), own["mean"].to_numpy(float)
+        near = force <= 3
+        if near.sum() > 3:
+            shares.append(float(np.corrcoef(force[near], mean[near])[0, 1] ** 2))
+    because = "the apparent area of the chain falls a little as friction rises"
+    return Obtained(
+        f"apparent area at 3 N by amplitude: {_p(test.p)}; real area up to 3 N: R² of a line {min(shares):.2f} to "
+        f"{max(shares):.2f}",
+        agrees=test.p > _ALPHA and min(shares) > 0.9,
+        because=f"no test: {test.reason}" if test.reason else because,
+    )
+
+
+# Rows on hypothesis tests
+
+
+def _p(value: float | None) -> str:
+    if value is None or not math.isfinite(value):
+        return "no p"
+    return "p < 0.001" if value < 1e-3 else f"p = {value:.2g}"
+
+
+def _anova_text(test: dict[str, Any]) -> str:
+    """Return the F tests of an ANOVA as text: with participants as units, and with trials as units as in the paper."""
+    if test["f"] is None:
+        return f"no F: {test['reason']}"
+    (between, left), printed = test["degrees"], test["as_printed"]
+    text = f"F({between}, {left}) = {test['f']:.1f}, {_p(test['p'])}"
+    if printed["f"] is not None:
+        first, second = printed["degrees"]
+        text += f"; trials as independent F({first}, {second}) = {printed['f']:.1f}, {_p(printed['p'])}"
+    return text
+
+
+def _has_effect(test: dict[str, Any]) -> bool:
+    """Return True if the paper's test, which treats trials as independent, is significant (p < 0.05)."""
+    p = test["as_printed"]["p"]
+    return p is not None and bool(p < _ALPHA)
+
+
+def _no_effects(study: PressStudy) -> Obtained:
+    names = ("max_force", "time_to_max_force", "duration")
+    tests = {name: study.statistics["by_answer"][name] for name in names}
+    text = "; ".join(f"{NUMBERS[name].words}: {_anova_text(test)}" for name, test in tests.items())
+    return Obtained(
+        text, agrees=not any(_has_effect(test) for test in tests.values()),
+        because="divergence grows with force, so the simulated observer answers better at larger ones",
+    )  # fmt: skip
+
+
+def _rate_on_answers(study: PressStudy) -> Obtained:
+    found = study.statistics["force_rate"]
+    if found.get("p") is None:
+        return Obtained("", because=f"no mixed model: {found.get('reason')}")
+    low, high = found["interval"]
+    return Obtained(
+        f"{found['effect']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, "
+        f"{found['trials']} trials",
+        agrees=found["p"] < _ALPHA and found["effect"] > 0,
+        because="the simulated observer does not feel rates: faster presses matter only through their larger force",
+    )
+
+
+def _unrelated(study: PressStudy, *metrics: str, because: str) -> Obtained:
+    """Test that none of the metrics is correlated with the share of "more slippery" answers (Spearman, over pairs of
+    participant and condition); `because` explains a difference from the paper.
+    """
+    trials = study.sample.trials
+    found = {metric: correlate_with_answers(trials, study.column_of_sample(metric)) for metric in metrics}
+    if unknown := [f"{_words(metric)}: {one.reason}" for metric, one in found.items() if not math.isfinite(one.value)]:
+        return Obtained("", because=f"no coefficient of {'; '.join(unknown)}")
+    text = "; ".join(
+        f"{_words(metric)}: {one.value:.2f}, {_p(one.p)}, {one.trials} dots" for metric, one in found.items()
+    )
+    return Obtained(text, agrees=not any(one.p < _ALPHA for one in found.values()), because=because)
+
+
+def _words(metric: str) -> str:
+    own = NUMBERS[metric.removesuffix(DIFFERENCE)].words
+    return f"{own} difference" if metric.endswith(DIFFERENCE) else own
+
+
+def _by_amplitude(study: PressStudy, metric: str, because: str = _CHANCE) -> Obtained:
+    test = study.statistics["by_condition"][metric]
+    return Obtained(_anova_text(test), agrees=_has_effect(test), because=because)
+
+
+def _angle_at(study: PressStudy, place: int) -> Obtained:
+    """Return mean ± SD over presses of the angle (degrees) between force and surface normal, at the smallest (`place`
+    0) or largest (-1) vibration amplitude.
+    """
+    frame = study.measured
+    amplitude = sorted(set(frame["condition"]))[place]
+    own = np.degrees(frame.loc[frame["condition"] == amplitude, "force_angle"].to_numpy(float))
+    mean, deviation, interval = _mean(own)
+    return Obtained(
+        f"{mean:.1f}° ± {deviation:.1f}° at {amplitude:g} µm, {np.isfinite(own).sum()} presses",
+        (interval,),
+        f"{study.design.angle[place]:g}° in the mean",
+        _CHANCE,
+    )
+
+
+# Rows on strain and energy
+
+
+def _strain_curve(study: PressStudy) -> Obtained:
+    own = study.curves[study.curves["metric"] == "strain"]
+    at: dict[float, list[float]] = {}
+    lowest = math.inf
+    for _, curve in own.groupby("condition"):
+        force, mean = curve["normal_force_N"].to_numpy(float), 100 * curve["mean"].to_numpy(float)
+        lowest = min(lowest, float(mean[force >= 0.5].min()))
+        for where in (1.0, 2.0, 3.0):
+            if force.min() <= where <= force.max():
+                at.setdefault(where, []).append(float(np.interp(where, force, mean)))
+    text = "; ".join(f"{min(some):.2f} to {max(some):.2f} % at {where:g} N" for where, some in at.items())
+    late = [after - before for before, after in zip(at.get(2.0, []), at.get(3.0, []), strict=False)]
+    early = [after - before for before, after in zip(at.get(1.0, []), at.get(2.0, []), strict=False)]
+    flat = bool(late) and max(map(abs, late)) < 0.1 * max(map(abs, at[2.0]))
+    chain = study.chain_strain[HIGH][0]
+    return Obtained(
+        f"{text}, over amplitudes; from 1 to 2 N {_signed(early)}, from 2 to 3 N {_signed(late)}; the chain since the "
+        f"undeformed finger, friction {HIGH:g}: {chain[0]:.2f}, {chain[1]:.2f}, {chain[2]:.2f} %",
+        agrees=flat and lowest > 0,
+        because="the skin of the chain goes on spreading as the force rises: it is elastic and has no plateau",
+    )
+
+
+def _signed(values: list[float]) -> str:
+    return f"{min(values):+.2f} to {max(values):+.2f} %" if values else "unknown"
+
+
+def _force_of_peak_rate(study: PressStudy) -> Obtained:
+    found = _peak_force(study.forces_of_peaks["strain_rate"])
+    chain = study.chain_strain[HIGH][1][0]
+    return replace(
+        found,
+        text=f"{found.text}; of the chain since the undeformed finger {chain:.2f} N (friction {HIGH:g})",
+        because="strain counts from each point's contact, and most points touch later than at 0.4 N: what the skin has "
+        "gone through before is not seen by a camera",
+    )
+
+
+def _peak_force(forces: dict[float, float]) -> Obtained:
+    values = np.array(list(forces.values()))
+    mean, deviation, _ = _mean(values)
+    count = np.isfinite(values).sum()
+    return Obtained(f"{number(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
+
+
+def _strain_against_divergence(study: PressStudy) -> Obtained:
+    frame = study.measured
+    divergence, strain = 1000 * frame["divergence"].to_numpy(float), 100 * frame["strain"].to_numpy(float)
+    known = np.isfinite(divergence) & np.isfinite(strain)
+    slope, offset = np.polyfit(divergence[known], strain[known], 1)
+    found = pearson(divergence, strain, participants=frame["participant"])
+    error = float(stats.linregress(divergence[known], strain[known]).stderr)
+    return Obtained(
+        f"r = {_with_limits(found)}; y = {slope:.3f} x {offset:+.3f} (% and "
+        f"{DIVERGENCE_UNIT}), R² = {found.value**2:.2f}, {found.trials} presses",
+        (found.interval, likely(float(slope), error)),
+        because="where skin spreads evenly from a centre, the strain along any axis is half of the divergence: 0.05 % "
+        f"for 1 {DIVERGENCE_UNIT}",
+    )
+
+
+def _energy(study: PressStudy) -> Obtained:
+    text, numbers = _distribution(study, "strain_energy", "mJ")
+    text = f"{text}, median {float(np.nanmedian(study.values('strain_energy'))):.2g} mJ"
+    return Obtained(text, numbers[:1], because=f"most presses store less than print; {_STRETCHED}")
+
+
+def _peak_energy_rate(study: PressStudy) -> Obtained:
+    frame = study.measured
+    medians = frame.groupby("condition")["strain_energy_rate"].median().to_numpy(float)
+    mean, deviation, _ = _mean(medians)
+    force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
+    chain = study.chain_strain[HIGH][1][1]
+    return Obtained(
+        f"{number(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
+        (likely(mean, deviation), *force.numbers),
+        because="the chain is elastic: its energy rises faster the larger the force, up to the peak",
+    )
+
+
+def _energy_slope(study: PressStudy) -> Obtained:
+    slopes = []
+    for _, own in study.measured.groupby("participant"):
+        divergence, energy = own["divergence"].to_numpy(float), own["strain_energy"].to_numpy(float)
+        known = np.isfinite(divergence) & np.isfinite(energy)
+        if known.sum() > 3:
+            slopes.append(float(np.polyfit(divergence[known], energy[known], 1)[0]))
+    mean, deviation, interval = _mean(np.array(slopes))
+    return Obtained(
+        f"{mean:.2g} ± {deviation:.2g} mJ per unit of divergence ({mean / 1000:.2g} mJ per {DIVERGENCE_UNIT}), "
+        f"{len(slopes)} participants",
+        (interval,),
+        because="no unit makes 3.6 comparable: it is not said what the divergence is in",
+    )
+
+
+def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
+    right = float(stats.f.sf(2.12, 5, 70))
+    test = study.statistics["by_answer"]["strain_rate"]
+    because = f"F(5,70) = 2.12 gives p = {right:.3f}, not 0.023: the print disagrees with itself"
+    return Obtained(_anova_text(test), agrees=False, because=because)
+
+
+# Rows on the ideal observer
+
+
+def _normalisation(study: PressStudy) -> Obtained:
+    correct, incorrect = study.sample.trials.split("divergence")
+    values = np.concatenate((correct, incorrect))
+    values = values[np.isfinite(values)]
+    share = float((values <= printed_observer(correct, incorrect).scale).mean())
+    return Obtained(f"{share:.2f} quantile; {BIN:g}", ((share - 1 / values.size, share + 1 / values.size), (BIN, BIN)))
+
+
+def _criterion(study: PressStudy) -> Obtained:
+    one = study.statistics["observer"]["metrics"]["divergence"]["criterion"]
+    if one["value"] is None or one["interval"][0] is None:
+        return Obtained("", because=f"no criterion: {one['reason']}")
+    low, high = one["interval"]
+    truth = 1000 * study.column_of_sample("true_divergence")[study.sample.trials.answer]
+    return Obtained(
+        f"{one['value']:.1f} ({low:.1f} to {high:.1f}) {one['unit']}",
+        ((low, high),),
+        f"{np.quantile(truth, 0.25):.1f} {DIVERGENCE_UNIT}",
+        "median divergences of the chain are smaller than those that the criterion implies",
+    )
+
+
+def _ranking(study: PressStudy) -> Obtained:
+    found = study.statistics["observer"]["metrics"]
+    alone = {name: found[name]["auc"]["value"] for name in OBSERVED if name in found}
+    answer = study.sample.trials.answer
+    pairs = {name: study.column_of_sample(name + DIFFERENCE) for name in OBSERVED}
+    differences = {name: auc(one[answer], one[~answer], resamples=100).value for name, one in pairs.items()}
+    return Obtained(
+        f"areas under the ROC, of differences between the two presses: {_ordered(differences)}; of the comparison "
+        f"alone: {_ordered(alone)}",
+        agrees=max(differences, key=lambda name: differences[name]) == "divergence",
+        truth="the observer feels the difference of divergence",
+        because="strain and energy are measures of the same spread, and one predicts the answers better by chance",
+    )
+
+
+def _ordered(areas: dict[str, float]) -> str:
+    known = sorted((name for name, area in areas.items() if area is not None), key=lambda name: -areas[name])
+    return ", ".join(f"{NUMBERS[name].words} {areas[name]:.2f}" for name in known)
+
+
+def _soft_advantage(study: PressStudy) -> Obtained:
+    trials = study.sample.trials
+    small = trials.condition.astype(float) <= _SMALL_UM
+    soft = study.column_of_sample("true_softness") > np.mean(study.design.softness)
+    shares = [trials.answer[small & group] for group in (~soft, soft)]
+    firmer, softer = (float(one.mean()) for one in shares)
+    groups = study.statistics["groups"]
+    split = f"{groups.get('groups')} groups, {_p(groups.get('p'))}" if not groups.get("reason") else groups["reason"]
+    return Obtained(
+        f"p(more slippery) at α ≤ 1 µm: softer {softer:.2f}, firmer {firmer:.2f} (of {shares[1].size} and "
+        f"{shares[0].size} trials); split by divergence: {split}",
+        agrees=softer > firmer,
+        truth="two groups of softness",
+        because="few trials of small amplitude are near chance in either group",
+    )
+
+
+def _curl(study: PressStudy) -> Obtained:
+    frame = study.measured
+    found = pearson(frame["divergence"], frame["curl"], participants=frame["participant"])
+    return Obtained(
+        f"r = {_with_limits(found)}, {_p(found.p)}, {found.trials} presses",
+        (found.interval,),
+        "no curl",
+        "the simulated finger is axisymmetric: it spreads without turning, and what is measured as curl is noise",
+    )
+
+
+ROWS: tuple[Row[PressStudy], ...] = (
+    Row("B5", "apparent contact area", "70.1 ± 4.5 mm²", "Friction modulation", within(70.1, 4.5),
+        partial(_area, metric="gross_contact_area")),
+    Row("B6", "real contact area", "23.7 ± 4.5 mm²", "Friction modulation", within(23.7, 4.5),
+        partial(_area, metric="real_contact_area")),
+    Row("B7", "slope of real area against force, by α", "Spearman -0.28, p < 0.0001", "S1E, S1F",
+        rounded(-0.28, digit=0.01), _slopes),
+    Row("B8", "fall of real area", "38 %", "S1F", rounded(38, digit=1), _area_reduction),
+    Row("B9", "area trends", "apparent: no effect of α; real: almost linear in force", "S1C to S1E", (), _trends),
+    Row("B34", "normal force", "1 to 18 N, mean about 5.5 N", "S5B", ((1, 18), (1, 18), (5, 6)), _forces),
+    Row("B35", "time to peak force", "1.47 ± 0.39 s", "S5C", rounded(1.47, 0.39, digit=0.01), lambda study:
+        _as_designed(study, "time_to_max_force", "s", study.design.time_to_peak, _CHANCE)),
+    Row("B36", "trial duration", "1 to 2.5 s", "S5D", ((0.9, 2.6), (0.9, 2.6)), _durations),
+    Row("B37", "effect on answers", "p = 0.31 (force), 0.99 (time), 0.91 (duration)", "S5E to S5G", (), _no_effects),
+    Row("B38", "force rate", "3.6 ± 3 N/s", "S5H", (*rounded(3.6, digit=0.1), *rounded(3, digit=1)), _force_rates),
+    Row("B39", "force rate on answers", "mixed model p = 0.018, α ≤ 2 µm", "S5I", (), _rate_on_answers),
+    Row("B40", "global displacement", "0.08 ± 0.10 mm", "S7A", rounded(0.08, 0.10, digit=0.01), _global_displacements),
+    Row("B41", "its link to answers", "Spearman 0.14, p = 0.2", "S7C", (), lambda study: _unrelated(
+        study, "global_displacement", because="the displacement of the skin includes its spread")),
+    Row("B42", "force angle by α", "F(6,1593) = 67.9, p < 0.001", "S7B", (),
+        partial(_by_amplitude, metric="force_angle")),
+    Row("B43", "peak angle, high friction", "9.9° ± 4.9°", "S7B", within(9.9, 4.9), partial(_angle_at, place=0)),
+    Row("B44", "peak angle, low friction", "4.2° ± 2.1°", "S7B", within(4.2, 2.1), partial(_angle_at, place=-1)),
+    Row("B45", "angle on answers", "Spearman 0.24, p = 0.03, not correlated", "S7D", (), lambda study: _unrelated(
+        study, "force_angle" + DIFFERENCE,
+        because="the angle falls with friction by design, and so follows the answers")),
+    Row("B46", "real area on answers", "Spearman -0.07, p = 0.49", "S7E", (), lambda study: _unrelated(
+        study, "real_contact_area" + DIFFERENCE,
+        because="the real area falls with the amplitude by design, and so follows the answers")),
+    Row("B47", "strain curve", "all positive; inflection at 1 N; flat above 2 N", "S8E", (), _strain_curve),
+    Row("B48", "force at peak strain rate", "0.37 ± 0.7 N", "S8F", within(0.37, 0.07), _force_of_peak_rate),
+    Row("B49", "strain against divergence", "r = 0.78; y = 0.040 x - 0.225, R² = 0.61", "S8G",
+        (*rounded(0.78, digit=0.01), *rounded(0.040, digit=0.001)), _strain_against_divergence),
+    Row("B50", "strain energy", "0.32 ± 0.52 mJ", "S9B", within(0.32, 0.52), _energy),
+    Row("B51", "energy by α", "F(6,1481) = 3.2, p = 0.004", "Strain results", (),
+        partial(_by_amplitude, metric="strain_energy", because=_STRETCHED)),
+    Row("B52", "peak energy rate", "1.2 ± 0.2 mJ/s at 0.4 ± 0.1 N", "S9C", (*within(1.2, 0.2), *within(0.4, 0.1)),
+        _peak_energy_rate),
+    Row("B53", "energy over divergence", "slope 3.6 ± 2.3 mJ", "S9D", within(3.6, 2.3), _energy_slope),
+    Row("B54", "strain rate on answers", "F(5,70) = 2.12, p = 0.023", "S8I", (), _rate_of_strain_on_answers),
+    Row("B55", "strain, energy differences on answers", "not correlated", "S8H, S9E", (), lambda study: _unrelated(
+        study, "strain" + DIFFERENCE, "strain_energy" + DIFFERENCE,
+        because="strain and energy follow friction in the chain, and so follow the answers")),
+    Row("B63", "normalisation, bins", "0.9 quantile; 0.05", "Observer", exactly(0.9, 0.05), _normalisation),
+    Row("B64", "divergence criterion", f"13.1 {DIVERGENCE_UNIT} gives 75 % hits", "Observer", rounded(13.1, digit=0.1),
+        _criterion),
+    Row("B65", "ranking", "divergence first; then force angle, global displacement", "S11B, S11C", (), _ranking),
+    Row("B66", "soft group advantage", "α ≤ 1 µm", "S12", (), _soft_advantage),
+    Row("B67", "curl against divergence", "Pearson 0.7726, p < 0.0001", "S13C", rounded(0.7726, digit=0.0001), _curl),
+)  # fmt: skip

@@ -1,0 +1,334 @@
+"""Printed results of Terekhov & Hayward 2011, each with the function that computes it from the simulated slides.
+
+The model's equations are checked by quadrature and root finding, written here from the printed lines, against
+`fingerflow.models.partial_slip`.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq, minimize_scalar
+
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded
+from bench.papers.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
+from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, friction_ratio, load_ratio
+from fingerflow.models.partial_slip import stuck_area as stuck_area_at
+from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
+from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
+from fingerflow.recordings import open_forces
+
+Values = NDArray[np.float64]
+_OUTCOMES = tuple(EXPECTED.values())
+_EXACT = 1e-6  # largest relative error of quadratures and roots
+_STATIC, _KINETIC = 0.8, 0.4  # friction coefficients at which equations are checked; any pair with mu_k < mu_s would do
+
+
+def _trials(slides: Slides) -> Obtained:
+    count = len(slides.slides)
+    return Obtained(f"{count}", exactly(count), "10", f"not measured: {'; '.join(slides.failed)}")
+
+
+def _outcomes(slides: Slides) -> Obtained:
+    def counts(found: list[str]) -> tuple[int, ...]:
+        return tuple(found.count(outcome) for outcome in _OUTCOMES)
+
+    own = counts([one.trial.verdict.outcome for one in slides.slides])
+    printed = counts([one.trial.verdict.printed_outcome for one in slides.slides])
+    truth = tuple(len(slides.of(kind)) for kind in EXPECTED)
+    text = f"{_with(own)}; by the printed rule {_with(printed)}"
+    wrong = [one.trial.name for one in slides.slides if not one.is_judged_correctly()]
+    return Obtained(text, exactly(*own), _with(truth), f"misjudged: {', '.join(wrong)}")
+
+
+def _with(counts: tuple[int, ...]) -> str:
+    return f"{counts[0]} with, {counts[1]} without, {counts[2]} inconclusive"
+
+
+def _abrupt(slides: Slides) -> list[JudgedSlide]:
+    """Return the slides measured to lose their stuck area abruptly, in ascending order of the critical area: the
+    relative stuck area at which the collapse begins.
+    """
+    found = [one for one in slides.slides if one.trial.verdict.outcome == EXPECTED[ABRUPT]]
+    return sorted(found, key=lambda one: one.trial.verdict.critical_area)
+
+
+def _critical_areas(slides: Slides) -> Obtained:
+    printed = [one.trial.verdict.corridor_area for one in _abrupt(slides)]
+    return _least_and_largest(
+        slides,
+        lambda verdict: (verdict.critical_area, verdict.critical_area_std),
+        f"; largest value in the corridor {_ends(printed)}",
+        _ends([one.truth.last for one in slides.of(ABRUPT)]),
+    )
+
+
+def _extents(slides: Slides) -> Obtained:
+    def extent(verdict: TrialVerdict) -> tuple[float, float]:
+        return 100 * verdict.critical_extent, 100 * (verdict.critical_area_std / (2 * verdict.critical_extent))
+
+    truth = _ends([100 * math.sqrt(one.truth.last) for one in slides.of(ABRUPT)], 1)
+    return _least_and_largest(slides, extent, " %", f"{truth} %")
+
+
+def _least_and_largest(
+    slides: Slides, measured: Callable[[TrialVerdict], tuple[float, float]], more: str, truth: str
+) -> Obtained:
+    """Return a measured quantity of two slides, those that collapse from the least and from the largest stuck area;
+    `measured` gives its value and SD, `more` follows in the text.
+    """
+    found = _abrupt(slides)
+    if not found:
+        return Obtained("", because="no slide was judged to vanish abruptly")
+    ends = [measured(one.trial.verdict) for one in (found[0], found[-1])]
+    return Obtained(
+        " to ".join(number(*one) for one in ends) + more,
+        tuple(likely(*one) for one in ends),
+        truth,
+        "the fitted area is off by more than its deviation",
+    )
+
+
+def _durations(slides: Slides) -> Obtained:
+    found = sorted((one.trial.verdict.collapse_ms, one.trial.verdict.collapse_ms_std, one) for one in _abrupt(slides))
+    truth = ", ".join(f"{1000 * one.truth.collapse:.0f}" for *_, one in found)
+    text = ", ".join(number(value, deviation) for value, deviation, _ in found)
+    printed = ", ".join(f"{one.trial.verdict.corridor_ms:.0f}" for *_, one in found)
+    numbers = tuple(likely(value, deviation) for value, deviation, _ in found)
+    expected = len(slides.of(ABRUPT))
+    if len(found) != expected:
+        return Obtained(f"{text} ms", (), f"{truth} ms", f"{len(found)} of {expected} slides have a collapse", False)
+    return Obtained(
+        f"{text} ms; from the largest d² in the corridor {printed} ms", numbers, f"{truth} ms",
+        "the fitted duration is off by more than its deviation",
+    )  # fmt: skip
+
+
+def _existence(slides: Slides) -> Obtained:
+    inside = [area for one in slides.of(FADING) if math.isfinite(area := one.trial.verdict.corridor_area)]
+    text = f"d² > {SMALLEST_AREA:g}; largest d² in the corridor of the fading slides {_ends(inside)}"
+    return Obtained(text, exactly(SMALLEST_AREA))
+
+
+def _threshold(slides: Slides) -> Obtained:
+    one = slides.slides[0]
+    limit, pixel = 1000 * one.scene.slip.stuck_mm, 1000 * one.truth.mm_per_px
+    more = [
+        slide.truth.slow_share(frame, one.scene.slip.stuck_mm) - slide.truth.stuck_share(frame)
+        for slide in slides.slides
+        for frame in range(slide.truth.n_frames)
+        if 0.05 < slide.truth.stuck_share(frame) < 0.95
+    ]
+    return Obtained(
+        f"{limit:g} µm, a pixel of {pixel:g} µm (criterion displacement); the default criterion finds the border of "
+        f"skin that has not slipped: d² by 40 µm is larger, by {np.mean(more):.2f} on average, {max(more):.2f} at most",
+        exactly(limit, pixel),
+    )
+
+
+def _measured(slides: Slides) -> Obtained:
+    errors = []
+    for one in slides.slides:
+        truth = np.array([one.truth.stuck_share(frame) for frame in range(one.truth.n_frames)])
+        error = np.asarray(one.trial.result["stuck_ratio"]) - truth
+        errors.append(error[np.isfinite(error) & (truth > 0)])
+    every = np.concatenate(errors)
+    return Obtained(
+        f"mean error {every.mean():+.3f}, RMS error {np.sqrt(np.mean(every**2)):.3f} in {every.size} frames",
+        truth="d² of each frame",
+    )
+
+
+def _imaging_rate(slides: Slides) -> Obtained:
+    rates = [1 / float(np.median(np.diff(one.trial.result["time"]))) for one in slides.slides]
+    return Obtained(f"{np.mean(rates):.4g} Hz", ((min(rates), max(rates)),))
+
+
+def _force_rate(slides: Slides) -> Obtained:
+    found, steady = [], []
+    for one in slides.slides:
+        assert one.scene.forces is not None
+        forces = open_forces(one.scene.forces.file)
+        found.append(1 / float(np.median(np.diff(forces.times))) / 1000)
+        normal = np.asarray(one.trial.result["normal_force"])
+        steady.append(float(np.nanstd(normal) / np.nanmean(normal)))
+    return Obtained(
+        f"{np.mean(found):.3g} kHz; N constant to {100 * max(steady):.1f} %",
+        ((min(found), max(found)),),
+        because="the simulated sensor samples faster; forces are filtered to the frames of 60 Hz either way",
+    )
+
+
+# Rows on the model, in units in which the contact is a disc of radius 1 and N is 1.
+
+
+def _pressure(radius: Values | float) -> Values:
+    """Return the contact pressure of equation 1, for a contact of unit radius and unit normal force, at distances
+    `radius` from its centre.
+    """
+    return np.asarray(2 / math.pi * (1 - np.square(radius)))
+
+
+def _traction(radius: Values, stuck: float) -> Values:
+    """Return the tangential traction of equations 2 and 3, for a contact of unit radius and unit normal force, at
+    distances `radius` from its centre, if the share `stuck` (d²) of its area sticks.
+    """
+    slipping = _KINETIC * _pressure(radius)
+    return np.where(radius**2 < stuck, _STATIC * 2 / math.pi * (1 - stuck), slipping)
+
+
+def _over_disc(values: Values, radius: Values) -> float:
+    return float(np.trapezoid(values * 2 * math.pi * radius, radius))
+
+
+def _equal(text: str, error: float) -> Obtained:
+    return Obtained(f"{text}, to {error:.1g}", because="the model differs", agrees=error < _EXACT)
+
+
+_RADIUS: Values = np.linspace(0, 1, 200_001)
+
+
+def _pressure_integral(_: Slides) -> Obtained:
+    error = max(abs(_over_disc(_pressure(_RADIUS), _RADIUS) - 1), float(_pressure(1.0)))
+    return _equal("integral over the ellipse N, zero at its border (quadrature)", error)
+
+
+def _traction_jump(_: Slides) -> Obtained:
+    stuck = 0.4
+    inside, outside = _traction(math.sqrt(stuck) + np.array([-1e-12, 1e-12]), stuck)
+    error = abs(inside / outside * _KINETIC / _STATIC - 1)
+    return _equal("the traction jumps by the factor μs/μk at the border", error)
+
+
+def _static_limit(_: Slides) -> Obtained:
+    stuck = np.linspace(0.01, 0.99, 99)
+    limit = _STATIC * _pressure(np.sqrt(stuck))
+    held = np.array([_traction(np.zeros(1), one)[0] for one in stuck])
+    return _equal("traction of the stuck part μs p at its border", float(np.abs(held / limit - 1).max()))
+
+
+def _total(_: Slides) -> Obtained:
+    stuck = np.linspace(0.1, 0.9, 9)
+    found = []
+    for one in stuck:
+        outer = np.linspace(math.sqrt(one), 1, 200_001)
+        held = float(_traction(np.zeros(1), one)[0])
+        found.append(math.pi * one * held + _over_disc(_KINETIC * _pressure(outer), outer))
+    error = np.abs(np.array(found) - load_ratio(stuck, _STATIC, _KINETIC).numpy()).max()
+    return _equal("quadrature of the traction is T of `load_ratio`", float(error))
+
+
+def _law(_: Slides) -> Obtained:
+    load = np.linspace(0, float(critical_load_ratio(_STATIC, _KINETIC)), 200)[:-1]
+    area = stuck_area_at(load, _STATIC, _KINETIC).numpy()
+    residual = (2 * _STATIC - _KINETIC) * area**2 - 2 * (_STATIC - _KINETIC) * area - _KINETIC + load
+    return _equal("`stuck_area` solves equation 5, d = 1 without load", max(np.abs(residual).max(), abs(area[0] - 1)))
+
+
+def _fold(_: Slides) -> Obtained:
+    found = minimize_scalar(lambda area: -float(load_ratio(area, _STATIC, _KINETIC)), bounds=(0, 1), method="bounded",
+                            options={"xatol": 1e-10})  # fmt: skip
+    error = abs(found.x - float(critical_stuck_area(_STATIC, _KINETIC)))
+    return _equal(f"{found.x:.4f} at the largest load (search)", error)
+
+
+def _inversion(_: Slides) -> Obtained:
+    area = float(critical_stuck_area(_STATIC, _KINETIC))
+    solved = brentq(lambda ratio: float(critical_stuck_area(1.0, ratio)) - area, 1e-6, 1 - 1e-6, xtol=1e-12)
+    printed = (1 - area) / (2 - area)
+    return Obtained(
+        f"{float(friction_ratio(area)):.3f} by (1 - 2 d²)/(1 - d²), {solved:.3f} by a root of A17, {printed:.3f} as "
+        f"printed, for d² = {area:.3f}",
+        truth=f"{_KINETIC / _STATIC:.3f}",
+        because="the printed expression does not solve the line above it",
+        agrees=abs(printed - solved) < _EXACT,
+    )
+
+
+def _equal_friction(_: Slides) -> Obtained:
+    load = np.linspace(0, 1, 1001)
+    area = stuck_area_at(load, 1.0, 1.0).numpy()
+    away = np.abs(area - (1 - load))
+    solves = float(np.abs(area**2 - (1 - load)).max())
+    return Obtained(
+        f"d⁴ = 1 - (T/N)/μ (to {solves:.1g}); the printed line is off by up to {away.max():.2f}, {away[950]:.2f} at "
+        "the corridor's edge",
+        because="with equal coefficients the term in d² drops out of equation 5, not the one in d⁴",
+        agrees=float(away.max()) < _EXACT,
+    )
+
+
+def _tada(_: Slides) -> Obtained:
+    area = np.linspace(0.1, 0.9, 50)
+    slope = np.polyfit(np.log(1 - TADA.load(area)[:, 0]), np.log(area), 1)[0]
+    beside = np.polyfit(np.log(1 - EQUAL_FRICTION.load(area)[:, 0]), np.log(area), 1)[0]
+    return Obtained(f"exponent {slope:.4f}, beside {beside:.4f} of equation 5", ((slope - 1e-9, slope + 1e-9),))
+
+
+def _condition(_: Slides) -> Obtained:
+    def last(kinetic: float) -> float:
+        return float(stuck_area_at(critical_load_ratio(_STATIC, kinetic), _STATIC, kinetic))
+
+    less, more = last(0.5 * _STATIC), last(1.5 * _STATIC)
+    return Obtained(
+        f"d² at the largest load {less:.2f} for μk = 0.5 μs, {more:.2f} for μk = 1.5 μs: as the body, not the abstract",
+        agrees=less > 0 and more == 0,
+        because="the model has a minimal area where the body has none",
+    )
+
+
+def _shape(slides: Slides) -> Obtained:
+    straight, parabola = [], []
+    for one in slides.of(ABRUPT):
+        verdict = one.trial.verdict
+        area = np.asarray(one.trial.result["stuck_ratio"], dtype=float)[verdict.loading()]
+        load = one.trial.load_ratio()[verdict.loading()]
+        known = np.isfinite(area) & np.isfinite(load) & (area < 0.95)
+        line = np.polynomial.Polynomial.fit(load[known], area[known], 1)
+        straight.append(float(np.sqrt(np.mean((area[known] - line(load[known])) ** 2))))
+        # Evaluate equation 5 at the measured critical area and load, which determine its two coefficients.
+        ratio = friction_ratio(min(max(verdict.critical_area, 0.0), 0.5))
+        static = verdict.loss_load_ratio * (2 - float(ratio))
+        curve = stuck_area_at(np.minimum(load[known], verdict.loss_load_ratio), static, ratio * static).nan_to_num(0.0)
+        parabola.append(float(np.sqrt(np.mean((area[known] - curve.numpy()) ** 2))))
+    return Obtained(
+        f"RMS distance of d² from a straight line {_ends(straight, 3)}, from equation 5 {_ends(parabola, 3)}",
+        truth="straight lines",
+        because="the slides are not nearer to a line than to equation 5",
+        agrees=bool(straight) and max(straight) < min(parabola),
+    )
+
+
+def _ends(values: list[float], digits: int = 2) -> str:
+    return f"{min(values):.{digits}f} to {max(values):.{digits}f}" if values else "none"
+
+
+_DURATIONS = rounded(130, 150, 280, 310, digit=10)
+_SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # the printed percentages are truncated, not rounded
+
+ROWS: tuple[Row[Slides], ...] = (
+    Row("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),
+    Row("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2), _outcomes),
+    Row("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
+    Row("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
+    Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
+    Row("A6", "corridor", "±5 %", "2b", exactly(0.05),
+        lambda _: Obtained(f"±{100 * CORRIDOR:g} %", exactly(CORRIDOR))),
+    Row("A7", "existence threshold", "d² > 0.05", "2b", exactly(0.05), _existence),
+    Row("A8", "stuck threshold", "< 40 µm (one pixel)", "1", exactly(40, 40), _threshold),
+    Row("A9", "d² measured", "", "1", (), _measured),
+    Row("A10", "imaging rate", "60 Hz", "2.2", rounded(60, digit=1), _imaging_rate),
+    Row("A11", "force sampling", "1.0 kHz", "2.2", rounded(1.0, digit=0.1), _force_rate),
+    Row("A12", "pressure", "p = 2N/(πab) (1 - x²/a² - y²/b²)", "Eq 1", (), _pressure_integral),
+    Row("A13", "traction", "q uniform where stuck, μk p where slipping", "Eq 2", (), _traction_jump),
+    Row("A14", "stuck traction", "q = μs 2N/(πab) (1 - d²)", "Eq 3", (), _static_limit),
+    Row("A15", "total T", "πab d² q + μk N (1 - d²)²", "Eq 4", (), _total),
+    Row("A16", "law", "(2μs - μk) d⁴ - 2(μs - μk) d² = μk - T/N", "Eq 5", (), _law),
+    Row("A17", "critical d² (model)", "(μs - μk)/(2μs - μk)", "2.1", (), _fold),
+    Row("A18", "friction ratio from it", "μk/μs = (1 - d²)/(2 - d²)", "2.1", (), _inversion),
+    Row("A19", "equal friction", "d² = 1 - (T/N)/μk", "2.1", (), _equal_friction),
+    Row("A20", "earlier model", "exponent 2/3", "2.1", exactly(2 / 3), _tada),
+    Row("A21", "condition for a minimal area", "μk < μs (body); μk > μs (abstract)", "1, 2.1", (), _condition),
+    Row("A22", "curve shape", "no parabolic decay", "3", (), _shape),
+)  # fmt: skip

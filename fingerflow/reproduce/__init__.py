@@ -1,1 +1,0 @@
-"""Reproduction of both papers from simulated recordings: each printed result next to the reproduced one."""

@@ -1,0 +1,204 @@
+"""Tests of both papers: rows and verdicts on tables with the printed effects, the page, a quick run from pictures."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bench.__main__ import main
+from bench.papers import method_rows, press_figures, press_rows, slide_figures, slide_rows
+from bench.papers.page import TITLES, read_results, write_page, write_results
+from bench.papers.presses import PressStudy
+from bench.papers.printed import (
+    AGREES,
+    DIFFERS,
+    NOT_HAD,
+    NOT_PRINTED,
+    UNEXPLAINED,
+    Answer,
+    Interval,
+    Obtained,
+    Row,
+    exactly,
+    number,
+    rounded,
+    unobtainable,
+    within,
+)
+from bench.papers.slides import ABRUPT, EXPECTED, UNSTEADY, JudgedSlide, Slides, design_slides, kind_of
+from fingerflow.models.partial_slip import judge_trial
+from fingerflow.report.slip_trials import SlipTrial
+from fingerflow.synthetic import LinearSlip
+from tests.bench.table_of_presses import study
+
+ROOT = Path(__file__).resolve().parents[2]
+PRINTED = ROOT.parent / "shared" / "printed.md"
+ROWS = (*slide_rows.ROWS, *method_rows.ROWS, *press_rows.ROWS)
+EQUATIONS = {f"A{k}" for k in (6, *range(12, 18), 20, 21)}
+OF_RECORDINGS = {"A8", "A11", "B47", "B48", "B52"}  # they need pictures, time series of trials, or the skin chain
+
+
+def measured(truth: LinearSlip) -> JudgedSlide:
+    """Return a slide with its true d² and T/N, with noise, in place of measured values."""
+    draw = np.random.default_rng(truth.camera.seed)
+    area = np.array([truth.stuck_share(frame) for frame in range(truth.n_frames)])
+    load = truth.tangential_force(truth.times) / truth.force
+    area, load = (one + 0.005 * draw.standard_normal(one.size) for one in (area, load))
+    values = {"stuck_ratio": area, "load_ratio": load, "normal_force": np.full(area.size, truth.force)}
+    result = xr.Dataset({name: ("frame", one) for name, one in values.items()}, {"time": ("frame", truth.times)})
+    trial = SlipTrial("slide", result, judge_trial(area, load, truth.times), None)
+    return JudgedSlide(kind_of(truth), truth, trial, None)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def slides() -> Slides:
+    return Slides(tuple(map(measured, design_slides().values())))
+
+
+@pytest.fixture(scope="module")
+def printed() -> PressStudy:
+    return study()
+
+
+def answers(rows: tuple[Row[Any], ...], source: Any) -> dict[str, Answer]:
+    return {row.id: row.answer(source) for row in rows if row.id not in OF_RECORDINGS}
+
+
+def test_every_printed_result_and_figure_has_its_place() -> None:
+    figures = [one.name for one in (*slide_figures.FIGURES, *press_figures.FIGURES)]
+    assert figures == ["1", "2a", "2b", "2c", "2d", *(f"S{k}" for k in range(1, 14)), *(f"M{k}" for k in range(1, 5))]
+    assert len({row.id for row in ROWS}) == len(ROWS) > 80
+    if PRINTED.exists():
+        listed = re.findall(r"^\| ([AB]\d+) \|", PRINTED.read_text(encoding="utf-8"), re.MULTILINE)
+        assert sorted(one.id for one in ROWS) == sorted(listed)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "found", "verdict"),
+    [
+        (rounded(3.6, digit=0.1), Obtained("b", ((3.64, 3.9),)), AGREES),
+        (rounded(3.6, digit=0.1), Obtained("b", ((3.66, 3.9),)), DIFFERS),
+        (within(70.1, 4.5), Obtained("b", ((60.0, 66.0),)), AGREES),
+        (exactly(4, 4, 2), Obtained("b", exactly(4, 3, 3)), DIFFERS),
+        (exactly(4), unobtainable("it is a photograph")(None), NOT_HAD),
+    ],
+)
+def test_numbers_agree_where_all_intervals_meet(numbers: tuple[Interval, ...], found: Obtained, verdict: str) -> None:
+    answer = Row("X1", "quantity", "a", "3", numbers, lambda _: found).answer(None)
+    assert answer.verdict == verdict
+    assert answer.because == {DIFFERS: UNEXPLAINED, NOT_HAD: "it is a photograph"}.get(verdict, "")
+
+
+def test_rows_without_a_print_or_with_other_numbers_say_so() -> None:
+    assert Row("X1", "quantity", "", "3", (), lambda _: Obtained("5 mm")).answer(None).verdict == NOT_PRINTED
+    with pytest.raises(ValueError, match="2 printed numbers, 1 obtained"):
+        Row("X1", "quantity", "4, 5", "3", exactly(4, 5), lambda _: Obtained("4", exactly(4))).answer(None)
+    assert (number(0.15234, 0.0163), number(267.03, 27.4), number(0.123456)) == ("0.152 ± 0.016", "267 ± 27", "0.123")
+
+
+def test_slides_as_in_print_agree_and_equations_hold(slides: Slides) -> None:
+    """Four slides collapse at the printed sizes and durations. Every equation holds by quadrature or root finding, and
+    the two misprints do not.
+    """
+    assert [len(slides.of(kind)) for kind in EXPECTED] == [4, 4, 2]
+    found = answers(slide_rows.ROWS, slides)
+    agreeing = EQUATIONS | {"A1", "A2", "A3", "A4", "A5", "A22"}
+    assert {name: found[name].verdict for name in agreeing} == dict.fromkeys(agreeing, AGREES)
+    assert found["A2"].obtained.endswith("by the printed rule 4 with, 4 without, 2 inconclusive")
+    assert {found[name].verdict for name in ("A18", "A19")} == {DIFFERS}
+    assert found["A18"].obtained.startswith("0.500 by")
+    assert "0.400 as printed" in found["A18"].obtained
+    first, *others = slides.slides
+    verdict = dataclasses.replace(first.trial.verdict, outcome="diminishes")
+    wrong = dataclasses.replace(first, trial=dataclasses.replace(first.trial, verdict=verdict))
+    misjudged = answers(slide_rows.ROWS, Slides((wrong, *others)))["A2"]
+    assert (misjudged.verdict, misjudged.because) == (DIFFERS, "misjudged: slide")
+
+
+def test_curves_of_a_set_are_drawn_with_all_models(slides: Slides) -> None:
+    draw = next(one.draw for one in slide_figures.FIGURES if one.name == "2b")
+    figure, shown = draw(slides)
+    assert figure is not None
+    assert {"Coulomb", "Tada", "equal friction", "equation 5"} <= set(figure.axes[0].get_legend_handles_labels()[1])
+    assert shown.startswith(f"d² against T/N of {len(slides.of(ABRUPT))} slides")
+    assert draw(Slides(tuple(slides.of(UNSTEADY)))) == (None, "no slide of this set has a complete loss of adhesion")
+
+
+def test_a_study_with_the_printed_effects_agrees(printed: PressStudy) -> None:
+    found = answers(press_rows.ROWS, printed)
+    numbers = (*range(5, 10), *range(34, 37), 38, 40, *range(42, 45), 49, 51, 63, 65)
+    assert {number: found[f"B{number}"].verdict for number in numbers} == dict.fromkeys(numbers, AGREES)
+    assert all((one.obtained or one.because) and "nan" not in one.obtained for one in found.values())
+    assert not [one.id for one in found.values() if one.because == UNEXPLAINED]
+
+
+def test_a_study_without_an_effect_differs(printed: PressStudy) -> None:
+    for name, column, factor in (
+        ("B5", "gross_contact_area", 0.8),
+        ("B34", "max_force", 0.7),
+        ("B38", "force_rate", 0.6),
+        ("B49", "strain", 2.0),
+    ):
+        other = dataclasses.replace(printed, frame=printed.frame.assign(**{column: factor * printed.frame[column]}))
+        assert next(row for row in press_rows.ROWS if row.id == name).answer(other).verdict == DIFFERS
+
+
+def test_the_page_has_every_row_and_figure_of_both_papers(tmp_path: Path) -> None:
+    rows = [
+        Answer("A1", "trials", "10", "2.2", "9 < 10", "10", DIFFERS, "one <failed>"),
+        Answer("A2", "outcome", "4", "3", "4", "4", AGREES, ""),
+    ]
+    figure, *_ = press_figures.FIGURES
+    drawn = [dataclasses.replace(figure, name="S2", draw=lambda _: (None, "not simulated")).write(None, tmp_path)]  # type: ignore[type-var]
+    for paper in reversed(TITLES):
+        write_results(tmp_path, paper, "Ten slides.", rows, drawn)
+    page = write_page(tmp_path).read_text(encoding="utf-8")
+    assert all(text in page for text in ("one &lt;failed&gt;", "9 &lt; 10", "not simulated", "1 differs, 1 agrees"))
+    assert [one["paper"] for one in read_results(tmp_path)] == list(TITLES)
+
+
+def test_the_committed_results_are_whole_and_explained() -> None:
+    folder = ROOT / "docs" / "reproduced"
+    papers = read_results(folder)
+    assert [one["paper"] for one in papers] == list(TITLES)
+    for paper in papers:
+        for row in paper["rows"]:
+            assert row["because"] != UNEXPLAINED, row["id"]
+            assert bool(row["because"]) == (row["verdict"] in (DIFFERS, NOT_HAD)), row["id"]
+        files = {figure["file"] for figure in paper["figures"] if figure["file"]}
+        assert files == {path.name for path in (folder / paper["paper"]).iterdir()}
+
+
+@pytest.mark.long
+def test_a_quick_run_from_pictures_to_the_page(tmp_path: Path) -> None:
+    """Slides agree with print, and of the small study of presses what few presses can; every figure but photographs is
+    drawn; a second run measures nothing again.
+    """
+    main(["papers", "--quick", "--folder", str(tmp_path)])
+    found = {one["paper"]: one for one in read_results(tmp_path / "page")}
+    rows = {paper: {row["id"]: row for row in one["rows"]} for paper, one in found.items()}
+    agreeing = {name for own in rows.values() for name, row in own.items() if row["verdict"] == AGREES}
+    assert agreeing >= {f"A{k}" for k in (*range(1, 6), *range(12, 18), 20, 21, 22)}
+    settings = {1, 3, *range(15, 19), *range(21, 27), 30, 33, 56, *range(58, 64)}
+    assert agreeing >= {f"B{k}" for k in settings | {5, 6, 8, 34, 35, 36, 43, 44}}
+    assert not [name for own in rows.values() for name, row in own.items() if row["because"] == UNEXPLAINED]
+    assert not [name for own in rows.values() for name, row in own.items() if "nan" in row["obtained"]]
+    error = re.search(r"RMS error ([\d.]+)", rows["slip"]["A9"]["obtained"])
+    assert error is not None
+    assert float(error[1]) < 0.03
+    for paper, one in found.items():
+        files = [tmp_path / "page" / paper / figure["file"] for figure in one["figures"] if figure["file"]]
+        files += [tmp_path / "page" / "movies" / figure["movie"] for figure in one["figures"] if figure["movie"]]
+        assert len(files) == (19 if paper == "press" else 5)
+        assert all(path.stat().st_size > 5000 for path in files)
+    measured = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("row.json")}
+    assert len(measured) > 60
+    main(["papers", "slip", "--folder", str(tmp_path)])
+    assert {path: path.stat().st_mtime_ns for path in measured} == measured
+    again = json.loads((tmp_path / "page" / "slip.json").read_text(encoding="utf-8"))
+    assert again["rows"] == found["slip"]["rows"]
