@@ -1,7 +1,7 @@
 """The ideal observer as published by Willemet et al. 2021, for comparison; use `d_prime` and `auc` otherwise."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,7 @@ from scipy.special import ndtri
 Values = NDArray[np.float64]
 
 BIN = 0.05  # bin width of the normalised metric
+HITS = 0.75  # share of the correct trials above the criterion
 _STEP = 0.001  # step between tested criteria, in the normalised metric
 
 
@@ -34,10 +35,10 @@ class PrintedObserver:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
         bins: (K + 1,) edges of the normalised metric; `counts_correct` and `counts_incorrect` (K,) trials between them.
         correct, incorrect: Gaussians fitted to those counts.
-        d_prime: (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2), negative where correct trials have the smaller metric.
+        d_prime: that of the Gaussians, see `fingerflow.models.observer.d_prime`.
         criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
         auc: area under it, by the trapezoidal rule.
-        criterion: value, in the metric's own unit, that 75 % (`hits`) of the correct trials' Gaussian exceed.
+        criterion: value, in the metric's own unit, that 75 % of the correct trials' Gaussian exceed.
         trials: number of correct and incorrect ones; `missing`, number of NaN.
         reason: why a number is NaN; empty otherwise.
     """
@@ -46,20 +47,20 @@ class PrintedObserver:
     trials: tuple[int, int]
     missing: int
     reason: str
-    bins: Values = field(default_factory=lambda: np.empty(0))
-    counts_correct: Values = field(default_factory=lambda: np.empty(0))
-    counts_incorrect: Values = field(default_factory=lambda: np.empty(0))
-    correct: Gaussian = NO_GAUSSIAN
-    incorrect: Gaussian = NO_GAUSSIAN
-    d_prime: float = math.nan
-    criteria: Values = field(default_factory=lambda: np.empty(0))
-    hits: Values = field(default_factory=lambda: np.empty(0))
-    false_alarms: Values = field(default_factory=lambda: np.empty(0))
-    auc: float = math.nan
-    criterion: float = math.nan
+    bins: Values
+    counts_correct: Values
+    counts_incorrect: Values
+    correct: Gaussian
+    incorrect: Gaussian
+    d_prime: float
+    criteria: Values
+    hits: Values
+    false_alarms: Values
+    auc: float
+    criterion: float
 
 
-def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
+def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserver:
     """Compute d', ROC and criterion of a metric as published by Willemet et al. 2021.
 
     The metric is normalised by its 0.9 quantile and counted in bins of 0.05, and Gaussians are fitted to the counts.
@@ -68,13 +69,10 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
 
     Args:
         correct, incorrect: (n,) the metric, any unit; NaN is left out and counted.
-        hits: share of the correct trials' Gaussian above `criterion`.
 
     Raises:
-        ValueError: infinite values, or hits that are not between 0 and 1.
+        ValueError: infinite values.
     """
-    if not 0 < hits < 1:
-        raise ValueError(f"the share of hits is {hits:g}: give one between 0 and 1, as 0.75")
     both = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
     if any(np.isinf(kind).any() for kind in both):
         raise ValueError("a metric is infinite: mark what was not measured with NaN")
@@ -83,11 +81,15 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     every = np.concatenate([first, second])
     scale = float(np.quantile(every, 0.9)) if every.size else math.nan
     trials = (first.size, second.size)
-    if min(trials) == 0:
-        reason = f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
-        return PrintedObserver(scale, trials, missing, reason)
-    if not scale > 0:
-        return PrintedObserver(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
+    if min(trials) == 0 or not scale > 0:
+        none, nan = np.empty(0), math.nan
+        reason = (
+            f"the 0.9 quantile is {scale:g}: one above 0 is needed"
+            if min(trials)
+            else f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
+        )
+        observed = none, none, none, NO_GAUSSIAN, NO_GAUSSIAN, nan, none, none, none, nan, nan
+        return PrintedObserver(scale, trials, missing, reason, *observed)
     first, second, every = first / scale, second / scale, every / scale
     bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
@@ -111,7 +113,7 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
         hits=above[0],
         false_alarms=above[1],
         auc=float(np.trapezoid(above[0][::-1], above[1][::-1])),
-        criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - hits))),
+        criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - HITS))),
     )
 
 
