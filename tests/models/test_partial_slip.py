@@ -2,7 +2,6 @@
 paper's misprints.
 """
 
-import numpy as np
 import pytest
 import torch
 from scipy.integrate import quad
@@ -45,13 +44,6 @@ def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -
     assert ((back - areas).abs() <= held).all()
     inner = areas > smallest + 1e-2
     torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
-
-
-def test_at_the_critical_load_the_area_is_the_critical_one() -> None:
-    mu_k = torch.linspace(0, 0.79, 300, dtype=torch.float64)
-    critical = critical_stuck_area(0.8, mu_k)
-    torch.testing.assert_close(stuck_area(critical_load_ratio(0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
-    torch.testing.assert_close(stuck_area(load_ratio(critical, 0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
 
 
 @pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
@@ -144,14 +136,6 @@ def test_a_load_that_no_area_carries_leaves_the_gradient_of_the_others_alone() -
     assert load.grad[0] < 0
     assert (load.grad[1:] == 0).all()
     assert static.grad > 0
-
-
-def test_whole_batches_at_once() -> None:
-    load = torch.rand(1, 7, 1, generator=torch.Generator().manual_seed(0))
-    areas = stuck_area(load, torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11))
-    assert areas.shape == (5, 7, 11)
-    assert areas.dtype == torch.float64
-    assert load_ratio(areas, torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11)).shape == (5, 7, 11)
 
 
 def test_friction_that_cannot_be() -> None:

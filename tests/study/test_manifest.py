@@ -1,4 +1,4 @@
-"""Tests of the manifest of a study: a table or a pattern, and errors that name the row."""
+"""Tests of the manifest of a study and its table, and errors that name the row."""
 
 import re
 from pathlib import Path
@@ -122,7 +122,7 @@ def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: 
             'trials = "trials.csv"\ndesign = "2afc"',
             "study.design is '2afc'; give 'forced choice' or",
         ),
-        ('trials = "trials.csv"', "", "one of trials"),
+        ('trials = "trials.csv"', "", "needs trials"),
         ("[study]", "[study", "is not valid TOML"),
     ],
 )
@@ -130,22 +130,6 @@ def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: s
     edit(lab / "study.toml", (old, new))
     with pytest.raises(FingerflowError, match=said):
         load_manifest(lab)
-
-
-def test_a_pattern_in_place_of_a_table(study: Manifest, lab: Path) -> None:
-    pattern = 'pattern = "p{participant}/{condition}um/trial{trial}/frames.npy"\n'
-    pattern += 'forces = "p{participant}/{condition}um/trial{trial}/forces.csv"\nanswers = "answers.csv"'
-    edit(lab / "study.toml", ('trials = "trials.csv"', pattern))
-    text = (lab / "study.toml").read_text(encoding="utf-8")
-    background = '[scene.background]\nframes = "p01/0um/trial1/empty.npy"\ndark = "p01/0um/trial1/dark.npy"\n'
-    (lab / "study.toml").write_text(f"{text}\n{background}", encoding="utf-8")
-    found = load_manifest(lab)
-    assert [(one.participant, one.condition, one.trial, one.answer) for one in found.trials] == [
-        (one.participant, one.condition, one.trial, one.answer) for one in study.trials
-    ]
-    scene = found.scene_of(found.trials[3])
-    assert scene.forces is not None
-    assert scene.forces.file.parent == scene.recording.frames.parent
 
 
 def test_recordings_without_scenes(lab: Path) -> None:

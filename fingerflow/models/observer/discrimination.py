@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
 from fingerflow.models.observer.estimate import Estimate, Interval, Statistic, Values, bootstrap, jackknife
-from fingerflow.models.observer.printed import HITS, PrintedObserver, printed_observer
+from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
 Participants = tuple[ArrayLike, ArrayLike]  # participant of each correct and of each incorrect trial
 
+_HITS = 0.75  # share of the correct trials above the criterion
 # Added to the seed: data simulated with the same seed must not share random numbers with the permutations.
 _STREAM = 0x9E2A
 
@@ -158,7 +159,7 @@ def criterion_for_hits(correct: ArrayLike, participants: ArrayLike, resamples: i
 
         def of(weights: Values) -> Values:
             counts = weights[:, unit].cumsum(1)
-            place = (1 - HITS) * (counts[:, -1] - 1)
+            place = (1 - _HITS) * (counts[:, -1] - 1)
             lower = np.floor(place)
             # The k-th smallest of the resampled values is the first one whose cumulative count exceeds k.
             low, high = (

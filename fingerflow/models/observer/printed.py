@@ -6,12 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
-from scipy.special import ndtri
 
 Values = NDArray[np.float64]
 
 BIN = 0.05  # bin width of the normalised metric
-HITS = 0.75  # share of the correct trials above the criterion
 _STEP = 0.001  # step between tested criteria, in the normalised metric
 
 
@@ -33,19 +31,17 @@ class PrintedObserver:
 
     Attributes:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
+        trials: number of correct and incorrect ones.
+        reason: why a number is NaN; empty otherwise.
         bins: (K + 1,) edges of the normalised metric; `counts_correct` and `counts_incorrect` (K,) trials between them.
         correct, incorrect: Gaussians fitted to those counts.
         d_prime: that of the Gaussians, see `fingerflow.models.observer.d_prime`.
-        criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
+        hits, false_alarms: (C,) the ROC: shares of the trials above each criterion.
         auc: area under it, by the trapezoidal rule.
-        criterion: value, in the metric's own unit, that 75 % of the correct trials' Gaussian exceed.
-        trials: number of correct and incorrect ones; `missing`, number of NaN.
-        reason: why a number is NaN; empty otherwise.
     """
 
     scale: float
     trials: tuple[int, int]
-    missing: int
     reason: str
     bins: Values
     counts_correct: Values
@@ -53,22 +49,20 @@ class PrintedObserver:
     correct: Gaussian
     incorrect: Gaussian
     d_prime: float
-    criteria: Values
     hits: Values
     false_alarms: Values
     auc: float
-    criterion: float
 
 
 def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserver:
-    """Compute d', ROC and criterion of a metric as published by Willemet et al. 2021.
+    """Compute d' and ROC of a metric as published by Willemet et al. 2021.
 
     The metric is normalised by its 0.9 quantile and counted in bins of 0.05, and Gaussians are fitted to the counts.
     The paper varies the criterion from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials below
     0: such a ROC does not reach its ends. Here the criterion ranges over all trials.
 
     Args:
-        correct, incorrect: (n,) the metric, any unit; NaN is left out and counted.
+        correct, incorrect: (n,) the metric, any unit; NaN is left out.
 
     Raises:
         ValueError: infinite values.
@@ -76,7 +70,6 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     both = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
     if any(np.isinf(kind).any() for kind in both):
         raise ValueError("a metric is infinite: mark what was not measured with NaN")
-    missing = sum(int(np.isnan(kind).sum()) for kind in both)
     first, second = (kind[np.isfinite(kind)] for kind in both)
     every = np.concatenate([first, second])
     scale = float(np.quantile(every, 0.9)) if every.size else math.nan
@@ -88,8 +81,7 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
             if min(trials)
             else f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
         )
-        observed = none, none, none, NO_GAUSSIAN, NO_GAUSSIAN, nan, none, none, none, nan, nan
-        return PrintedObserver(scale, trials, missing, reason, *observed)
+        return PrintedObserver(scale, trials, reason, none, none, none, NO_GAUSSIAN, NO_GAUSSIAN, nan, none, none, nan)
     first, second, every = first / scale, second / scale, every / scale
     bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
@@ -98,23 +90,9 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     sensitivity = (gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
     criteria = np.arange(min(every.min(), 0) - _STEP, max(every.max(), 1) + 2 * _STEP, _STEP)
     above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
-    return PrintedObserver(
-        scale=scale,
-        trials=trials,
-        missing=missing,
-        reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
-        bins=bins,
-        counts_correct=counts[0],
-        counts_incorrect=counts[1],
-        correct=gaussians[0],
-        incorrect=gaussians[1],
-        d_prime=sensitivity,
-        criteria=criteria,
-        hits=above[0],
-        false_alarms=above[1],
-        auc=float(np.trapezoid(above[0][::-1], above[1][::-1])),
-        criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - HITS))),
-    )
+    reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
+    area = float(np.trapezoid(above[0][::-1], above[1][::-1]))
+    return PrintedObserver(scale, trials, reason, bins, *counts, *gaussians, sensitivity, *above, area)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:

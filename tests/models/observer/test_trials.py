@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import d_prime, leave_out_moved, observe, printed_observer, read_trials
@@ -82,12 +82,9 @@ def test_the_printed_observer_on_gaussians() -> None:
         d_prime(correct, incorrect, (np.arange(4000) % 9, np.arange(3000) % 9)).value, abs=0.06
     )
     assert found.auc == pytest.approx(ndtr(4 / 5), abs=0.01)
-    assert found.criterion == pytest.approx(14 + 3 * ndtri(0.25), abs=0.15)
     # With criteria from 0 to 1 only, as printed, the curve would end at the hits and false alarms of a criterion of 1.
     assert found.hits[0] == found.false_alarms[0] == 1
     assert found.hits[-1] == found.false_alarms[-1] == 0
-    at_one = np.searchsorted(found.criteria, 1.0)
-    assert found.hits[at_one] > 0.1
 
 
 def test_the_printed_observer_without_trials_to_fit() -> None:
@@ -99,7 +96,6 @@ def test_the_printed_observer_without_trials_to_fit() -> None:
         found = printed_observer(correct, incorrect)
         assert math.isnan(found.d_prime)
         assert reason in found.reason
-    assert printed_observer([1.0, np.nan, 1.2], [0.5, 0.9]).missing == 1
     with pytest.raises(ValueError, match="infinite"):
         printed_observer([np.inf], [1.0])
 
@@ -126,7 +122,6 @@ def test_every_metric_beside_the_others() -> None:
     )
     assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
     assert found["divergence"].auc.p < 0.01 < found["force_rate"].auc.p
-    assert found["divergence"].criterion.value == pytest.approx(found["divergence"].printed.criterion, abs=1.5)
     assert found["divergence"].auc.participants == 12
     assert found["global_displacement"].auc.missing == 0
     assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]
