@@ -96,7 +96,8 @@ def _run_tasks(
 
     def capacity() -> int:
         """Return the number of tasks to keep submitted: a multiple of the threads of workers, which may come and go."""
-        return max(2, _IN_FLIGHT * sum(client.nthreads().values()))
+        threads: int = sum(client.nthreads().values())
+        return max(2, _IN_FLIGHT * threads)
 
     def submit(name: str, task: Task) -> Any:
         # Give all tasks one group name, since a scheduler never discards the statistics of a group.

@@ -23,20 +23,23 @@ def smallest_area(mu_s: float, mu_k: float) -> float:
 
 
 @pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_load_of_the_area_of_a_load_is_the_load(mu_s: float, mu_k: float) -> None:
-    largest = critical_load_ratio(mu_s, mu_k)
+def test_area_and_load_are_inverse_along_the_larger_root(mu_s: float, mu_k: float) -> None:
+    """Load to area to load returns the load to 1e-12. Area to load to area returns the area to 1e-12; where the load
+    hardly depends on the area, to the rounding of the load in float64. The area falls from 1 to the critical one, and
+    there is none beyond the critical load or below 0.
+    """
+    largest, smallest = critical_load_ratio(mu_s, mu_k), smallest_area(mu_s, mu_k)
     loads = torch.cat([torch.logspace(-15, 0, 200, dtype=torch.float64), torch.linspace(0, 1, 2001).double()]) * largest
     areas = stuck_area(loads, mu_s, mu_k)
     assert areas.isfinite().all()
     torch.testing.assert_close(load_ratio(areas, mu_s, mu_k), loads, atol=1e-12 * largest.item(), rtol=0)
+    rising = areas[200:]
+    assert rising[0] == 1
+    assert (rising.diff() < 0).all()
+    assert rising[-1].item() == pytest.approx(smallest, abs=2e-7)
+    outside = torch.tensor([-1e-9, 1 + 1e-9, 2, 50.0, torch.nan], dtype=torch.float64) * largest
+    assert stuck_area(outside, mu_s, mu_k).isnan().all()
 
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -> None:
-    """Area to load to area returns the area to 1e-12; where the load hardly depends on the area, to the rounding of the
-    load in float64.
-    """
-    smallest = smallest_area(mu_s, mu_k)
     areas = smallest + (1 - smallest) * torch.linspace(0, 1, 2001, dtype=torch.float64)
     back = stuck_area(load_ratio(areas, mu_s, mu_k), mu_s, mu_k)
     slope = 2 * ((2 * mu_s - mu_k) * areas - (mu_s - mu_k)).abs()
@@ -44,22 +47,6 @@ def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -
     assert ((back - areas).abs() <= held).all()
     inner = areas > smallest + 1e-2
     torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
-
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_area_falls_from_one_along_the_larger_root(mu_s: float, mu_k: float) -> None:
-    loads = torch.linspace(0, 1, 1001, dtype=torch.float64) * critical_load_ratio(mu_s, mu_k)
-    areas = stuck_area(loads, mu_s, mu_k)
-    assert areas[0] == 1
-    assert (areas.diff() < 0).all()
-    assert areas[-1].item() == pytest.approx(smallest_area(mu_s, mu_k), abs=2e-7)
-
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_there_is_no_area_beyond_the_critical_load_or_below_zero(mu_s: float, mu_k: float) -> None:
-    largest = critical_load_ratio(mu_s, mu_k).item()
-    outside = torch.tensor([-1e-9, largest * (1 + 1e-9), 2 * largest, 50.0, torch.nan], dtype=torch.float64)
-    assert stuck_area(outside, mu_s, mu_k).isnan().all()
 
 
 def test_where_the_equation_is_linear_so_is_the_curve() -> None:

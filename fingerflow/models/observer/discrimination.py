@@ -194,7 +194,7 @@ def permutation_p(
     draw = np.random.default_rng([seed, _STREAM])
     drawn = (is_correct[np.argsort(person + draw.random(person.size))] @ ranks for _ in range(permutations))
     reach = abs(is_correct @ ranks - expected) - 1e-9
-    return (1 + sum(abs(one - expected) >= reach for one in drawn)) / (1 + permutations)
+    return float((1 + sum(abs(one - expected) >= reach for one in drawn)) / (1 + permutations))
 
 
 def _estimated(

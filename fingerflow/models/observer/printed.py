@@ -92,7 +92,8 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
     reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
     area = float(np.trapezoid(above[0][::-1], above[1][::-1]))
-    return PrintedObserver(scale, trials, reason, bins, *counts, *gaussians, sensitivity, *above, area)
+    fitted = counts[0], counts[1], gaussians[0], gaussians[1], sensitivity
+    return PrintedObserver(scale, trials, reason, bins, *fitted, above[0], above[1], area)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
