@@ -210,12 +210,12 @@ def _no_effects(study: PressStudy) -> Obtained:
 def _rate_on_answers(study: PressStudy) -> Obtained:
     found = study.statistics["force_rate"]
     if found.get("p") is None:
-        return Obtained("", because=f"no mixed model: {found.get('reason')}")
+        return Obtained("", because=f"no effect: {found.get('reason')}")
     low, high = found["interval"]
     return Obtained(
-        f"{found['effect']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, "
+        f"{found['value']:+.3f} ({low:+.3f} to {high:+.3f}) {found['unit']}, {_p(found['p'])}, "
         f"{found['trials']} trials",
-        agrees=found["p"] < _ALPHA and found["effect"] > 0,
+        agrees=found["p"] < _ALPHA and found["value"] > 0,
         because="the simulated observer does not feel rates: faster presses matter only through their larger force",
     )
 
@@ -394,9 +394,9 @@ def _criterion(study: PressStudy) -> Obtained:
 def _ranking(study: PressStudy) -> Obtained:
     found = study.statistics["observer"]["metrics"]
     alone = {name: found[name]["auc"]["value"] for name in OBSERVED if name in found}
-    answer = study.sample.trials.answer
+    answer, who = study.sample.trials.answer, study.sample.trials.participant
     pairs = {name: study.column_of_sample(name + DIFFERENCE) for name in OBSERVED}
-    differences = {name: auc(one[answer], one[~answer], resamples=100).value for name, one in pairs.items()}
+    differences = {name: auc(one[answer], one[~answer], (who[answer], who[~answer]), resamples=100).value for name, one in pairs.items()}
     return Obtained(
         f"areas under the ROC, of differences between the two presses: {_ordered(differences)}; of the comparison "
         f"alone: {_ordered(alone)}",

@@ -12,16 +12,18 @@ import numpy as np
 from fingerflow.models.observer.discrimination import auc, d_prime
 
 draw = np.random.default_rng(0)
+participant = np.repeat(np.arange(10), 40)
 divergence = draw.normal(8, 4, 400)  # µm/mm between the two plates
 answers = divergence + draw.normal(0, 4, 400) > 5  # the participant feels it with noise, and has a criterion
 felt, missed = divergence[answers], divergence[~answers]
 area = draw.normal(20, 6, 400)  # a measure that nobody feels
 
 # %%
-# Intervals of 95 % by the bootstrap. That of the felt measure excludes chance (0 and 0.5), that of the other does not.
+# Intervals of 95 %, participants as units. That of the felt measure excludes chance (0 and 0.5), that of the other does not.
 
 for name, metric in (("divergence", divergence), ("contact area", area)):
-    sensitivity, under_roc = (of(metric[answers], metric[~answers]) for of in (d_prime, auc))
+    trials = metric[answers], metric[~answers], (participant[answers], participant[~answers])
+    sensitivity, under_roc = (of(*trials) for of in (d_prime, auc))
     low, high = under_roc.interval
     print(f"{name}: d' {sensitivity.value:.2f}, area under the ROC {under_roc.value:.2f} ({low:.2f} to {high:.2f})")
     assert (low > 0.5) == (name == "divergence")

@@ -1,7 +1,6 @@
 """Overlay image of detected discs on the frames, for visual inspection of a calibration."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +15,6 @@ from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
 
 LABELS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-CHECKER_PX = 64
 # Approximate width of a label as a share of the view; where it would not fit on the right, it is placed to the left of
 # its disc.
 LABEL_SHARE = 0.36
@@ -28,8 +26,8 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
     """Write a PNG image of the calibration frames (H, W) with the detected discs and the hole.
 
     Top: both views of the target with the discs, and the ring with its hole. Bottom: the topography view transformed to
-    the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges continue across squares),
-    and every disc enlarged, from the topography above and the contact view below. Without a target: the ring alone.
+    the contact view, as a colour blend (grey where they agree), and every disc enlarged, from the topography above and
+    the contact view below. Without a target: the ring alone.
     """
     contact_view = calibration.views["contact"]
     hole_image = contact_view.crop(np.asarray(ring))
@@ -46,12 +44,11 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
             _draw_discs(axes, images[side], [pair[side] for pair in calibration.discs])
             axes.set_title(f"{name} view of the target")
         _draw_hole(figure.add_subplot(grid[0, 2]), hole_image, calibration)
-        blend, checker = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
-        _draw_blends(blend, checker, images, calibration.affine, calibration.similarity)
-        for axes in (blend, checker):
-            for _, disc in calibration.discs:
-                axes.plot(*disc.center, "+", color="yellow", markersize=8, markeredgewidth=0.8)
-        details = grid[1, 2].subgridspec(2, len(calibration.discs))
+        blend = figure.add_subplot(grid[1, 0])
+        _draw_blend(blend, images, calibration.affine, calibration.similarity)
+        for _, disc in calibration.discs:
+            blend.plot(*disc.center, "+", color="yellow", markersize=8, markeredgewidth=0.8)
+        details = grid[1, 1:].subgridspec(2, len(calibration.discs))
         for side, name in enumerate(("topography", "contact")):
             for index, pair in enumerate(calibration.discs):
                 title = f"{LABELS[index]}, {name}"
@@ -94,25 +91,16 @@ def _draw_hole(axes: Axes, image: Array, calibration: Calibration) -> None:
     )
 
 
-def _draw_blends(
-    blend: Axes, checker: Axes, images: tuple[Array, Array], affine: Transform, similarity: Transform
-) -> None:
-    height, width = images[1].shape
-    moved = cv2.warpAffine(_standardise(images[0]), affine.matrix, (width, height), flags=cv2.INTER_LINEAR)
-    covered = (
-        cv2.warpAffine(np.ones(images[0].shape, np.uint8), affine.matrix, (width, height), flags=cv2.INTER_NEAREST) > 0
-    )
-    contact = _standardise(images[1])
-    blend.imshow(np.stack([moved, contact, moved], axis=-1))
+def _draw_blend(axes: Axes, images: tuple[Array, Array], affine: Transform, similarity: Transform) -> None:
+    topography, contact = (_flatten_light(image) for image in images)
+    moved = cv2.warpAffine(topography, affine.matrix, contact.shape[::-1], flags=cv2.INTER_LINEAR)
+    axes.imshow(np.stack([moved, contact, moved], axis=-1))
     angle = np.degrees(np.arctan2(similarity.matrix[1, 0], similarity.matrix[0, 0]))
     growth = np.hypot(*similarity.matrix[:, 0])
-    blend.set_title(
+    axes.set_title(
         f"topography (magenta) moved onto contact (green)\nscale {growth:.4f}, rotation {angle:.2f}°, "
         f"similarity within {similarity.rms_px:.2f} px"
     )
-    row, column = np.indices((height, width)) // CHECKER_PX
-    checker.imshow(np.where(((row + column) % 2 == 0) & covered, moved, contact), cmap="gray", vmin=0, vmax=255)
-    checker.set_title(f"squares of {CHECKER_PX} px from the two views in turn")
 
 
 def _draw_detail(axes: Axes, image: Array, disc: Disc, title: str) -> None:
@@ -138,26 +126,8 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 def _flatten_light(image: Array) -> NDArray[np.uint8]:
     """Return an 8-bit image for display, from which slow variations of brightness are removed."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
-    light = _blurred_over_light(smooth)
+    light = cv2.GaussianBlur(smooth, (0, 0), max(1.0, min(image.shape) * LIGHT_SHARE))
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
     low, high = np.percentile(flat, (0.5, 99.5))
     result: NDArray[np.uint8] = np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
     return result
-
-
-def _standardise(image: Array) -> NDArray[np.uint8]:
-    """Return an 8-bit image with standardised mean and contrast, so that differently lit views can be compared."""
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
-    # The blurred light is subtracted twice, to remove its remaining slope.
-    level = smooth - _blurred_over_light(smooth)
-    level -= _blurred_over_light(level)
-    spread = np.sqrt(_blurred_over_light(level**2))
-    # The added constant limits the amplification of noise where there is no structure.
-    relative = level / (spread + 0.2 * float(spread.max()) + 1e-9)
-    result: NDArray[np.uint8] = np.clip(150 + 60 * relative, 0, 255).astype(np.uint8)
-    return result
-
-
-def _blurred_over_light(image: NDArray[Any]) -> NDArray[Any]:
-    sigma = max(1.0, min(image.shape) * LIGHT_SHARE)
-    return cv2.GaussianBlur(image, (0, 0), sigma)

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
+from fingerflow.models.observer.psychometric import SHARE
 from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
 from fingerflow.plot.rounding import with_interval
 
@@ -67,13 +68,13 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
     for row, estimate in enumerate(estimates.values()):
         axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
         axes.plot(estimate.value, row, "o", color=INK, markersize=5)
-        count = f" n {sum(estimate.trials)}"
+        count = f" n {estimate.trials}"
         axes.annotate(count, (1, row), xycoords=("axes fraction", "data"), va="center")
     axes.axvline(chance, color=GREY, linestyle="--", linewidth=0.8)
     axes.set(yticks=range(len(estimates)), yticklabels=list(estimates), xlabel=quantity)
     axes.invert_yaxis()
     values = "; ".join(
-        f"{name} {with_interval(one.value, *one.interval)}, n = {sum(one.trials)}" for name, one in estimates.items()
+        f"{name} {with_interval(one.value, *one.interval)}, n = {one.trials}" for name, one in estimates.items()
     )
     return finished(
         axes, f"Estimate of {quantity} (dot) with its 95 % interval (line), in trials; dashed: chance. {values}."
@@ -122,7 +123,7 @@ def draw_psychometric(
             fine = np.linspace(x.min(), x.max(), 300)
             axes.plot(fine, fit(fine), **styles[k])
             limits = np.clip(fit.interval, *axes.get_xlim())
-            axes.plot(limits, [fit.share, fit.share], color=colour, linewidth=3, alpha=0.4)
+            axes.plot(limits, [SHARE, SHARE], color=colour, linewidth=3, alpha=0.4)
     axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
     thresholds = "; ".join(
         f"{name} {with_interval(fit.threshold, *fit.interval)}, n = {fit.trials} trials"

@@ -205,7 +205,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R²."""
     x, y = _draw_by_participant(axes, trials, first, second)
-    found = pearson(x, y)
+    found = pearson(x, y, trials.participant)
     if np.isfinite(found.value):
         both = np.isfinite(x) & np.isfinite(y)
         line = stats.linregress(x[both], y[both])

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import chain, islice
-from threading import Event, Thread
 from typing import Any, TypeVar
 
 from tqdm import tqdm
@@ -19,7 +18,6 @@ _IN_FLIGHT = 3  # tasks per worker submitted at a time: one runs, the others are
 _RENEWED_AFTER = 200  # tasks per worker after which all workers are replaced, which releases leaked memory
 _ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 _CONNECT = "20s"  # time limit for reaching a scheduler
-_LOOK = 5.0  # s between two counts of the workers
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
 Task = TypeVar("Task")
@@ -94,6 +92,11 @@ def _run_tasks(
 
     names: dict[str, str] = {}
 
+    def capacity() -> int:
+        """Return the number of tasks to keep submitted: a multiple of the threads of workers, which may come and go."""
+        threads: int = sum(client.nthreads().values())
+        return max(2, _IN_FLIGHT * threads)
+
     def submit(name: str, task: Task) -> Any:
         # Give all tasks one group name, since a scheduler never discards the statistics of a group.
         future = client.submit(function, task, key=f"trial-{os.getpid()}-{name}", pure=False)
@@ -101,8 +104,14 @@ def _run_tasks(
         return future
 
     try:
-        with _interrupt_on_sigterm(), _Workers(client) as workers:
-            waiting = as_completed([submit(*one) for one in islice(tasks, workers.capacity())])
+        with _interrupt_on_sigterm():
+            if not client.nthreads():
+                place = client.scheduler.address
+                tqdm.write(
+                    f"warning: no worker is at {place}, so nothing is processed; waiting until one comes",
+                    file=sys.stderr,
+                )
+            waiting = as_completed([submit(*one) for one in islice(tasks, capacity())])
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
@@ -111,7 +120,7 @@ def _run_tasks(
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
-                for one in islice(tasks, max(0, workers.capacity() - len(names))):
+                for one in islice(tasks, max(0, capacity() - len(names))):
                     waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
@@ -122,45 +131,6 @@ def _run_tasks(
         if isinstance(error, (OSError, TimeoutError)) or client.status != "running":
             raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
         raise
-
-
-class _Workers:
-    """Tracker of the number of worker threads in a cluster, which may change during a run.
-
-    A cluster without workers may still get some: the run then waits, with a warning.
-    """
-
-    def __init__(self, client: Any) -> None:
-        self._client, self._ended = client, Event()
-        self._threads: int = sum(client.nthreads().values())
-
-    def __enter__(self) -> "_Workers":
-        Thread(target=self._watch, name="workers", daemon=True).start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-
-    def capacity(self) -> int:
-        """Return the number of tasks to keep submitted to the cluster at a time: a multiple of its number of worker
-        threads.
-        """
-        return max(2, _IN_FLIGHT * self._threads)
-
-    def _watch(self) -> None:
-        said = False
-        while not self._ended.wait(_LOOK):
-            try:
-                self._threads = sum(self._client.nthreads().values())
-                place = self._client.scheduler.address
-            except Exception:  # the loss of the scheduler is reported elsewhere
-                return
-            if not self._threads and not said:
-                tqdm.write(
-                    f"warning: no worker is at {place}, so nothing is processed; waiting until one comes",
-                    file=sys.stderr,
-                )
-            said = not self._threads
 
 
 @contextmanager
@@ -181,6 +151,10 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     # OpenMP threads spin between operations by default: two of them on a busy machine take four times the processor
     # time and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
+    # Dask has the GNU C library return freed memory at once: each array above 128 kB is then mapped again and its pages
+    # are cleared by the system at the first touch, 600 of them per frame. Here a few hundred MB are kept for reuse.
+    environment["distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_"] = 256 << 20
+    environment["distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_"] = 32 << 20
     # Client and workers monitor themselves up to 50 times a second, which takes 9 % of a core with two workers; with
     # these intervals it takes less than 2 %.
     environment |= {

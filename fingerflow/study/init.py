@@ -127,7 +127,7 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
     if not recordings:
         raise FingerflowError(
             f"{folder}: no recording was found in it. Known are {', '.join(sorted(_SUFFIXES))}; of folders of images "
-            f"write study.toml with a pattern"
+            f"write trials.csv by hand"
         )
     rows = []
     for file in recordings:

@@ -26,7 +26,7 @@ RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
 REFERENCE = "reference"  # column that names the trial of the same participant with which a trial was compared
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
-_STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers", "design")
+_STUDY_KEYS = ("results", "trials", "answers", "design")
 _MOST_SHOWN = 20  # largest number of wrong rows listed in an error; the others are counted
 
 
@@ -76,14 +76,12 @@ class Manifest:
 
 
 def load_manifest(path: str | Path) -> Manifest:
-    """Read a manifest `study.toml` and its trials, listed in a CSV file or found by a file-name pattern.
+    """Read a manifest `study.toml` and its trials, listed in a CSV file.
 
     ::
 
         [study]
         trials = "trials.csv"             # columns recording, forces, participant, trial, condition, answer
-        # pattern = "{participant}/{condition}um/{trial}.cine"     in place of the table
-        # forces = "{participant}/{condition}um/{trial}.csv"       beside each recording of the pattern
         results = "results"
         # design = "yes/no"               "forced choice" where there is none
 
@@ -114,21 +112,15 @@ def load_manifest(path: str | Path) -> Manifest:
     _refuse_unknown(path, study, _STUDY_KEYS, "study.")
     for key, value in study.items():
         if not isinstance(value, str) or not value:
-            raise FingerflowError(f"{path}: study.{key} is {value!r}; give a path or a pattern in quotes")
+            raise FingerflowError(f"{path}: study.{key} is {value!r}; give a path in quotes")
     design = study.get("design", FORCED_CHOICE)
     if design not in GUESSES:
         raise FingerflowError(f"{path}: study.design is {design!r}; give {' or '.join(map(repr, GUESSES))}")
-    if ("trials" in study) == ("pattern" in study):
-        raise FingerflowError(f"{path}: [study] needs one of trials (a CSV file) and pattern (over file names)")
-    if "forces" in study and "pattern" not in study:
-        raise FingerflowError(f"{path}: study.forces goes with study.pattern; a table of trials has a column forces")
-    if "trials" in study:
-        table = path.parent / study["trials"]
-        rows = read_rows(table)
-        places = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
-    else:
-        rows = _rows_of_pattern(path, study["pattern"], study.get("forces"))
-        places = [f"{path}, {row[RECORDING]}" for row in rows]
+    if "trials" not in study:
+        raise FingerflowError(f"{path}: [study] needs trials, a CSV file; `fingerflow study init FOLDER` writes one")
+    table = path.parent / study["trials"]
+    rows = read_rows(table)
+    places = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
     if "answers" in study:
         for row, found in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
             row.update({name: value for name, value in found.items() if not row.get(name)})
@@ -159,34 +151,6 @@ def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str,
             raise FingerflowError(f"{answers}, row {number}: participant {key[0]}, trial {key[1]} is there twice")
         known[key] = row
     return [known.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
-
-
-def _rows_of_pattern(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
-    """Return one table row per recording that matches a pattern such as "{participant}/{trial}.cine", sorted by path:
-    the text found for each name in braces, the recording's path and, by the pattern `forces`, the force file's.
-    """
-    parts = re.split(r"\{(\w+)\}", pattern)
-    glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
-    expression, seen = "", set[str]()
-    for number, part in enumerate(parts):
-        if number % 2 == 0:
-            expression += re.escape(part)
-        elif part in seen:
-            expression += f"(?P={part})"
-        else:
-            expression += f"(?P<{part}>[^/]+?)"
-            seen.add(part)
-    rows = []
-    for file in sorted(path.parent.glob(glob)):
-        name = file.relative_to(path.parent).as_posix()
-        if found := re.fullmatch(expression, name):
-            row = {**found.groupdict(), RECORDING: name}
-            if forces is not None:
-                row[FORCES] = re.sub(r"\{(\w+)\}", lambda part, of=row: of.get(part[1], part[0]), forces)  # type: ignore[misc]
-            rows.append(row)
-    if not rows:
-        raise FingerflowError(f"{path}: no file fits study.pattern = {pattern!r} in {path.parent}")
-    return rows
 
 
 def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple[TrialEntry, ...]:

@@ -66,9 +66,9 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
                 row[f"{name}{suffix}_std"] = _at(deviation, where)
         if largest:
             row[name] = trial.largest(series)
-    known = {name: None if value is None or not np.isfinite(value) else float(value) for name, value in row.items()}
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series}
-    return {**known, **trial.facts()}, {name: curve for name, curve in curves.items() if curve is not None}
+    known = {name: _known(value) for name, value in row.items()} | trial.facts()
+    return known, {name: curve for name, curve in curves.items() if any(value is not None for value in curve)}
 
 
 class _Trial:
@@ -120,8 +120,7 @@ class _Trial:
             covered = self._result["in_contact"].values > 0
             tracked = covered & (self._result["status"].values == 0)
             count = covered.sum(1)
-            share = np.where((count > 0) & self._usable, tracked.sum(1) / np.maximum(count, 1), np.nan)
-            known["coverage"] = share
+            known["coverage"] = np.where((count > 0) & self._usable, tracked.sum(1) / np.maximum(count, 1), np.nan)
         return known
 
     def _strains(self) -> dict[str, Series]:
@@ -130,9 +129,7 @@ class _Trial:
         angle = float(self._result["ellipse_angle"].values[self.top])
         strain, deviation = self._values("median_strain"), self._values("median_strain_std")
         rates = self._values("median_strain_rate")
-        assert strain is not None
-        assert deviation is not None
-        assert rates is not None
+        assert strain is not None and deviation is not None and rates is not None  # noqa: PT018
         found = {}
         for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2)):
             cosine, sine = np.cos(turned), np.sin(turned)
@@ -171,21 +168,17 @@ class _Trial:
         share = (force - values[above[0] - 1]) / (values[above[0]] - values[above[0] - 1])
         return before, after, float(share)
 
-    def curve(self, series: Series) -> list[float | None] | None:
+    def curve(self, series: Series) -> list[float | None]:
         """Return a time series of the trial interpolated at the normal forces of `FORCE_GRID`, with None at forces
-        where it has no value; None instead of the list if it has none at all.
+        where it has no value.
         """
-        values = [np.nan if where is None else _at(series, where) for where in self._grid]
-        return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
+        return [None if where is None else _known(_at(series, where)) for where in self._grid]
 
     def largest(self, series: Series) -> float:
         """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
         known.
         """
-        if self.onset is None or self.last is None:
-            return np.nan
-        part = series[self.onset : self.last + 1]
-        return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
+        return np.nan if self.last is None else _largest(series[self.onset : self.last + 1])
 
     def trial_numbers(self) -> dict[str, float]:
         """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
@@ -196,8 +189,7 @@ class _Trial:
         if self._force is not None:
             found["max_force"] = self._force[self.top]
             found["time_to_max_force"] = self._time[self.top] - self._time[self.onset]
-            rates = rate(self._force, self._time, self._window)[self.onset : self.top + 1]
-            found["force_rate"] = float(np.nanmax(rates)) if np.isfinite(rates).any() else np.nan
+            found["force_rate"] = _largest(rate(self._force, self._time, self._window)[self.onset : self.top + 1])
         axes = self._values("ellipse_semi_axes")
         if axes is not None:
             found["longest_axis_ratio"] = axes[self.top, 0] / axes[self.top, 1]
@@ -211,9 +203,7 @@ class _Trial:
         return found
 
     def _of_displacement(self) -> dict[str, float]:
-        assert self.onset is not None
-        assert self.last is not None
-        assert self.top is not None
+        assert self.onset is not None and self.last is not None and self.top is not None  # noqa: PT018
         moved = np.asarray(self._result["displacement"].values[self.onset : self.last + 1], dtype=np.float64)
         usable = self._usable[self.onset : self.last + 1]
         length = np.hypot(moved[..., 0], moved[..., 1])
@@ -230,10 +220,7 @@ class _Trial:
         point = int(np.flatnonzero(length[frame] == largest[frame])[0])
         velocity = rate(moved[:, point], self._time[self.onset : self.last + 1], self._window)
         speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self.top - self.onset + 1]
-        return {
-            "max_displacement": float(largest[frame]),
-            "max_speed": float(np.nanmax(speed)) if np.isfinite(speed).any() else np.nan,
-        }
+        return {"max_displacement": float(largest[frame]), "max_speed": _largest(speed)}
 
     def facts(self) -> dict[str, Any]:
         """Return the columns of the trial's table row that are no measurements: numbers of frames and usable frames,
@@ -248,10 +235,16 @@ class _Trial:
         }
 
 
+def _known(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _largest(values: Series) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
+
+
 def _at(series: Series, where: Moment) -> float:
     before, after, share = where
-    return (
-        float(series[after])
-        if share == 1 or before == after
-        else float((1 - share) * series[before] + share * series[after])
-    )
+    if share == 1 or before == after:
+        return float(series[after])
+    return float((1 - share) * series[before] + share * series[after])

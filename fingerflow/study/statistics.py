@@ -1,6 +1,5 @@
 """Compute the statistics of Willemet et al. 2021 from a table of trials, with counts of the excluded trials."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -10,11 +9,11 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import (
-    Correlation,
+    Estimate,
     Trials,
+    clustered_regression,
     compare_auc,
     leave_out_moved,
-    mixed_model,
     observe,
     one_way_anova,
     participant_groups,
@@ -89,7 +88,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
       `as_printed` is the one-way ANOVA of the paper, which takes trials as independent.
     - `shares`: Spearman's coefficient between medians and shares of answers, one dot per participant and condition.
     - `correlations`: Pearson's, of strain, strain energy and curl with divergence.
-    - `force_rate`: the mixed model of the answer by the rate at amplitudes up to 2 µm (needs numeric conditions).
+    - `force_rate`: the regression of the answer by the rate at amplitudes up to 2 µm (needs numeric conditions).
     - `observer`: d', area under the ROC, criterion for 75 % hits in `unit`, and their intervals by participant, without
       trials of fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same
       trials.
@@ -111,7 +110,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         "by_condition": _anovas(trials, trials.condition),
         "correlations": _corrected(
             {
-                name: pearson(trials.metrics[_FIRST], trials.metrics[name], participants=trials.participant)
+                name: pearson(trials.metrics[_FIRST], trials.metrics[name], trials.participant)
                 for name in ("strain", "strain_energy", "curl")
                 if name in trials.metrics and _FIRST in trials.metrics
             }
@@ -131,13 +130,14 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 def holm(p: Mapping[str, float]) -> dict[str, float]:
     """Return p-values corrected for multiple tests by Holm's method.
 
-    In rising order, p_k becomes the largest (m + 1 - i) p_i of all i <= k, at most 1. The chance that any of m true
-    null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN stays, and does not count.
+    The chance that any of m true null hypotheses has a corrected p below alpha is at most alpha (Holm 1979). NaN
+    stays, and does not count.
     """
-    known = sorted((value, name) for name, value in p.items() if math.isfinite(value))
-    scaled = [(len(known) - place) * value for place, (value, _) in enumerate(known)]
-    corrected = np.minimum(np.maximum.accumulate(scaled), 1.0).tolist() if scaled else []
-    return dict.fromkeys(p, math.nan) | {name: value for (_, name), value in zip(known, corrected, strict=True)}
+    from statsmodels.stats.multitest import multipletests
+
+    known = {name: value for name, value in p.items() if np.isfinite(value)}
+    corrected = multipletests(list(known.values()), method="holm")[1].tolist() if known else []
+    return dict(p) | dict(zip(known, corrected, strict=True))
 
 
 def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -159,32 +159,31 @@ def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
     without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
     summaries = observe(replace(without, metrics=shown), resamples=resamples)
-    permutations = _corrected({name: summary.permutation for name, summary in summaries.items()})
+    areas = _corrected({name: summary.auc for name, summary in summaries.items()})
     found = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
     for name, summary in summaries.items():
         found[name] = {
             "d_prime": summary.d_prime,
-            "auc": summary.auc,
+            "auc": areas[name],
             "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
-            "permutation": permutations[name],
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
             found[name]["beside_divergence"] = compare_auc(
-                without.split(name), first, participants=without.participants(), resamples=resamples
+                without.split(name), first, without.participants(), resamples
             )
     return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
 
 
-def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Correlation:
+def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Estimate:
     """Compute Spearman's rank correlation between a metric (T,), one value per trial, and the share of "more slippery"
     answers, over all pairs of participant and condition.
 
     Each pair of values is the median metric and the share of one participant in one condition.
     """
     medians, shares, _, who = dots_of(trials, values)
-    return spearman(medians, shares, participants=who)
+    return spearman(medians, shares, who)
 
 
 def _of_force_rate(trials: Trials) -> Any:
@@ -192,7 +191,7 @@ def _of_force_rate(trials: Trials) -> Any:
         return {"reason": "needs the rate of the force and conditions that are numbers"}
     asked = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
-    found = mixed_model(rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked])
+    found = clustered_regression(rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked])
     return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 

@@ -139,6 +139,8 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
     the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force
     that fewer than half of a condition's trials reach is left out: its mean would be that of a selection.
     """
+    import pandas as pd
+
     rows: list[dict[str, Any]] = []
     conditions = sorted({entry.condition for entry, _ in stored}, key=lambda text: (_number_of(text), text))
     for metric in CURVES:
@@ -150,22 +152,18 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
             ]
             if not own:
                 continue
-            who = np.array([name for name, _ in own])
-            values = np.array([[np.nan if value is None else value for value in curve] for _, curve in own])
-            for column, force in enumerate(FORCE_GRID):
-                known = np.isfinite(values[:, column])
-                if known.mean() < _MOST_MISSING:
-                    continue
-                means = np.array([values[known & (who == name), column].mean() for name in np.unique(who[known])])
-                mean, reach = float(means.mean()), np.nan
-                if means.size > 1:
-                    quantile = stats.t.ppf((1 + _LEVEL) / 2, means.size - 1)
-                    reach = float(quantile * means.std(ddof=1) / np.sqrt(means.size))
+            curves = pd.DataFrame([curve for _, curve in own], index=[name for name, _ in own], dtype=np.float64)
+            known, means = curves.count(), curves.groupby(level=0).mean()
+            people, mean_of_means = means.count(), means.mean()
+            reach = stats.t.ppf((1 + _LEVEL) / 2, people - 1) * means.std() / np.sqrt(people)
+            for column in np.flatnonzero(known / len(own) >= _MOST_MISSING):
+                mean, trials = float(mean_of_means[column]), int(known[column])
                 rows.append(
                     {
                         "metric": metric, "unit": NUMBERS[metric].units, "condition": condition,
-                        "normal_force_N": float(force), "mean": mean, "low": mean - reach, "high": mean + reach,
-                        "participants": int(means.size), "trials": int(known.sum()), "without": int((~known).sum()),
+                        "normal_force_N": float(FORCE_GRID[column]), "mean": mean, "low": mean - reach[column],
+                        "high": mean + reach[column], "participants": int(people[column]), "trials": trials,
+                        "without": len(own) - trials,
                     }
                 )  # fmt: skip
     return rows

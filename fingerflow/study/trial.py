@@ -21,7 +21,6 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
 from fingerflow.pipeline.run import process_to_file
 from fingerflow.results.result import open_result, read_own
-from fingerflow.study.allocator import keep_memory
 from fingerflow.study.cache_keys import Keys, all_codes, code_of, describe_file, keys_of
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
@@ -144,10 +143,9 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _set_up_worker(threads: int) -> None:
-    """Set threads and memory allocator of a worker, and exempt loaded objects from garbage collection."""
+    """Set the threads of a worker, and exempt loaded objects from garbage collection."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
-    keep_memory()
     gc.collect()
     gc.freeze()
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench import dic_codes, timing
-from bench.rows import Row, Skipped, number
+from bench.rows import Row, number
 from bench.suites import (
     curved,
     flow,

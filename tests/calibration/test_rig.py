@@ -7,7 +7,6 @@ import pytest
 from matplotlib.image import imread
 
 from fingerflow.calibration import Calibration, calibrate, draw_overlay
-from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.schema.views import View
 
@@ -43,8 +42,3 @@ def test_noise_moves_nothing(frames: dict[str, np.ndarray]) -> None:
     for pair, again in zip(plain.discs, other.discs, strict=True):
         for disc, same in zip(pair, again, strict=True):
             assert np.hypot(*np.subtract(disc.center, same.center)) < 0.3
-
-
-def test_a_blank_target_is_named(frames: dict[str, np.ndarray]) -> None:
-    with pytest.raises(FingerflowError, match="disc"):
-        calibrate(np.full_like(frames["target"], 90), frames["ring"], VIEWS)

@@ -86,14 +86,6 @@ def test_the_sinusoid_does_not_bias_the_bins() -> None:
         assert median.tolist() == pytest.approx(law(middles.numpy()).tolist(), abs=2e-3)
 
 
-def test_the_other_halves_would_be_seen() -> None:
-    """With reversed positions the same trace gives the friction of the other strokes, 0.5 more."""
-    turned = trace()
-    turned["position"] = -turned["position"]
-    median, _, _ = friction_epochs(**turned, edges=EDGES).over_epochs()
-    assert median.tolist() == pytest.approx([mu + 0.5 for mu in friction_at_the_bins()], abs=0.012)
-
-
 def test_unknown_forces_and_lifted_fingers_do_not_count() -> None:
     holes = trace()
     holes["normal"][::7], holes["tangential"][3::7] = 0.0, math.nan

@@ -24,14 +24,6 @@ def test_equations_9_and_10_to_the_last_digits(ratio: float) -> None:
 ALL = (radial_strain, arc_length, contact_radius)
 
 
-def test_the_printed_difference_has_no_digit_left() -> None:
-    """Equations 9 and 10 as printed lose all digits at delta = 1e-12 R; the code uses another form."""
-    t = 1e-12
-    arc, radius = math.acos(1 - t), math.sqrt(1 - (1 - t) ** 2)
-    assert abs((arc - radius) / arc / (t / 3) - 1) > 0.5
-    assert radial_strain(t, 1.0).item() == pytest.approx(t / 3, rel=1e-11)
-
-
 def test_about_a_tenth_at_three_millimetres() -> None:
     assert radial_strain(3.0, 10.0).item() == pytest.approx(0.1, abs=0.003)
     assert radial_strain(3e-3, 10e-3).item() == pytest.approx(radial_strain(3.0, 10.0).item(), rel=1e-15)
@@ -39,17 +31,6 @@ def test_about_a_tenth_at_three_millimetres() -> None:
 
 def test_depth_zero_is_no_strain() -> None:
     assert [function(0.0, 5.0).item() for function in ALL] == [0, 0, 0]
-
-
-def test_broadcasts() -> None:
-    generator = torch.Generator().manual_seed(0)
-    depth = torch.rand(4, 1, generator=generator, dtype=torch.float64)
-    radius = 1 + torch.rand(3, generator=generator, dtype=torch.float64)
-    strain = radial_strain(depth, radius)
-    assert strain.shape == (4, 3)
-    assert strain.dtype == torch.float64
-    # Vectors and single numbers may use different instructions, which round differently.
-    assert strain[2, 1].item() == pytest.approx(radial_strain(depth[2, 0], radius[1]).item(), rel=1e-14)
 
 
 def test_differentiable_at_every_depth() -> None:

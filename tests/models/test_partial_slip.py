@@ -2,7 +2,6 @@
 paper's misprints.
 """
 
-import numpy as np
 import pytest
 import torch
 from scipy.integrate import quad
@@ -24,20 +23,23 @@ def smallest_area(mu_s: float, mu_k: float) -> float:
 
 
 @pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_load_of_the_area_of_a_load_is_the_load(mu_s: float, mu_k: float) -> None:
-    largest = critical_load_ratio(mu_s, mu_k)
+def test_area_and_load_are_inverse_along_the_larger_root(mu_s: float, mu_k: float) -> None:
+    """Load to area to load returns the load to 1e-12. Area to load to area returns the area to 1e-12; where the load
+    hardly depends on the area, to the rounding of the load in float64. The area falls from 1 to the critical one, and
+    there is none beyond the critical load or below 0.
+    """
+    largest, smallest = critical_load_ratio(mu_s, mu_k), smallest_area(mu_s, mu_k)
     loads = torch.cat([torch.logspace(-15, 0, 200, dtype=torch.float64), torch.linspace(0, 1, 2001).double()]) * largest
     areas = stuck_area(loads, mu_s, mu_k)
     assert areas.isfinite().all()
     torch.testing.assert_close(load_ratio(areas, mu_s, mu_k), loads, atol=1e-12 * largest.item(), rtol=0)
+    rising = areas[200:]
+    assert rising[0] == 1
+    assert (rising.diff() < 0).all()
+    assert rising[-1].item() == pytest.approx(smallest, abs=2e-7)
+    outside = torch.tensor([-1e-9, 1 + 1e-9, 2, 50.0, torch.nan], dtype=torch.float64) * largest
+    assert stuck_area(outside, mu_s, mu_k).isnan().all()
 
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -> None:
-    """Area to load to area returns the area to 1e-12; where the load hardly depends on the area, to the rounding of the
-    load in float64.
-    """
-    smallest = smallest_area(mu_s, mu_k)
     areas = smallest + (1 - smallest) * torch.linspace(0, 1, 2001, dtype=torch.float64)
     back = stuck_area(load_ratio(areas, mu_s, mu_k), mu_s, mu_k)
     slope = 2 * ((2 * mu_s - mu_k) * areas - (mu_s - mu_k)).abs()
@@ -45,29 +47,6 @@ def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -
     assert ((back - areas).abs() <= held).all()
     inner = areas > smallest + 1e-2
     torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
-
-
-def test_at_the_critical_load_the_area_is_the_critical_one() -> None:
-    mu_k = torch.linspace(0, 0.79, 300, dtype=torch.float64)
-    critical = critical_stuck_area(0.8, mu_k)
-    torch.testing.assert_close(stuck_area(critical_load_ratio(0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
-    torch.testing.assert_close(stuck_area(load_ratio(critical, 0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
-
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_the_area_falls_from_one_along_the_larger_root(mu_s: float, mu_k: float) -> None:
-    loads = torch.linspace(0, 1, 1001, dtype=torch.float64) * critical_load_ratio(mu_s, mu_k)
-    areas = stuck_area(loads, mu_s, mu_k)
-    assert areas[0] == 1
-    assert (areas.diff() < 0).all()
-    assert areas[-1].item() == pytest.approx(smallest_area(mu_s, mu_k), abs=2e-7)
-
-
-@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
-def test_there_is_no_area_beyond_the_critical_load_or_below_zero(mu_s: float, mu_k: float) -> None:
-    largest = critical_load_ratio(mu_s, mu_k).item()
-    outside = torch.tensor([-1e-9, largest * (1 + 1e-9), 2 * largest, 50.0, torch.nan], dtype=torch.float64)
-    assert stuck_area(outside, mu_s, mu_k).isnan().all()
 
 
 def test_where_the_equation_is_linear_so_is_the_curve() -> None:
@@ -144,14 +123,6 @@ def test_a_load_that_no_area_carries_leaves_the_gradient_of_the_others_alone() -
     assert load.grad[0] < 0
     assert (load.grad[1:] == 0).all()
     assert static.grad > 0
-
-
-def test_whole_batches_at_once() -> None:
-    load = torch.rand(1, 7, 1, generator=torch.Generator().manual_seed(0))
-    areas = stuck_area(load, torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11))
-    assert areas.shape == (5, 7, 11)
-    assert areas.dtype == torch.float64
-    assert load_ratio(areas, torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11)).shape == (5, 7, 11)
 
 
 def test_friction_that_cannot_be() -> None:

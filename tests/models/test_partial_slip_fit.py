@@ -37,11 +37,11 @@ def test_intervals_contain_the_truth_as_often_as_they_say() -> None:
     hits = np.zeros(4)
     errors = []
     for seed in range(80):
-        fit = fit_friction(*loading(0.8, 0.5, seed), level=0.9, resamples=200, seed=seed)
+        fit = fit_friction(*loading(0.8, 0.5, seed), level=0.9, resamples=100, seed=seed)
         intervals = (fit.mu_s_interval, fit.mu_k_interval, fit.ratio_interval, fit.critical_area_interval)
         hits += [low <= true <= high for (low, high), true in zip(intervals, (0.8, 0.5, 0.625, 0.3 / 1.1), strict=True)]
         errors.append((fit.mu_s - 0.8, fit.mu_k - 0.5))
-        assert (fit.level, fit.resamples, fit.seed) == (0.9, 200, seed)
+        assert (fit.level, fit.resamples, fit.seed) == (0.9, 100, seed)
     assert ((hits >= 63) & (hits <= 79)).all(), hits
     error = np.array(errors)
     # The bias is below the standard deviation of a single trial.
@@ -61,12 +61,6 @@ def test_noise_of_the_area_moves_the_fit_little() -> None:
     assert -0.012 < np.mean(errors, 0)[1] < 0
 
 
-def test_the_noise_is_found() -> None:
-    fit = fit_friction(*loading(0.8, 0.5, 1, noise=0.01), resamples=100)
-    assert fit.area_noise == pytest.approx(0.01, rel=0.25)
-    assert fit.load_noise == pytest.approx(0.005 * 0.64 / 1.1, rel=0.25)
-
-
 def test_wild_frames_have_little_weight() -> None:
     area, load = loading(0.8, 0.5, 2)
     clean = fit_friction(area, load, resamples=100)
@@ -74,14 +68,6 @@ def test_wild_frames_have_little_weight() -> None:
     wild[60::12] = 0.0
     fit = fit_friction(wild, load, resamples=100)
     assert fit.ratio == pytest.approx(clean.ratio, abs=0.03)
-
-
-def test_frames_without_a_number_are_left_out() -> None:
-    area, load = loading(0.8, 0.5, 3)
-    gaps = area.copy()
-    gaps[50:60] = np.nan
-    fit = fit_friction(gaps, load, resamples=100)
-    assert fit.ratio == pytest.approx(fit_friction(area, load, resamples=100).ratio, abs=0.02)
 
 
 def test_what_the_data_do_not_determine_is_nan() -> None:

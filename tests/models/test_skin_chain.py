@@ -11,7 +11,6 @@ import torch
 from chains import begun, chain_of, constant_load, energy, nodes_of, runge_kutta
 
 from fingerflow.models import skin_implicit
-from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import PressedChain, follow, press
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 
@@ -36,16 +35,6 @@ def test_a_mirrored_press_to_rounding(pressed: PressedChain) -> None:
     assert (z - z.flip(-1)).abs().max() < 1e-16
     assert (pressed.traction + pressed.traction.flip(-1)).abs().max() < 1e-9
     assert pressed.bone[:, 0].abs().max() < 1e-17
-
-
-def test_displacement_is_continuous_at_the_middle_of_the_chain(pressed: PressedChain) -> None:
-    """Displacement is continuous at the middle; the published term in nu moves both halves apart as blocks."""
-    along = pressed.displacement[..., 0].diff(dim=-1)
-    middle = along.shape[-1] // 2
-    whole = 2 * pressed.displacement[..., 0].amax(-1)
-    assert bool((along[:, middle] > 0).all())
-    assert bool((along[:, middle] < 0.15 * whole).all())
-    torch.testing.assert_close(along[:, middle], along[:, middle + 1], rtol=0.3, atol=0)
 
 
 def test_more_friction_less_divergence(pressed: PressedChain) -> None:
@@ -151,14 +140,6 @@ def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch
     assert (orders < 2.3).all(), (errors, orders)
 
 
-def test_the_tolerance_rules_the_error() -> None:
-    exact = press(0.3, elements=101, tolerance_m=1e-11).position
-    errors = [(press(0.3, elements=101, tolerance_m=t).position - exact).abs().max().item() for t in (5e-7, 5e-8, 5e-9)]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[1] < 2.5e-7
-    assert errors[2] < 5e-8
-
-
 def test_the_same_rest_by_explicit_runge_kutta() -> None:
     """SciPy's Runge-Kutta method of order 5 gives the same positions to 10 nm and the same friction
     forces after 30 ms.
@@ -226,24 +207,6 @@ def test_what_has_no_derivative_says_so() -> None:
     ):
         with pytest.raises(ValueError, match="a press has no gradient: detach"):
             call()
-
-
-def test_stress_at_depth_beside_the_papers_20_percent() -> None:
-    """The stress at 2 mm with mu = 1.0 is 1.00 of that with mu = 0.2, where the paper reports 1.20.
-
-    At 0.2 nearly all elements stick already: Dahl's sigma_0, not mu, limits the friction force. Even without friction
-    the load is the same 3 N, and at 2 mm, half a contact length deep, its distribution matters little.
-    """
-    found = press(torch.tensor([0.0, 0.2, 1.0], dtype=torch.float64))
-    edges, pressure, traction = found.strips()
-    y = torch.linspace(-4e-3, 4e-3, 81, dtype=torch.float64)
-    largest = [part.abs().amax(-1) for part in stress(y, 2e-3, edges, pressure, traction)]
-    for part in largest:
-        assert (part[2] / part[1]).item() == pytest.approx(1.0, abs=0.01)
-    assert 1.0 < (largest[1][2] / largest[1][0]).item() < 1.1
-    sticking = found.friction_force.abs() < 0.9 * found.coefficient * found.normal_force
-    assert sticking[1][found.normal_force[1] > 0].double().mean() > 0.8
-    assert sticking[2][found.normal_force[2] > 0].double().mean() > 0.8
 
 
 def test_the_frictionless_press_nears_the_half_sphere_laid_flat() -> None:

@@ -47,18 +47,6 @@ def test_the_corner_is_at_16_hz_and_not_at_100() -> None:
         assert strain[time > 0.2].max().item() == pytest.approx(gain, rel=1e-3)
 
 
-def test_parameter_sets_side_by_side() -> None:
-    time = torch.tensor([0.0, 1e-3, 4e-3], dtype=torch.float64)
-    stress = torch.rand(3, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    rates, moduli = torch.tensor([50.0, 200.0], dtype=torch.float64), torch.tensor([1e6, 2e6], dtype=torch.float64)
-    both = viscoelastic_strain(stress, -stress, time, young_modulus=moduli, rate=rates)
-    for k in range(2):
-        one = viscoelastic_strain(
-            stress[:, k], -stress[:, k], time, young_modulus=moduli[k].item(), rate=rates[k].item()
-        )
-        torch.testing.assert_close(both.along_y[:, k], one.along_y, rtol=1e-14, atol=0)
-
-
 def test_differentiable() -> None:
     time = torch.tensor([0.0, 1e-3, 0.02], dtype=torch.float64)
     stress = torch.rand(3, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64, requires_grad=True)

@@ -100,7 +100,8 @@ def test_the_ideal_observer(axes: Axes) -> None:
     observer.draw_roc(roc, {"divergence": found})
     assert texts(roc) == {f"divergence ({found.auc:.2f}, n 600)"}
     table = Figure().subplots()
-    estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), resamples=100)
+    who = np.arange(50) % 10, np.arange(40) % 10
+    estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), who, resamples=100)
     observer.draw_estimates(table, {"divergence": estimate}, "area under the ROC", 0.5)
     assert texts(table) == set()
     assert tuple(table.lines[0].get_xdata()) == estimate.interval
@@ -116,7 +117,7 @@ def test_groups_and_their_psychometric_curves(axes: Axes) -> None:
     assert axes.get_title().startswith("2 groups")
     assert axes.lines[-1].get_xdata()[0] == groups.border
     x, answers, trials = np.linspace(0, 3, 5), [20, 22, 30, 37, 39], np.full(5, 40)
-    fit = observing.fit_psychometric(x, answers, trials, guess=0.5)
+    fit = observing.fit_psychometric(x, answers, trials, np.arange(5), guess=0.5)
     curves = Figure().subplots()
     observer.draw_psychometric(curves, {"softer": (x, answers, trials, fit)}, "amplitude (µm)")
     assert texts(curves) == {"softer, 200 trials"}

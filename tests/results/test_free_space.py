@@ -74,7 +74,7 @@ def test_no_room_on_the_disk(scene: Scene, free: int, tmp_path: Path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("writes", [1, 5, 40])
+@pytest.mark.parametrize("writes", [1, 40])
 def test_a_disk_that_fills_meanwhile(
     scene: Scene, writes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,6 +1,5 @@
 """Tests of napari's reader plug-in: layers against the arrays of recording and result, and in napari if installed."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow import open_recording, process
+from fingerflow import process
 from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.napari_reader import get_reader
 from fingerflow.results.result import save_result
@@ -102,21 +101,3 @@ def test_the_manifest_is_valid_and_names_what_is_read() -> None:
     (one,) = manifest.contributions.commands
     module, name = one.python_name.split(":")
     assert (module, name) == (get_reader.__module__, get_reader.__name__)
-
-
-def test_napari_draws_the_layers(trial: tuple[Path, xr.Dataset]) -> None:
-    """The layers are drawn in napari's viewer model, which needs no window."""
-    components = pytest.importorskip(
-        "napari.components", reason="napari is no part of the extra dev: pip install napari"
-    )
-    layer_of: Callable[..., Any] = pytest.importorskip("napari.layers").Layer.create
-    viewer = components.ViewerModel()
-    read = get_reader(str(trial[0] / "result.h5"))
-    assert read is not None
-    for layer in read(str(trial[0] / "result.h5")):
-        viewer.layers.append(layer_of(*layer))
-    viewer.dims.set_current_step(0, 5)
-    shown = np.asarray(viewer.layers["topography view"]._slice.image.view)
-    np.testing.assert_array_equal(shown, np.load(trial[0] / "frames.npy")[5, :, : shown.shape[1]])
-    assert len(viewer.layers["tracks"].data) > 100
-    assert open_recording(trial[0] / "frames.npy").frame_shape[0] == shown.shape[0]

@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 
 from fingerflow.errors import FingerflowError
-from fingerflow.results.atomic_write import keep_others, spare, write_atomically
+from fingerflow.results.atomic_write import spare, write_atomically
 from fingerflow.results.result import is_result, load_result, save_result
 from fingerflow.schema.unfinished import unfinished
 
@@ -154,15 +154,6 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path) -> Non
     assert (tmp_path / "S13.png").read_bytes() == b"years of work"
 
 
-def test_slip_figures_are_refused_before_one_is_drawn(tmp_path: Path) -> None:
-    from fingerflow.report.slip_trials import write_figures
-
-    (tmp_path / "trials.png").write_bytes(b"years of work")
-    with pytest.raises(FingerflowError, match=r"trials\.png exists and was not written"):
-        write_figures([], tmp_path)
-    assert (tmp_path / "trials.png").read_bytes() == b"years of work"
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".mat"])
 def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
     import scipy.io
@@ -250,32 +241,3 @@ def test_what_a_killed_run_left_goes_with_the_next_of_its_kind(tmp_path: Path) -
     write_atomically(tmp_path / "other.h5", lambda part: part.write_text("whole"))
     assert not (tmp_path / left[2]).exists()
     assert len(list(tmp_path.glob(".result-user-notes.h5"))) == 1
-
-
-def test_folders_that_a_killed_run_left_go_too(tmp_path: Path) -> None:
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left = unfinished(tmp_path / "press")
-    left = left.with_name(left.name.replace(f"-{os.getpid()}-", f"-{gone.pid}-"))
-    (left / "within").mkdir(parents=True)
-    unfinished(tmp_path / "press")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_system_that_takes_nothing_is_said_and_not_how_cleaning_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(path: Path, *_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system", str(path))
-
-    monkeypatch.setattr(Path, "unlink", refuse)
-    monkeypatch.setattr(Path, "write_text", refuse)
-    with pytest.raises(
-        FingerflowError, match=r"a\.txt cannot be written \(Read-only file system\); name another place"
-    ):
-        write_atomically(tmp_path / "a.txt", lambda part: part.write_text("x"))
-
-
-def test_a_folder_is_no_file_to_keep(tmp_path: Path) -> None:
-    keep_others(tmp_path, lambda _: False, overwrite=False)  # the writer reports the folder
-    keep_others(tmp_path / "new.h5", lambda _: False, overwrite=False)

@@ -71,14 +71,6 @@ def test_points_may_be_added(tmp_path: Path) -> None:
     assert np.isnan(stored["position"].values[:8, 300:]).all()
 
 
-def test_nothing_of_a_finished_file_grows(tmp_path: Path) -> None:
-    """A finished file has no unlimited dimension, whose size readers would look up in all variables each time."""
-    _, path = _both(tmp_path, 300)
-    with xr.open_dataset(path, engine="h5netcdf") as stored:
-        assert stored.sizes["point"] == 300
-        assert not stored.encoding["unlimited_dims"]
-
-
 def test_the_file_is_netcdf4(tmp_path: Path) -> None:
     """The file is netCDF4 for a reader that knows dimensions only by their scales."""
     _, path = _both(tmp_path, 300)

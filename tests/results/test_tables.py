@@ -262,19 +262,3 @@ def test_outputs_command() -> None:
     assert {one["name"] for one in everything} == {entry.name for entry in dictionary()}
     wrong = CliRunner().invoke(app, ("outputs", "colour"))
     assert "no variable is called colour" in str(wrong.exception)
-
-
-def test_the_shell_completes_commands() -> None:
-    found = CliRunner().invoke(
-        app, prog_name="fingerflow",
-        env={"_FINGERFLOW_COMPLETE": "complete_bash", "COMP_WORDS": "fingerflow exp", "COMP_CWORD": "1"},
-    )  # fmt: skip
-    assert found.stdout.split() == ["export", "export-table", "export-map"]
-
-
-def test_output_is_a_place_in_every_command() -> None:
-    """`--output` names a file or folder in every command, never a variable."""
-    for command in ("process", "calibrate", "export"):
-        said = CliRunner().invoke(app, (command, "--help"), env={"COLUMNS": "200", "TERM": "dumb"}).stdout
-        line = next(line for line in said.splitlines() if "--output" in line)
-        assert any(word in line for word in ("file", "folder", "File")), line

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import parameter_set
@@ -63,44 +62,6 @@ class TableDesign:
         return np.asarray(torch.stack([press(friction, skin, load_n=_LOAD_N).divergence for skin in skins]))
 
 
-@dataclass(frozen=True)
-class ObserverTruth:
-    """True statistics of the whole population, as `fingerflow.models.observer` defines them."""
-
-    d_prime: float
-    auc: float
-    criterion: float
-    share_correct: float
-
-
-def truth_of(design: TableDesign) -> ObserverTruth:
-    """Compute the true statistics by integration.
-
-    f(x) is the density of the divergence over all trials, a mixture of Gaussians, and h(x) = Phi((x - criterion) /
-    noise) the probability of the answer. Correct trials have the density f h / P and incorrect ones f (1 - h) / (1 -
-    P), P the integral of f h.
-    """
-    means = design.divergences.ravel()
-    deviations = np.hypot(design.own * means, design.spread)
-    soft = design.is_soft().mean()
-    weights = np.repeat([1 - soft, soft], len(design.amplitudes)) / len(design.amplitudes)
-    reach = 8 * deviations.max()
-    x = np.linspace(means.min() - reach, means.max() + reach, _POINTS)
-    density = (weights[:, None] * norm.pdf(x, means[:, None], deviations[:, None])).sum(0)
-    answers = norm.cdf((x - design.criterion) / design.noise)
-    share = float(np.trapezoid(density * answers, x))
-    correct, incorrect = density * answers / share, density * (1 - answers) / (1 - share)
-    (mean_1, variance_1), (mean_0, variance_0) = (_moments(x, one) for one in (correct, incorrect))
-    step = x[1] - x[0]
-    below_1, below_0 = (np.cumsum((one[1:] + one[:-1]) / 2) * step for one in (correct, incorrect))
-    return ObserverTruth(
-        d_prime=(mean_1 - mean_0) / np.sqrt((variance_1 + variance_0) / 2),
-        auc=float(np.trapezoid(correct[1:] * below_0, x[1:])),
-        criterion=float(np.interp(0.25, below_1, x[1:])),
-        share_correct=share,
-    )
-
-
 def simulate_table(design: TableDesign) -> dict[str, Any]:
     """Return a table of trials in the form of `write_tables`, without recordings, for the statistics alone.
 
@@ -142,8 +103,3 @@ def simulate_table(design: TableDesign) -> dict[str, Any]:
         "real_contact_area": draw.normal(45, 6, count) * np.cbrt(force / 5.5),
         "gross_contact_area": draw.normal(90, 10, count) * np.cbrt(force / 5.5),
     }
-
-
-def _moments(x: Values, density: Values) -> tuple[float, float]:
-    mean = float(np.trapezoid(density * x, x))
-    return mean, float(np.trapezoid(density * (x - mean) ** 2, x))

@@ -1,12 +1,9 @@
 """Tests of tasks on workers: each task is returned once, whatever happens to its worker."""
 
 import os
-import socket
 import sys
 import time
-import warnings
 from collections.abc import Iterator
-from contextlib import suppress
 from threading import Thread
 from typing import Any
 
@@ -56,35 +53,6 @@ def test_workers_are_renewed_from_one_process_and_lose_nothing(monkeypatch: pyte
         assert os.getpid() not in parents
 
 
-def _kept(_: int) -> tuple[int, int | None]:
-    from distributed import get_worker
-
-    time.sleep(1.5)  # profiles are stored once a second
-    return len(get_worker().profile_history), get_worker().state.log.maxlen
-
-
-def test_little_is_kept_of_what_was_done() -> None:
-    """Workers keep no profiles and short logs; profiles would grow by 0.4 MB per small recording for an hour, logs up
-    to 1,000 messages.
-    """
-    tasks = ((f"task-{number}", number) for number in range(2))
-    with socket.socket() as other, warnings.catch_warnings():
-        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        with suppress(OSError):  # another study may run here
-            other.bind(("127.0.0.1", 8787))
-            other.listen()
-        warnings.simplefilter("error", UserWarning)  # the port of Dask's dashboard is in use
-        assert list(run_on_workers(_kept, tasks, 2, _raise, workers=1, progress=False)) == [(0, 100)] * 2
-
-
-def test_a_scheduler_keeps_nothing_of_a_name(scheduler: str) -> None:
-    """All keys have one prefix: the scheduler never forgets prefixes, and would grow with every trial."""
-    tasks = ((f"01_{number}um_1", number) for number in range(3))
-    list(run_on_workers(_process, tasks, 3, _raise, scheduler, progress=False))
-    with Client(scheduler) as client:
-        assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.task_prefixes)) == ["trial"]
-
-
 def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
     tasks = ((f"task-{number}", number) for number in range(6))
     failed: list[str] = []
@@ -115,56 +83,38 @@ def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
         list(run_on_workers(_process, iter([("task", 1)]), 1, _raise, "tcp://127.0.0.1:9", progress=False))
 
 
-def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Tasks wait for the first worker; then one task per thread and two more are in flight, for all workers that have
-    joined.
-    """
-    monkeypatch.setattr(cluster, "_LOOK", 0.05)
-    said = ""
-    asked = 0
+def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(capfd: pytest.CaptureFixture[str]) -> None:
+    """Tasks wait for the first worker; then as many are in flight as the workers that have joined need."""
+    requested = 0
 
     def tasks() -> Iterator[tuple[str, int]]:
-        nonlocal asked
-        for asked in range(1, 21):
-            yield f"task-{asked}", asked
+        nonlocal requested
+        for requested in range(1, 21):
+            yield f"task-{requested}", requested
 
     with LocalCluster(  # its workers have one thread each, on any number of cores
         n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
     ) as empty:
+        waiting: list[int] = []
 
         def come() -> None:
-            nonlocal said
-            while "no worker is at tcp://" not in said:
+            while not requested:
                 time.sleep(0.05)
-                said += capfd.readouterr().err
+            waiting.append(requested)
             empty.scale(4)
 
-        looks: list[int] = []
-        nthreads = Client.nthreads
-
-        def noted(client: Client) -> Any:
-            found = nthreads(client)
-            looks.append(sum(found.values()))
-            return found
-
-        monkeypatch.setattr(Client, "nthreads", noted)
         coming = Thread(target=come, daemon=True)
         coming.start()
         results = run_on_workers(_waits, tasks(), 20, _raise, str(empty.scheduler_address), progress=False)
         first = next(results)
-        assert asked <= 3
-        deadline = time.monotonic() + 60
-        while looks.count(4) < 2:  # the second task uses the result of the first
-            assert time.monotonic() < deadline, looks
-            time.sleep(0.05)
+        empty.wait_for_workers(4)
         second = next(results)
-        assert asked >= 13
+        assert waiting[0] <= 3
+        assert requested >= 13
         found = [first, second, *results]
         coming.join()
     assert sorted(found) == list(range(1, 21))
-    assert said.count("no worker is at") == 1
+    assert capfd.readouterr().err.count("no worker is at") == 1
 
 
 def _asks_as_somebody_else(_: int) -> tuple[str, str]:

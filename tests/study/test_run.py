@@ -28,7 +28,6 @@ from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.run_study import plan_run, run_study
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import FAILED, MEASURED, read_row
-from tests.kills import KEPT_FREE, disk_in_memory, leave_free
 from tests.small_trials import edit
 from tests.study.blows import (
     damage,
@@ -193,35 +192,6 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
     assert _run(study, scheduler, only="01_0_*") == {"01_0_1": MEASURED, "01_0_2": MEASURED}
 
 
-def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
-    """Trials fail without partial rows while the disk has room for some or for no results, and succeed after it is
-    emptied.
-    """
-    few = replace(study, trials=study.trials[:3])
-    _run(few, scheduler)
-    undisturbed = table_of(few)
-    size = max(one.stat().st_size for one in few.results.rglob("*.h5"))
-    with disk_in_memory() as (disk, mounted):
-        if not mounted:
-            pytest.skip("no file system can be mounted here")
-        small, ballast = replace(few, results=disk / "results"), disk / "ballast"
-        leave_free(ballast, KEPT_FREE + 2 * size)
-        first = _run(small, scheduler)
-        assert set(first.values()) == {MEASURED, FAILED}
-        rows = {name: read_row(small.results / name) for name in first}
-        failed = {name for name, status in first.items() if status == FAILED}
-        assert all("of the disk are free" in row.reason for name, row in rows.items() if row and name in failed)
-        assert set(table_of(small)["status"]) == {MEASURED, FAILED}
-        assert {one.entry.name for one in plan_run(small)} == failed
-        leave_free(ballast, 0)
-        assert _run(small, scheduler) == dict.fromkeys(sorted(failed), FAILED)
-        assert {name: read_row(small.results / name) for name in first} == rows  # unchanged, none is half written
-        ballast.unlink()
-        assert _run(small, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
-        pd.testing.assert_frame_equal(table_of(small), undisturbed, check_exact=True)
-        assert not list(small.results.rglob(".*"))
-
-
 def test_what_nobody_expected_is_a_row_with_its_traceback(
     study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,28 +221,6 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
         outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), "everything", codes, 1))
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
-
-
-def test_a_result_that_is_not_needed_is_not_read(
-    study: Manifest, lab: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The result of a changed recording is not read, since its digest would need all its bytes."""
-    _run(study, scheduler, only="01_0_1")
-    frames = np.load(lab / "p01/0um/trial1/frames.npy")
-    frames[3, 50, 50] ^= 1
-    np.save(lab / "p01/0um/trial1/frames.npy", frames)
-    monkeypatch.setattr(worker, "has_result", lambda *_: 1 / 0)
-    assert _run(study, scheduler, only="01_0_1") == {"01_0_1": MEASURED}
-
-
-def test_a_damaged_row_is_run_again(study: Manifest, scheduler: str) -> None:
-    _run(study, scheduler, only="01_0_1")
-    (study.results / "01_0_1" / "row.json").write_text("{", encoding="utf-8")
-    assert [one.entry.name for one in plan_run(study, only="01_0_1")] == ["01_0_1"]
-    _run(study, scheduler, only="01_0_1")
-    next((study.results / "01_0_1").glob("*.h5")).unlink()
-    (planned,) = plan_run(study, only="01_0_1")
-    assert planned.why == "its result is gone or damaged"
 
 
 def test_no_scheduler_there(study: Manifest) -> None:

@@ -3,7 +3,6 @@
 B5 etc. are printed values of Willemet et al. 2021, supplement.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -167,12 +166,6 @@ def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
         for _, row in table[compared].iterrows():
             expected = row[name] - own[row["participant"], int(row["reference"])]
             assert row[f"{name}_difference"] == pytest.approx(expected, rel=1e-9)
-
-
-def test_an_observer_of_area_answers_by_area(presses: Presses) -> None:
-    reference, comparison = presses.pairs()
-    answers = answers_of(replace(DESIGN, feels="real_contact_area", noise=(0.0, 0.0)), reference, comparison)
-    np.testing.assert_array_equal(answers, comparison.real_contact_area < reference.real_contact_area)
 
 
 def _by_participant(presses: Presses, values: NDArray[np.float64], of: object = np.mean) -> NDArray[np.float64]:

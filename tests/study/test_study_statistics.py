@@ -12,10 +12,6 @@ from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import (
     FORCED_CHOICE,
     YES_NO,
-    leave_out_moved,
-    observe,
-    participant_groups,
-    repeated_anova,
 )
 from fingerflow.plot.figure_files import FigureFiles
 from fingerflow.report.supplement import supplement_sheet
@@ -27,7 +23,7 @@ from fingerflow.study.row import FORCE_GRID
 from fingerflow.study.statistics import holm, sample_of, statistics_of
 from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
-from tests.study.simulated_table import TableDesign, simulate_table, truth_of
+from tests.study.simulated_table import TableDesign, simulate_table
 
 _STUDIES = 20
 
@@ -35,40 +31,6 @@ _STUDIES = 20
 def _statistics(seed: int, resamples: int = 500) -> dict:
     frame = pd.DataFrame(simulate_table(TableDesign(seed=seed)))
     return statistics_of(sample_of(frame), resamples=resamples)
-
-
-def test_truth_by_integration_is_that_of_a_million_trials() -> None:
-    """The true statistics by integration equal those of 980,000 sampled trials to 0.5 %, the sampling error."""
-    design = TableDesign(participants=2000, trials=70, seed=1)
-    table = simulate_table(design)
-    correct, incorrect = (table["divergence"][table["answer"] == kind] for kind in (True, False))
-    truth = truth_of(design)
-    pooled = np.sqrt((correct.var() + incorrect.var()) / 2)
-    assert truth.d_prime == pytest.approx((correct.mean() - incorrect.mean()) / pooled, rel=5e-3)
-    below = np.searchsorted(np.sort(incorrect), correct[::7]).mean() / incorrect.size
-    assert truth.auc == pytest.approx(below, rel=5e-3)
-    assert truth.criterion == pytest.approx(np.quantile(correct, 0.25), rel=5e-3)
-    assert truth.share_correct == pytest.approx(table["answer"].mean(), abs=2e-3)
-
-
-@pytest.mark.long
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """Intervals of 95 % miss the truth in fewer than 5 of 20 studies (1 is expected, 5 or more have a probability of
-    1/400), and each study shows two groups of skin.
-    """
-    truth, missed = truth_of(TableDesign()), dict.fromkeys(("d_prime", "auc", "criterion"), 0)
-    for seed in range(_STUDIES):
-        trials = sample_of(pd.DataFrame(simulate_table(TableDesign(seed=seed)))).trials
-        found = observe(leave_out_moved(trials), ["divergence"], resamples=500)["divergence"]
-        for name in missed:
-            low, high = getattr(found, name).interval
-            missed[name] += not low <= getattr(truth, name) <= high
-        names = np.unique(trials.participant)
-        medians = [np.nanmedian(trials.metrics["divergence"][trials.participant == name]) for name in names]
-        groups = participant_groups(1e3 * np.array(medians))
-        assert groups.groups == 2
-        assert ((groups.membership > 0.5) == TableDesign().is_soft()).all()
-    assert max(missed.values()) < 5, missed
 
 
 def test_one_study_whole() -> None:
@@ -90,30 +52,12 @@ def test_one_study_whole() -> None:
     assert (test["degrees"], test["as_printed"]["degrees"]) == ([6, 6 * 15], [6, 1568 - 7])
     for table in ("by_condition", "by_answer", "shares"):
         assert all(one["p_holm"] >= one["p"] for one in found[table].values())
-    criterion, truth = found["observer"]["metrics"]["divergence"]["criterion"], truth_of(TableDesign()).criterion
+    table = simulate_table(TableDesign(seed=3))
+    chosen = table["answer"] & (table["global_displacement"] <= 0.2)
+    criterion, truth = found["observer"]["metrics"]["divergence"]["criterion"], table["divergence"][chosen]
     assert criterion["unit"] == "µm/mm"
-    assert criterion["value"] == pytest.approx(1e3 * truth, rel=0.1)
+    assert criterion["value"] == pytest.approx(1e3 * np.quantile(truth, 0.25))
     json.dumps(found, allow_nan=False)
-
-
-def test_few_tables_without_effect_have_one_that_holm_leaves() -> None:
-    """With 15 metrics independent of the condition, Holm's correction leaves a p below 0.05 in 5 % of the studies, not
-    54 %.
-    """
-    corrected, alone = 0, 0
-    for seed in range(100):
-        draw = np.random.default_rng(seed)
-        who, condition = np.repeat(np.arange(16), 14), np.tile(np.repeat(np.arange(7), 2), 16)
-        p = {
-            str(metric): repeated_anova(
-                draw.standard_normal(16)[who] + draw.standard_normal(who.size), condition, who
-            ).p
-            for metric in range(15)
-        }
-        corrected += min(holm(p).values()) < 0.05
-        alone += min(p.values()) < 0.05
-    assert corrected <= 11
-    assert alone > 30
 
 
 def test_holm_by_hand() -> None:
@@ -121,11 +65,6 @@ def test_holm_by_hand() -> None:
     assert found == pytest.approx({"a": 0.03, "b": math.nan, "c": 0.06, "d": 0.06}, nan_ok=True)
     assert holm({"a": 0.8, "b": 0.9}) == {"a": 1.0, "b": 1.0}
     assert holm({}) == {}
-
-
-def test_equal_skin_is_one_group() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(softness=(1.0, 1.0), seed=5)))
-    assert statistics_of(sample_of(frame), resamples=300)["groups"]["groups"] == 1
 
 
 def test_what_is_left_out_is_counted() -> None:

@@ -1,14 +1,15 @@
-"""Analysis of variance of a metric over groups of trials, with or without participants as a random effect."""
+"""Analysis of variance of a metric over groups of trials, with or without participants as a random effect.
+
+`AnovaRM` of statsmodels has the same F, but no correction of its p for differences that do not vary alike.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,12 @@ class Anova:
     `epsilon` scales both degrees of freedom for p.
     """
 
-    f: float
     degrees: tuple[int, int]
-    p: float
-    eta_squared: float
     trials: dict[str, int]
     missing: int
+    f: float = math.nan
+    p: float = math.nan
+    eta_squared: float = math.nan
     reason: str = ""
     participants: int = 0
     epsilon: float = 1.0
@@ -54,40 +55,34 @@ def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike
     Raises:
         ValueError: lengths differ.
     """
-    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
-    names, who = (_labels(one, numbers.size) for one in (groups, participants))
+    numbers, names, who = _columns(values, groups, participants)
     known = np.isfinite(numbers)
     found, group = np.unique(names[known], return_inverse=True)
     people, person = np.unique(who[known], return_inverse=True)
-    counts = np.zeros((people.size, found.size), dtype=np.intp)
-    sums = np.zeros(counts.shape)
-    np.add.at(counts, (person, group), 1)
-    np.add.at(sums, (person, group), numbers[known])
+    cell, shape = person * found.size + group, (people.size, found.size)
+    counts, sums = (np.bincount(cell, by, people.size * found.size).reshape(shape) for by in (None, numbers[known]))
     whole = (counts > 0).all(1)
     cells = sums[whole] / counts[whole]
     number, kinds = cells.shape
-    trials = dict(zip(map(str, found.tolist()), counts[whole].sum(0).tolist(), strict=True))
-    missing, between = numbers.size - sum(trials.values()), kinds - 1
-    degrees = (between, (number - 1) * between)
-
-    def nothing(reason: str) -> Anova:
-        return Anova(math.nan, degrees, math.nan, math.nan, trials, missing, reason, number)
-
-    if min(degrees) < 1:
-        return nothing(f"{kinds} groups, {number} participants with trials in each: 2 of both are needed")
+    trials = {str(name): int(count) for name, count in zip(found, counts[whole].sum(0), strict=True)}
+    between = kinds - 1
+    nothing = Anova((between, (number - 1) * between), trials, numbers.size - sum(trials.values()), participants=number)
+    if min(nothing.degrees) < 1:
+        reason = f"{kinds} groups, {number} participants with trials in each: 2 of both are needed"
+        return replace(nothing, reason=reason)
     own = cells - cells.mean(1, keepdims=True)
     rest = own - own.mean(0)
     effect, error = number * float((own.mean(0) ** 2).sum()), float((rest**2).sum())
     if error <= 1e-14 * float(((cells - cells.mean()) ** 2).sum()) or error == 0:
-        return nothing("the differences between groups do not vary over participants")
+        return replace(nothing, reason="the differences between groups do not vary over participants")
     covariance = rest.T @ rest
     sphericity = float(np.trace(covariance)) ** 2 / (between * float((covariance**2).sum()))
     left = number - 1 - between * sphericity
     epsilon = (number * between * sphericity - 2) / (between * left) if left > 0 else 1.0
     epsilon = min(max(epsilon, 1 / between), 1.0)
-    f = effect / degrees[0] / (error / degrees[1])
-    p = float(stats.f.sf(f, epsilon * degrees[0], epsilon * degrees[1]))
-    return Anova(f, degrees, p, effect / (effect + error), trials, missing, "", number, epsilon)
+    f = effect / nothing.degrees[0] / (error / nothing.degrees[1])
+    p = float(stats.f.sf(f, epsilon * nothing.degrees[0], epsilon * nothing.degrees[1]))
+    return replace(nothing, f=f, p=p, eta_squared=effect / (effect + error), epsilon=epsilon)
 
 
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
@@ -100,26 +95,25 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
     Raises:
         ValueError: values and groups differ in length.
     """
-    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
-    names = _labels(groups, numbers.size)
+    numbers, names = _columns(values, groups)
     known = np.isfinite(numbers)
-    split = {str(name): numbers[known & (names == name)] for name in np.unique(names)}
-    counts, missing = {name: some.size for name, some in split.items()}, int((~known).sum())
-    parts = [some for some in split.values() if some.size]
-    degrees = (len(parts) - 1, sum(some.size for some in parts) - len(parts))
-    if sum(some.size >= 2 for some in parts) < 2:
-        reason = f"{len(parts)} groups with trials: two of two trials at least are needed"
-        return Anova(math.nan, degrees, math.nan, math.nan, counts, missing, reason)
-    within = sum(float(((some - some.mean()) ** 2).sum()) for some in parts)
+    parts = {str(name): numbers[known & (names == name)] for name in np.unique(names)}
+    sizes = {name: part.size for name, part in parts.items()}
+    full = [part for part in parts.values() if part.size]
+    nothing = Anova((len(full) - 1, int(known.sum()) - len(full)), sizes, int((~known).sum()))
+    if sum(part.size >= 2 for part in full) < 2:
+        return replace(nothing, reason=f"{len(full)} groups with trials: two of two trials at least are needed")
+    within = sum(float(((part - part.mean()) ** 2).sum()) for part in full)
     total = float(((numbers[known] - numbers[known].mean()) ** 2).sum())
     if within <= 1e-14 * total or total == 0:
-        return Anova(math.nan, degrees, math.nan, math.nan, counts, missing, "the values do not vary within the groups")
-    found = stats.f_oneway(*parts)
-    return Anova(float(found.statistic), degrees, float(found.pvalue), 1 - within / total, counts, missing)
+        return replace(nothing, reason="the values do not vary within the groups")
+    found = stats.f_oneway(*full)
+    return replace(nothing, f=float(found.statistic), p=float(found.pvalue), eta_squared=1 - within / total)
 
 
-def _labels(of: ArrayLike, number: int) -> NDArray[Any]:
-    names = np.asarray(of).reshape(-1)
-    if names.size != number:
-        raise ValueError(f"{number} values in {names.size} groups: name the group of every value")
-    return names
+def _columns(values: ArrayLike, *labels: ArrayLike) -> tuple[NDArray[Any], ...]:
+    columns = (np.asarray(values, dtype=np.float64), *map(np.asarray, labels))
+    flat = tuple(column.reshape(-1) for column in columns)
+    if len({column.size for column in flat}) > 1:
+        raise ValueError(f"{flat[0].size} values in {[one.size for one in flat[1:]]} groups: name that of every value")
+    return flat

@@ -24,9 +24,8 @@ class Groups:
         means, deviation, shares: of the two groups, the lower one first; one deviation for both.
         membership: (P,) probability of belonging to the higher group; NaN where the value is.
         border: the value at which both groups are equally likely.
-        bic_one, bic_two: Bayesian information criterion of one and of two groups; the smaller is better.
         likelihood_ratio: 2 (log likelihood of two - of one group); `p`, its p-value under one group.
-        participants, missing, resamples, seed: participants used and left out as NaN; settings of the test.
+        participants, missing: number used, and left out as NaN.
         reason: why a number is NaN; empty otherwise.
     """
 
@@ -36,15 +35,11 @@ class Groups:
     shares: tuple[float, float]
     membership: Values
     border: float
-    bic_one: float
-    bic_two: float
     likelihood_ratio: float
     p: float
     participants: int
     missing: int
-    resamples: int
-    seed: int
-    reason: str
+    reason: str = ""
 
 
 def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) -> Groups:
@@ -53,7 +48,7 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
 
     The paper splits by eye because the histogram is bimodal. Here a mixture of two Gaussians with a common deviation is
     compared with one Gaussian; with two deviations the likelihood is unbounded. The likelihood ratio follows no
-    tabulated distribution, so its p-value comes from samples of one Gaussian (McLachlan 1987). BIC is given as well.
+    tabulated distribution, so its p-value comes from samples of one Gaussian (McLachlan 1987).
 
     Args:
         values: (P,) one per participant; NaN is left out and counted.
@@ -73,7 +68,7 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
     if size < _FEWEST or np.ptp(found) == 0:
         reason = f"{size} participants: {_FEWEST} are needed" if size < _FEWEST else "all participants are alike"
         pair, each = (nan, nan), np.full(every.shape, nan)
-        return Groups(0, pair, nan, pair, each, nan, nan, nan, nan, nan, size, missing, resamples, seed, reason)
+        return Groups(0, pair, nan, pair, each, nan, nan, nan, size, missing, reason)
     # Divide by the sample's own standard deviation, so that nothing depends on the unit.
     origin, unit = float(found.mean()), float(found.std())
     scaled = (found - origin) / unit
@@ -82,7 +77,6 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
     draws = (draws - draws.mean(1, keepdims=True)) / draws.std(1, keepdims=True)
     p = (1 + np.count_nonzero(_two_groups(draws)[4] >= ratio - 1e-9)) / (1 + resamples)
 
-    one = -size / 2 * (math.log(2 * math.pi * unit**2) + 1)
     odds = np.log(share / (1 - share)) + (high - low) * (scaled - (low + high) / 2) / deviation**2
     membership = np.full(every.shape, nan)
     membership[known] = 1 / (1 + np.exp(-np.clip(odds, -700, 700)))
@@ -94,15 +88,10 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
         shares=(1 - float(share), float(share)),
         membership=membership,
         border=origin + unit * float(border),
-        bic_one=-2 * one + 2 * math.log(size),
-        bic_two=-2 * one - float(ratio) + 4 * math.log(size),
         likelihood_ratio=float(ratio),
         p=float(p),
         participants=size,
         missing=missing,
-        resamples=resamples,
-        seed=seed,
-        reason="",
     )
 
 

@@ -1,12 +1,11 @@
 """The ideal observer as published by Willemet et al. 2021, for comparison; use `d_prime` and `auc` otherwise."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
-from scipy.special import ndtri
 
 Values = NDArray[np.float64]
 
@@ -32,62 +31,57 @@ class PrintedObserver:
 
     Attributes:
         scale: 0.9 quantile of the metric over all trials, by which it is normalised.
+        trials: number of correct and incorrect ones.
+        reason: why a number is NaN; empty otherwise.
         bins: (K + 1,) edges of the normalised metric; `counts_correct` and `counts_incorrect` (K,) trials between them.
         correct, incorrect: Gaussians fitted to those counts.
-        d_prime: (mu_1 - mu_2) / ((s_1^2 + s_2^2) / 2)^(1/2), negative where correct trials have the smaller metric.
-        criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
+        d_prime: that of the Gaussians, see `fingerflow.models.observer.d_prime`.
+        hits, false_alarms: (C,) the ROC: shares of the trials above each criterion.
         auc: area under it, by the trapezoidal rule.
-        criterion: value, in the metric's own unit, that 75 % (`hits`) of the correct trials' Gaussian exceed.
-        trials: number of correct and incorrect ones; `missing`, number of NaN.
-        reason: why a number is NaN; empty otherwise.
     """
 
     scale: float
     trials: tuple[int, int]
-    missing: int
     reason: str
-    bins: Values = field(default_factory=lambda: np.empty(0))
-    counts_correct: Values = field(default_factory=lambda: np.empty(0))
-    counts_incorrect: Values = field(default_factory=lambda: np.empty(0))
-    correct: Gaussian = NO_GAUSSIAN
-    incorrect: Gaussian = NO_GAUSSIAN
-    d_prime: float = math.nan
-    criteria: Values = field(default_factory=lambda: np.empty(0))
-    hits: Values = field(default_factory=lambda: np.empty(0))
-    false_alarms: Values = field(default_factory=lambda: np.empty(0))
-    auc: float = math.nan
-    criterion: float = math.nan
+    bins: Values
+    counts_correct: Values
+    counts_incorrect: Values
+    correct: Gaussian
+    incorrect: Gaussian
+    d_prime: float
+    hits: Values
+    false_alarms: Values
+    auc: float
 
 
-def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
-    """Compute d', ROC and criterion of a metric as published by Willemet et al. 2021.
+def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserver:
+    """Compute d' and ROC of a metric as published by Willemet et al. 2021.
 
     The metric is normalised by its 0.9 quantile and counted in bins of 0.05, and Gaussians are fitted to the counts.
     The paper varies the criterion from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials below
     0: such a ROC does not reach its ends. Here the criterion ranges over all trials.
 
     Args:
-        correct, incorrect: (n,) the metric, any unit; NaN is left out and counted.
-        hits: share of the correct trials' Gaussian above `criterion`.
+        correct, incorrect: (n,) the metric, any unit; NaN is left out.
 
     Raises:
-        ValueError: infinite values, or hits that are not between 0 and 1.
+        ValueError: infinite values.
     """
-    if not 0 < hits < 1:
-        raise ValueError(f"the share of hits is {hits:g}: give one between 0 and 1, as 0.75")
     both = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
     if any(np.isinf(kind).any() for kind in both):
         raise ValueError("a metric is infinite: mark what was not measured with NaN")
-    missing = sum(int(np.isnan(kind).sum()) for kind in both)
     first, second = (kind[np.isfinite(kind)] for kind in both)
     every = np.concatenate([first, second])
     scale = float(np.quantile(every, 0.9)) if every.size else math.nan
     trials = (first.size, second.size)
-    if min(trials) == 0:
-        reason = f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
-        return PrintedObserver(scale, trials, missing, reason)
-    if not scale > 0:
-        return PrintedObserver(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
+    if min(trials) == 0 or not scale > 0:
+        none, nan = np.empty(0), math.nan
+        reason = (
+            f"the 0.9 quantile is {scale:g}: one above 0 is needed"
+            if min(trials)
+            else f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
+        )
+        return PrintedObserver(scale, trials, reason, none, none, none, NO_GAUSSIAN, NO_GAUSSIAN, nan, none, none, nan)
     first, second, every = first / scale, second / scale, every / scale
     bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
@@ -96,23 +90,10 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     sensitivity = (gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
     criteria = np.arange(min(every.min(), 0) - _STEP, max(every.max(), 1) + 2 * _STEP, _STEP)
     above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
-    return PrintedObserver(
-        scale=scale,
-        trials=trials,
-        missing=missing,
-        reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
-        bins=bins,
-        counts_correct=counts[0],
-        counts_incorrect=counts[1],
-        correct=gaussians[0],
-        incorrect=gaussians[1],
-        d_prime=sensitivity,
-        criteria=criteria,
-        hits=above[0],
-        false_alarms=above[1],
-        auc=float(np.trapezoid(above[0][::-1], above[1][::-1])),
-        criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - hits))),
-    )
+    reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
+    area = float(np.trapezoid(above[0][::-1], above[1][::-1]))
+    fitted = counts[0], counts[1], gaussians[0], gaussians[1], sensitivity
+    return PrintedObserver(scale, trials, reason, bins, *fitted, above[0], above[1], area)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:

@@ -1,115 +1,115 @@
-"""Linear and rank correlation of two metrics of trials, with intervals by participant if participants are given."""
+"""Relations of columns of a table of trials, with participants as units: correlations, and the effect on answers."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from fingerflow.models.observer.estimate import UNKNOWN, Interval
-from fingerflow.models.observer.jackknife import jackknife_interval
-
-Values = NDArray[np.float64]
+from fingerflow.models.observer.estimate import LEVEL, Estimate, jackknife
 
 
-@dataclass(frozen=True)
-class Correlation:
-    """Correlation coefficient of pairs of values, with interval and two-sided p-value.
+def pearson(first: ArrayLike, second: ArrayLike, participants: ArrayLike) -> Estimate:
+    """Compute the linear correlation of pairs of values.
 
-    `trials` pairs were used; `missing` pairs lack a value. `participants` is 0 where pairs count as independent.
-    """
-
-    value: float
-    interval: Interval
-    p: float
-    level: float
-    trials: int
-    missing: int
-    reason: str = ""
-    participants: int = 0
-
-
-def pearson(
-    first: ArrayLike, second: ArrayLike, *, participants: ArrayLike | None = None, level: float = 0.95
-) -> Correlation:
-    """Compute the linear correlation of pairs of values, with interval and p by Fisher's transformation z = atanh(r).
-
-    Pairs of one participant are seldom independent. With participants, interval and p are those of Student's t on z, by
-    the jackknife over participants.
+    Pairs of one participant are seldom independent: interval and p are those of Student's t on Fisher's z = atanh(r),
+    by the jackknife over participants.
 
     Args:
         first, second: (T,) the pairs; a pair with a NaN is left out and counted.
-        participants: (T,) of the pairs; independent pairs where None.
-        level: of the interval.
+        participants: (T,) of the pairs.
 
     Returns:
-        `Correlation`. NaN, with the reason, for fewer than 4 pairs or a constant; without interval and p, with the
+        `Estimate`. NaN, with the reason, for fewer than 4 pairs or a constant; without interval and p, with the
         reason, for fewer than 3 participants.
 
     Raises:
-        ValueError: lengths differ, or the level is not between 0 and 1.
+        ValueError: lengths differ.
     """
-    return _correlation(first, second, participants, level, stats.pearsonr, lambda _: 1.0)
+    return _correlation(first, second, participants, stats.pearsonr)
 
 
-def spearman(
-    first: ArrayLike, second: ArrayLike, *, participants: ArrayLike | None = None, level: float = 0.95
-) -> Correlation:
-    """Compute Spearman's rank correlation of pairs of values; tied values get their mean rank.
+def spearman(first: ArrayLike, second: ArrayLike, participants: ArrayLike) -> Estimate:
+    """Compute Spearman's rank correlation of pairs of values (tied ones get their mean rank), as `pearson`."""
+    return _correlation(first, second, participants, stats.spearmanr)
 
-    For independent pairs the interval is Fisher's, with the variance of ranks (1 + r^2 / 2) / (n - 3) (Bonett & Wright
-    2000). Otherwise as `pearson`.
+
+def clustered_regression(
+    metric: ArrayLike, answer: ArrayLike, condition: ArrayLike, participants: ArrayLike
+) -> Estimate:
+    """Fit answers by least squares over a metric, with an intercept for each participant and condition.
+
+    The model is answer = a_pc + b metric + error, as for the force rate in Willemet et al. 2021, figure S5 I, and the
+    estimate is b. a_pc is the intercept of participant p in condition c, so neither fast participants who answer well
+    nor amplitudes that are answered well count as an effect of the rate. Standard errors are those of clusters (OLS of
+    statsmodels), which are the participants: errors of one participant may depend on each other, and their slopes may
+    differ; interval and p are those of Student's t with P - 1 degrees of freedom. Nothing is assumed of the errors, so
+    answers of 0 and 1 are allowed.
+
+    Of 300 simulated studies without effect, of 4 and of 16 participants, p was below 0.05 in 4 and 6 % with equal
+    slopes and in 4 and 5 % with slopes of their own. With an intercept and a slope of each participant, of 16
+    participants, it was in 1 and 6 % of 120 by MixedLM of statsmodels and in 5 and 15 % by its BinomialBayesMixedGLM.
+
+    Args:
+        metric: (T,) in any unit; NaN is left out and counted.
+        answer: (T,) True or 1 where correct.
+        condition, participants: (T,) of the trials.
+
+    Returns:
+        `Estimate`; trials without a metric, or alone in their participant and condition, are missing. NaN, with the
+        reason, where the metric does not vary within a participant and condition, or for fewer than 3 participants.
+
+    Raises:
+        ValueError: lengths differ.
     """
-    return _correlation(first, second, participants, level, stats.spearmanr, lambda value: 1 + value**2 / 2)
+    from statsmodels.regression.linear_model import OLS  # of the extra `study`
+
+    columns = [np.asarray(one).reshape(-1) for one in (metric, answer, condition, participants)]
+    if len({one.size for one in columns}) > 1:
+        raise ValueError(f"columns have {[one.size for one in columns]} values: give one of each a trial")
+    known = np.isfinite(columns[0].astype(np.float64))
+    x, y = (one[known].astype(np.float64) for one in columns[:2])
+    stimulus, person = (np.unique(one[known], return_inverse=True)[1] for one in columns[2:])
+    cell = np.unique(person * (stimulus.max(initial=0) + 1) + stimulus, return_inverse=True)[1]
+    count = np.bincount(cell)
+    for one in (x, y):
+        one -= (np.bincount(cell, one) / count)[cell]
+    paired = count[cell] > 1
+    x, y, person = x[paired], y[paired], person[paired]
+    people = np.unique(person).size
+    nothing = Estimate(math.nan, trials=x.size, missing=known.size - x.size, participants=people)
+    if not x.any():
+        return replace(nothing, reason="all values are equal within each participant and condition: no effect")
+    if people < 3:
+        return replace(nothing, reason=f"no effect from {people} participants: 3 are needed")
+    fit = OLS(y, x).fit(cov_type="cluster", cov_kwds={"groups": person}, use_t=True)
+    low, high = fit.conf_int(1 - LEVEL)[0]
+    return replace(nothing, value=float(fit.params[0]), interval=(float(low), float(high)), p=float(fit.pvalues[0]))
 
 
 def _correlation(
-    first: ArrayLike,
-    second: ArrayLike,
-    participants: ArrayLike | None,
-    level: float,
-    kind: Callable[..., Any],
-    variance: Callable[[float], float],
-) -> Correlation:
+    first: ArrayLike, second: ArrayLike, participants: ArrayLike, coefficient: Callable[..., Any]
+) -> Estimate:
     x, y = (np.asarray(values, dtype=np.float64).reshape(-1) for values in (first, second))
-    if x.size != y.size:
-        raise ValueError(f"{x.size} and {y.size} values: give pairs")
-    if participants is not None and np.size(participants) != x.size:
-        raise ValueError(f"{np.size(participants)} participants of {x.size} pairs: name that of every pair")
-    if not 0 < level < 1:
-        raise ValueError(f"the level is {level:g}: give one between 0 and 1, as 0.95")
+    who = np.asarray(participants).reshape(-1)
+    if not x.size == y.size == who.size:
+        raise ValueError(f"{x.size} and {y.size} values, {who.size} participants: give pairs, and that of every pair")
     both = np.isfinite(x) & np.isfinite(y)
-    pairs, missing = int(both.sum()), int((~both).sum())
-    x, y = x[both], y[both]
-    if pairs < 4 or min(np.ptp(x), np.ptp(y)) == 0:
-        reason = f"{pairs} pairs: 4 are needed" if pairs < 4 else "one of the two is constant"
-        return Correlation(math.nan, UNKNOWN, math.nan, level, pairs, missing, reason)
-    found = kind(x, y)
-    value, middle = float(found.statistic), _fisher(float(found.statistic))
-    if participants is None:
-        reach = float(stats.norm.ppf((1 + level) / 2)) * math.sqrt(variance(value) / (pairs - 3))
-        interval = math.tanh(middle - reach), math.tanh(middle + reach)
-        return Correlation(value, interval, float(found.pvalue), level, pairs, missing)
-    who = np.asarray(participants).reshape(-1)[both]
+    x, y, who = x[both], y[both], who[both]
     names = np.unique(who)
-    without = [_fisher_z_without_one(x, y, who != name, kind) for name in names]
-    (low, high), p, reason = jackknife_interval(middle, without, level)
-    return Correlation(value, (math.tanh(low), math.tanh(high)), p, level, pairs, missing, reason, len(without))
+    nothing = Estimate(math.nan, trials=x.size, missing=both.size - x.size, participants=names.size)
+    if x.size < 4 or min(np.ptp(x), np.ptp(y)) == 0:
+        return replace(nothing, reason=f"{x.size} pairs: 4 are needed" if x.size < 4 else "one of the two is constant")
 
+    def fisher(chosen: NDArray[np.bool_]) -> float:
+        if chosen.sum() < 2 or min(np.ptp(x[chosen]), np.ptp(y[chosen])) == 0:
+            return math.nan
+        value = float(coefficient(x[chosen], y[chosen]).statistic)
+        return math.atanh(max(min(value, 1 - 1e-15), -1 + 1e-15))
 
-def _fisher_z_without_one(x: Values, y: Values, rest: NDArray[np.bool_], kind: Callable[..., Any]) -> float:
-    """Return Fisher's z, atanh of the correlation, of those pairs (x, y) that the mask `rest` keeps, which leaves out
-    one participant; `kind` is SciPy's function for the correlation.
-
-    It is NaN if the correlation is undefined.
-    """
-    if rest.sum() < 2 or min(np.ptp(x[rest]), np.ptp(y[rest])) == 0:
-        return math.nan
-    return _fisher(float(kind(x[rest], y[rest]).statistic))
-
-
-def _fisher(value: float) -> float:
-    return math.atanh(max(min(value, 1 - 1e-15), -1 + 1e-15))
+    interval, p, reason = jackknife(fisher(who == who), [fisher(who != name) for name in names])
+    value, (low, high) = float(coefficient(x, y).statistic), interval
+    return replace(nothing, value=value, interval=(math.tanh(low), math.tanh(high)), p=p, reason=reason)

@@ -13,7 +13,8 @@ Values = NDArray[np.float64]
 
 COLUMNS = ("participant", "trial", "condition", "answer")
 # Columns that measure the sideways motion of the finger itself, so `leave_out_moved` keeps them.
-OF_MOTION = ("global_displacement", "force_angle")
+_OF_MOTION = ("global_displacement", "force_angle")
+_MOVED_MM = 0.2  # displacement above which a finger has slid as a whole
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,8 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
     return Trials(who, which, condition, answer.astype(bool), metrics)
 
 
-def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
-    """Set metrics to NaN in trials whose finger slid as a whole (`global_displacement` above a limit or unknown).
+def leave_out_moved(trials: Trials) -> Trials:
+    """Set metrics to NaN in trials whose finger slid as a whole (`global_displacement` above 0.2 mm or unknown).
 
     Willemet et al. 2021 ask in this way what other cues tell without that one. The displacement and the force angle
     stay.
@@ -95,11 +96,11 @@ def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
     if "global_displacement" not in trials.metrics:
         raise FingerflowError("the table has no global_displacement (mm): trials cannot be left out by it")
     with np.errstate(invalid="ignore"):
-        out = ~(trials.metrics["global_displacement"] <= limit_mm)
+        out = ~(trials.metrics["global_displacement"] <= _MOVED_MM)
     metrics = {
-        name: values if name in OF_MOTION else np.where(out, np.nan, values) for name, values in trials.metrics.items()
+        name: values if name in _OF_MOTION else np.where(out, np.nan, values) for name, values in trials.metrics.items()
     }
-    rule = f"global displacement above {limit_mm:g} mm, or not known"
+    rule = f"global displacement above {_MOVED_MM:g} mm, or not known"
     return Trials(trials.participant, trials.trial, trials.condition, trials.answer, metrics, int(out.sum()), rule)
 
 

