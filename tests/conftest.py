@@ -18,7 +18,7 @@ from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
 from fingerflow.synthetic.marker_gel import write_gel_recording
-from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip
+from tests.small_trials import GEL, GEL_MM_PER_PX, TINY_PRESS, write_bundle_of_trials, write_small_slip, write_trial
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is imported: its kernels then run in Python
@@ -117,6 +117,17 @@ def slip_trials(shared_folder: Path) -> Path:
 def tiny_press(shared_folder: Path) -> Path:
     """Return the folder of `TINY_PRESS` of tests/small_trials.py, which no test may write to."""
     return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
+
+
+@pytest.fixture(scope="session")
+def trials(shared_folder: Path) -> Path:
+    """Return a folder with the trials `press` and `slide` of tests/small_trials.py, whose files no test may change."""
+
+    def write(folder: Path) -> None:
+        for kind in ("press", "slide"):
+            write_trial(folder / kind, kind)
+
+    return _made_once(shared_folder / "trials", write)
 
 
 @pytest.fixture(scope="session")

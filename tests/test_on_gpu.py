@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.pipeline.test_process_together import write_scenes
 
 from bench.streams import play
 from bench.suites import gpu
@@ -20,7 +21,6 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.pipeline.run import process_together
 from tests.engines.test_capture import CALLS, SIZE, results
 from tests.engines.test_points_graph import SETTINGS, given_to, leaves, step_by_step
-from tests.pipeline.test_process_together import write_scenes
 
 pytestmark = [
     pytest.mark.gpu,

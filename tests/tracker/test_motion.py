@@ -93,17 +93,3 @@ def test_new_points_have_the_speed_of_those_around_them() -> None:
     np.testing.assert_allclose(seeded.speed[:2], [[0, 0], [1.2, -1.2]], atol=1e-4)
     np.testing.assert_array_equal(seeded.place, new)
     assert not PointMotion.at_rest(START[:7]).seeded(new).speed.any()  # too few points around
-
-
-def test_frames_followed_in_one_call_lead_where_neighbours_say() -> None:
-    """After frames tracked in one call, points lost in the last frame are expected where neighbours are; all others
-    have the position and speed of the engine.
-    """
-    motion, place = PointMotion.at_rest(START), START + np.float32(3)
-    points = place.copy()
-    points[::3] = np.nan
-    speed = np.full_like(START, 0.5)
-    after = motion.followed(place + np.float32(0.1), speed, points, 4, START + np.float32(2))
-    np.testing.assert_array_equal(after.place[::3], START[::3] + np.float32(2))
-    np.testing.assert_array_equal(after.place[1::3], place[1::3] + np.float32(0.1))
-    np.testing.assert_array_equal(after.speed[1::3], 0.5)

@@ -76,16 +76,15 @@ def test_skin_that_lights_up_on_dark_glass(press: Path, pictures: dict[str, Fram
 
 
 def test_the_wrong_setting_is_named(press: Path, pictures: dict[str, Frames], changed: Change) -> None:
-    """A recording with the other contrast is refused, and the refusal names the remedy."""
+    """A recording with the other contrast is refused, and the refusal names the remedy; floating-point frames have no
+    negative.
+    """
     cases = ((BRIGHT, pictures, "dark"), ({}, frustrated_reflection(press, pictures), "bright"))
     for replaced, arrays, remedy in cases:
         with pytest.raises(
             FingerflowError, match=rf'no contact: at the largest force.* set contact\.appears = "{remedy}"'
         ):
             process(changed(replaced, **arrays), ["real_contact_area"])
-
-
-def test_floating_point_frames_have_no_negative(pictures: dict[str, Frames], changed: Change) -> None:
     floating = {name: one.astype(np.float32) for name, one in pictures.items()}
     with pytest.raises(FingerflowError, match=r'contact\.appears is "bright", and the frames are floating-point'):
         process(changed(BRIGHT, **floating), ["real_contact_area"])

@@ -33,7 +33,7 @@ NAMES = ("abrupt", "fading")
 
 @pytest.fixture(scope="module")
 def results(slip_trials: Path) -> dict[str, xr.Dataset]:
-    wanted = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"]
+    wanted = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio", "position_px", "deformation_correction_px"]
     return {name: process(load_scene(slip_trials / name / "scene.toml"), wanted) for name in NAMES}
 
 
@@ -76,10 +76,13 @@ def test_stuck_ratio_of_a_small_contact(
 
     A window of 15 px is a fifth of this contact's semi-axis and hides the length over which slip turns from a square
     into a line. The fading contact shows the shift in more frames, as this contact sticks for longer. The printed d²
-    errs by less than 0.03, as with the criterion of a length.
+    errs by less than 0.03, as with the criterion of a length. Resting skin sticks: noise within the contact is not
+    taken for slip. At the rim noise cannot be told from slip, which costs up to 2.5 % of d².
     """
-    found = results[name]
-    error = known(np.abs(found["stuck_ratio"].values - shares(slip_trials / name)))
+    found, truth = results[name], shares(slip_trials / name)
+    assert (truth[:6] == 1).all()
+    assert found["stuck_ratio"].values[:6].min() > 0.975
+    error = known(np.abs(found["stuck_ratio"].values - truth))
     assert error.max() < most
     assert np.quantile(error, 0.9) < usual
     deviation = known(found["stuck_ratio_std"].values)
@@ -88,8 +91,7 @@ def test_stuck_ratio_of_a_small_contact(
     assert known(np.abs(found["printed_stuck_ratio"].values - shares(slip_trials / name, 0.04))).max() < 0.03
 
 
-@pytest.mark.parametrize("criterion", ["displacement", "relative"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "criterion"), [("abrupt", "displacement"), ("fading", "relative")])
 def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Path) -> None:
     """With the paper's criterion of 40 um d² errs by less than 0.03 in every frame and 0.02 in nine of ten, for
     displacement relative to the glass and to the stick region.
@@ -106,7 +108,9 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
     assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
-def test_registered_positions_show_the_mean_displacement_of_their_windows(slip_trials: Path) -> None:
+def test_registered_positions_show_the_mean_displacement_of_their_windows(
+    results: dict[str, xr.Dataset], slip_trials: Path
+) -> None:
     """Without the correction for deformation, points move by the mean displacement over their windows; with it, by that
     of the windows' centres.
 
@@ -115,8 +119,7 @@ def test_registered_positions_show_the_mean_displacement_of_their_windows(slip_t
     """
     scene, trial = load_scene(slip_trials / "abrupt" / "scene.toml"), rebuild_scene(slip_trials / "abrupt")
     assert isinstance(trial, PartialSlip)
-    result = process(scene, ["position_px", "deformation_correction_px"])
-    pixels, correction = result["position_px"].values, result["deformation_correction_px"].values
+    pixels, correction = (results["abrupt"][name].values for name in ("position_px", "deformation_correction_px"))
     frame = int(np.argmin(np.abs(shares(slip_trials / "abrupt") - 0.4)))
     reach = np.arange(scene.tracking.window_px) - scene.tracking.window_px // 2
     window = pixels[0][:, None] + np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
@@ -153,9 +156,18 @@ def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
 def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    trial = rebuild_scene(slip_trials / name)
+    """The verdict is that of the truth, and the outputs agree with each other."""
+    trial, result = rebuild_scene(slip_trials / name), results[name]
     assert isinstance(trial, PartialSlip)
-    found = verdict_of(results[name])
+    area, region = result["stuck_area"].values, result["stuck_region"]
+    np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
+    counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
+    # Cells at the border of the contact are counted whole.
+    np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
+    expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
+    np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
+    assert warnings_of(result) == []
+    found = verdict_of(result)
     assert found["outcome"] == outcome
     assert found["printed_outcome"] == "vanishes abruptly"  # by the printed rule both trials do
     truth = shares(slip_trials / name)
@@ -166,22 +178,6 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     if outcome == "vanishes abruptly":
         largest = truth[found["corridor_frames"][0]]
         assert found["corridor_area"] == pytest.approx(largest, abs=0.04)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    result, trial = results[name], rebuild_scene(slip_trials / name)
-    area = result["stuck_area"].values
-    np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
-    region = result["stuck_region"]
-    counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
-    # Cells at the border of the contact are counted whole.
-    np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
-    expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
-    np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
-    assert {result[name].attrs["units"] for name in ("stuck_ratio", "load_ratio", "slip_coverage")} == {"1"}
-    assert result["stuck_area"].attrs["units"] == "mm2"
-    assert warnings_of(result) == []
 
 
 def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
@@ -198,94 +194,55 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
         plan(["load_ratio"], replace(slip, forces=None))
     with pytest.raises(FingerflowError, match="topographic view"):
         plan(["stuck_area"], areas)
+    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
+        plan(["dense_flow_difference"], slip)
+    assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(slip)).names
+    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(slip)).names
 
 
-def test_a_scene_that_is_about_slip_gives_it_unasked(slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    short = replace(scene, recording=replace(scene.recording, last_frame=3))
-    assert "stuck_ratio" in process(short)
-
-
-def with_forces(folder: Path, new: Path, forces: NDArray[Any]) -> Scene:
-    """Return the scene with other forces."""
+def test_trials_that_cannot_be_judged(slip_trials: Path, tmp_path: Path) -> None:
+    """Without forces, a whole trial or a known displacement the verdict is inconclusive and names what is missing; the
+    stuck ratio needs no force.
+    """
+    folder = slip_trials / "abrupt"
+    scene, frames = load_scene(folder / "scene.toml"), np.load(folder / "frames.npy")
+    assert scene.forces is not None
+    table = np.loadtxt(folder / "forces.csv", delimiter=",", skiprows=1)
     header = (folder / "forces.csv").read_text(encoding="utf-8").splitlines()[0]
-    np.savetxt(new / "forces.csv", forces, fmt="%.6f", delimiter=",", header=header, comments="")
-    return scene_beside(folder, new, {(folder / "forces.csv").as_posix(): "forces.csv"})
-
-
-def reason_of(scene: Scene) -> str:
-    found = verdict_of(process(scene, ["stuck_ratio"]))
-    assert found["outcome"] == found["printed_outcome"] == "inconclusive"
-    return str(found["reason"])
-
-
-def test_without_forces_the_stuck_part_is_there_and_no_verdict(slip_trials: Path) -> None:
-    scene = replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)
-    result = process(scene, ["stuck_ratio"])
-    assert "there are no forces" in verdict_of(result)["reason"]
-    assert "load_ratio" not in result
-    assert "friction_fit" not in result["stuck_ratio"].attrs
-    assert np.abs(result["stuck_ratio"].values - shares(slip_trials / "abrupt")).max() < 0.06
-
-
-@pytest.mark.parametrize(
-    ("part", "setting", "reason"),
-    [("forces", {"tangential": None}, "[forces] tangential"), ("recording", {"last_frame": 70}, "no full slip")],
-)
-def test_settings_without_a_verdict(part: str, setting: dict[str, Any], reason: str, slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    assert reason in reason_of(replace(scene, **{part: replace(getattr(scene, part), **setting)}))
-
-
-def test_forces_that_end_before_the_loss(slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    scene = with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.0])
-    result = process(scene, ["stuck_ratio"])
-    assert np.isnan(result["load_ratio"].values[-30:]).all()
-    assert np.isfinite(result["stuck_ratio"].values).all()
-    assert "no T/N" in verdict_of(result)["reason"]
-
-
-def test_forces_that_end_after_the_loss_are_enough(slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    result = process(with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.6]), ["stuck_ratio"])
-    assert np.isnan(result["load_ratio"].values[-1])
-    assert verdict_of(result)["outcome"] == "vanishes abruptly"
-
-
-@pytest.mark.parametrize(("swing", "sign", "reason"), [(0.2, 1, "too unsteady"), (0.0, -1, "sign")])
-def test_forces_without_a_verdict(swing: float, sign: int, reason: str, slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    forces[:, 2] *= sign * (1 + swing * np.sin(2 * np.pi * 4 * forces[:, 0]))
-    assert reason in reason_of(with_forces(slip_trials / "abrupt", tmp_path, forces))
-
-
-def test_no_contact(slip_trials: Path, tmp_path: Path) -> None:
-    empty = np.stack([rebuild_scene(slip_trials / "abrupt").empty(number) for number in range(20)])
-    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=empty)
+    short = tmp_path / "short.csv"
+    np.savetxt(short, table[table[:, 0] < 1.0], fmt="%.6f", delimiter=",", header=header, comments="")
+    later, empty = frames[:40].copy(), rebuild_scene(folder).empty()
+    later[:3, :, 240:] = empty[:, 240:]
+    (tmp_path / "later").mkdir()
+    (tmp_path / "glass").mkdir()
+    glass = scene_beside(folder, tmp_path / "glass", frames=np.stack([empty] * 20))
     with pytest.raises(FingerflowError, match="no contact at the largest force"):
-        process(scene, ["stuck_ratio"])
-    contact = replace(scene.contact, threshold=0.3)
-    scene = replace(scene, contact=contact)
-    assert "no contact in any frame" in reason_of(scene)
-    assert np.isnan(process(scene, ["stuck_ratio"])["stuck_ratio"].values).all()
-
-
-def test_contact_that_comes_later_is_no_reference(slip_trials: Path, tmp_path: Path) -> None:
-    frames = np.load(slip_trials / "abrupt" / "frames.npy")[:40].copy()
-    frames[:3, :, 240:] = rebuild_scene(slip_trials / "abrupt").empty()[:, 240:]
-    assert "first frame" in reason_of(scene_beside(slip_trials / "abrupt", tmp_path, frames=frames))
-
-
-def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
-    """Twelve points leave most of the contact unknown: the stuck area is NaN, and a warning says so."""
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    scene = replace(scene, tracking=replace(scene.tracking, points=12))
-    result = process(scene, ["stuck_ratio"])
-    assert (result["slip_coverage"].values < 0.9).all()
-    assert np.isnan(result["stuck_area"].values).all()
-    assert any("their stuck area is NaN" in warning for warning in json.loads(result.attrs["warnings"]))
-    assert "too little of the contact" in verdict_of(result)["reason"]
+        process(glass, ["stuck_ratio"])
+    cases = {
+        "there are no forces": replace(scene, forces=None),
+        "[forces] tangential": replace(scene, forces=replace(scene.forces, tangential=None)),
+        "no full slip": replace(scene, recording=replace(scene.recording, last_frame=70)),
+        "no T/N": replace(scene, forces=replace(scene.forces, file=short)),
+        "first frame": scene_beside(folder, tmp_path / "later", frames=later),
+        "no contact in any frame": replace(glass, contact=replace(glass.contact, threshold=0.3)),
+        "too little of the contact": replace(scene, tracking=replace(scene.tracking, points=12)),
+    }
+    results = {reason: process(one, ["stuck_ratio"]) for reason, one in cases.items()}
+    for reason, result in results.items():
+        found = verdict_of(result)
+        assert found["outcome"] == found["printed_outcome"] == "inconclusive"
+        assert reason in found["reason"]
+    without = results["there are no forces"]
+    assert "load_ratio" not in without
+    assert "friction_fit" not in without["stuck_ratio"].attrs
+    assert np.abs(without["stuck_ratio"].values - shares(folder)).max() < 0.06
+    assert np.isnan(results["no T/N"]["load_ratio"].values[-30:]).all()
+    assert np.isfinite(results["no T/N"]["stuck_ratio"].values).all()
+    assert np.isnan(results["no contact in any frame"]["stuck_ratio"].values).all()
+    few = results["too little of the contact"]
+    assert (few["slip_coverage"].values < 0.9).all()
+    assert np.isnan(few["stuck_area"].values).all()
+    assert any("their stuck area is NaN" in warning for warning in warnings_of(few))
 
 
 @pytest.mark.long
@@ -338,20 +295,20 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("rate", "displacement"), [(60.0, "points"), (300.0, "points"), (60.0, "dense_flow")])
-def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("displacement", ["points", "dense_flow"])
+def test_jumps_of_5_px_before_full_slip(displacement: str, tmp_path: Path) -> None:
     """Jumps of 5 px in one frame, at the rim while a quarter to a half of the contact sticks and later of all skin,
     leave no point on another ridge, with noise and drift in the forces.
 
     Ridges are 14 px apart. Points err by 2.5 px at most, where skin was stretched by a third. d² errs by less than
-    0.08, and 0.1 at 300 frames/s (measured: 0.088). By points d² is NaN in many frames, so the border is fitted to
-    fewer frames; by dense flow d² is known in nearly all frames.
+    0.08. By points d² is NaN in many frames, so the border is fitted to fewer frames; by dense flow d² is known in
+    nearly all frames.
     """
-    frames, jumps = round(0.8 * rate), ({60.0: 0.495, 300.0: 0.52}[rate], 0.7)
+    frames, jumps = 48, (0.495, 0.7)
     folder = small(
         tmp_path / "trial",
         n_frames=frames,
-        frame_rate=rate,
+        frame_rate=60.0,
         frames_before_trigger=2,
         jumps=jumps,
         collapse=0.05,
@@ -374,7 +331,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     assert min(tracked) > 0.5
     found = result["stuck_ratio"].values
     error = np.abs(found - truth)
-    assert np.nanmax(error) < (0.1 if rate == 300 else 0.08)
+    assert np.nanmax(error) < 0.08
     assert np.isfinite(found).mean() > (0.6 if displacement == "points" else 0.95)
     assert not (found[last:] > 0).any()
 
@@ -383,15 +340,11 @@ def by_flow(scene: Scene) -> Scene:
     return replace(scene, slip=replace(scene.slip, displacement="dense_flow"))
 
 
-@pytest.fixture(scope="module")
-def by_dense_flow(slip_trials: Path) -> xr.Dataset:
-    names = ["stuck_ratio", "skin_displacement", "position", "dense_flow_difference"]
-    return process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), names)
-
-
 @pytest.mark.long
-def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """By dense flow d² errs by less than 0.05 in every frame, as by points."""
+def test_stuck_ratio_by_dense_flow(slip_trials: Path) -> None:
+    """By dense flow d² errs by less than 0.05 in every frame, as by points, and resting skin sticks."""
+    by_dense_flow = process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), ["stuck_ratio"])
+    assert by_dense_flow["stuck_ratio"].values[:6].min() > 0.995
     error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))
     assert error.max() < 0.05
     assert verdict_of(by_dense_flow)["outcome"] == "vanishes abruptly"
@@ -400,68 +353,37 @@ def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path)
     assert warnings_of(by_dense_flow) == []
 
 
-@pytest.mark.parametrize("way", [*NAMES, "dense flow"])
-def test_skin_that_rests_all_sticks(
-    way: str, results: dict[str, xr.Dataset], by_dense_flow: xr.Dataset, slip_trials: Path
-) -> None:
-    """Resting skin sticks: noise within the contact is not taken for slip. At the rim noise cannot be told from slip,
-    which costs up to 2.5 % of d² by points.
+def test_dense_flow_is_where_the_skin_went(slip_trials: Path) -> None:
+    """Dense flow errs by less than 4 um RMS in all cells of the contact, and states its difference from the points.
+    Points shifted by 10 um in x and y show as a difference in every frame, and in a warning.
     """
-    found = by_dense_flow if way == "dense flow" else results[way]
-    rests = slice(0, 6)
-    assert (shares(slip_trials / ("abrupt" if way == "dense flow" else way))[rests] == 1).all()
-    assert found["stuck_ratio"].values[rests].min() > (0.995 if way == "dense flow" else 0.975)
-
-
-def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """Dense flow errs by less than 4 um RMS in every eighth frame, in all cells of the contact, and states its
-    difference from the points.
-    """
-    trial, field = rebuild_scene(slip_trials / "abrupt"), by_dense_flow["skin_displacement"]
+    trial, frames = rebuild_scene(slip_trials / "abrupt"), 41
+    scene = by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None))
+    scene = replace(scene, recording=replace(scene.recording, last_frame=frames - 1))
+    inputs = ["position", "position_std_px", "gross_contact_region", "gross_contact_area"]
+    result = process(scene, ["skin_displacement", "dense_flow_difference", *inputs])
+    field = result["skin_displacement"]
     row, column = np.indices(field.shape[1:3])
     places = np.stack((column, row), -1) * field.attrs["cell_mm"] + field.attrs["first_cell_mm"]
     ellipse = trial.truth.ellipse(0)
     assert ellipse is not None
     inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0.1).numpy()
-    for frame in range(0, 120, 8):
+    for frame in range(0, frames, 8):
         moved = trial.truth.positions(trial.truth.material(places[inside], 0), frame) - places[inside]
         error = field.values[frame][inside] - moved
         assert np.isfinite(error).all(-1).mean() > 0.97
         assert np.sqrt(np.nanmean(error**2)) < 0.004, frame
-    median, most = (by_dense_flow[f"dense_flow_difference{part}"].values for part in ("", "_95"))
+    median, most = (result[f"dense_flow_difference{part}"].values for part in ("", "_95"))
     assert median[0] == 0
     assert 0.0002 < np.nanmedian(median) < 0.004
     assert (most[1:] > median[1:]).all()
-
-
-def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> None:
-    """Points shifted by 10 um in x and y show as a difference from the flow in every frame, and in a warning."""
-    inputs = open_inputs(by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)), "cpu")
-    given = process(inputs.scene, ["position", "position_std_px", "gross_contact_region", "gross_contact_area"])
-    frames = 12
-    position = given["position"].values[:frames].copy()
-    position[1:] += 0.01
-    trial = trial_of(
-        inputs,
-        {"gross_contact_area": given["gross_contact_area"].values[:frames]},
-        frames,
-        position=position,
-        position_std_px=given["position_std_px"].values[:frames],
-        gross_contact_region=given["gross_contact_region"].values[:frames],
-    )
-    stage = DenseFlowSlipStage(trial)
-    run(trial, stage)
-    np.testing.assert_allclose(values_of(trial, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
+    given = {name: result[name].values[:12] for name in inputs}
+    given["position"][1:] += 0.01
+    area = {"gross_contact_area": given.pop("gross_contact_area")}
+    stage = DenseFlowSlipStage(context := trial_of(open_inputs(scene, "cpu"), area, 12, **given))
+    run(context, stage)
+    np.testing.assert_allclose(values_of(context, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
     assert any("dense flow and tracked points differ" in warning for warning in stage.warnings)
-
-
-def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
-        plan(["dense_flow_difference"], scene)
-    assert "slip" in plan(["stuck_ratio"], scene).names
-    assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(scene)).names
-    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(scene)).names
 
 
 def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
@@ -476,6 +398,7 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
     assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
 
 
+@pytest.mark.long
 def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
     """A contact that slides out of the view has no d² from the frame on in which the contact reaches the edge.
 
@@ -591,14 +514,11 @@ def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
 
 
 def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
-    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning, a limit of 40 um does not."""
-    said = {}
-    for limit in (0.001, 0.04):
-        scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
-        scene = replace(scene, slip=replace(scene.slip, stuck_mm=limit))
-        said[limit] = warnings_of(process(scene, ["stuck_ratio"]))
-    assert said[0.04] == []
-    (warning,) = said[0.001]
+    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning."""
+    scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
+    scene = replace(scene, recording=replace(scene.recording, last_frame=40))
+    scene = replace(scene, slip=replace(scene.slip, stuck_mm=0.001))
+    (warning,) = warnings_of(process(scene, ["stuck_ratio"]))
     noise = float(re.search(r"standard deviation of ([0-9.]+) µm", warning)[1])
     assert 1 < noise < 3
     assert "has moved by 1.0 µm counts as slipped: where the stuck part ends is not known" in warning
@@ -608,7 +528,7 @@ def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path:
     """Noise of 6 more grey levels in the topography view gives a warning that the border of the stick region is
     unknown.
     """
-    frames = np.load(slip_trials / "abrupt" / "frames.npy")
+    frames = np.load(slip_trials / "abrupt" / "frames.npy")[:60]
     noisy = frames.astype(np.float64)
     noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))
     scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
