@@ -157,10 +157,6 @@ def test_imports_follow_the_arrows() -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def test_nothing_imports_the_command_line() -> None:
-    assert all("cli" not in targets for room, targets in ARROWS.items() if room not in ("cli", "__main__"))
-
-
 def test_no_room_leads_back_to_itself() -> None:
     """The allowed imports have no circle."""
     arrows = ARROWS | {"__init__": set()}  # the package loads its names on first access
@@ -185,18 +181,12 @@ def test_the_package_itself_loads_nothing() -> None:
 @pytest.mark.parametrize(
     ("room", "source"),
     [
-        ("ops", "from fingerflow.graphs import ContactGraph"),
         ("ops", "import numpy as np"),
         ("ops", "def f():\n    from fingerflow import scene"),
         ("graphs", "import fingerflow.pipeline.stages.contact.contact_stage"),
-        ("kernels", "import torch"),
         ("kernels", "from fingerflow.kernels import tensors"),
-        ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),
-        ("models", "from fingerflow.ops.fields.strain import curl"),
-        ("recordings", "from fingerflow.pipeline.stages.preparation.inputs import Inputs"),
         ("stages", "from fingerflow.pipeline.run import process"),
         ("report", "from fingerflow.cli import main"),
-        ("player", "import torch"),
         ("calibration", 'import_module(f"fingerflow.report.{name}")'),
         ("results", "if TYPE_CHECKING:\n    from fingerflow.pipeline.run import process"),
     ],

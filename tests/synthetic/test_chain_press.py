@@ -12,8 +12,6 @@ from fingerflow import load_scene, process
 from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_onset import since_onset
-from fingerflow.report import write_report
-from fingerflow.report.chain_comparison import compare_with_chain
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
 pytestmark = pytest.mark.long
@@ -60,11 +58,12 @@ def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
         assert abs(medians.curl) < 1e-6
 
 
-def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
+def test_the_divergence_of_the_chain_comes_back_from_the_pictures(
     recorded: list[tuple[ChainPress, xr.Dataset]],
 ) -> None:
     """The inner divergence is measured to 1.2 um/mm in every frame from 5 mm² on and 0.6 RMS, for each friction and for
-    their difference of 3.8.
+    their difference of 3.8; `median_divergence` to 1 um/mm RMS and 1.6 in single frames. At the median the field falls
+    by 70 um/mm over the area, so an error of 4 % of the area changes the median by 1.4.
     """
     found = [inner_divergence(press, result) for press, result in recorded]
     errors = [measured - chain for measured, chain in found]
@@ -75,56 +74,11 @@ def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
     (low, chain_low), (high, chain_high) = found
     assert chain_low[-1] - chain_high[-1] == pytest.approx(3.8, abs=0.2)
     assert low[-1] - high[-1] == pytest.approx(chain_low[-1] - chain_high[-1], abs=1.0)
-
-
-def test_the_median_divergence_comes_back_from_the_pictures(recorded: list[tuple[ChainPress, xr.Dataset]]) -> None:
-    """`median_divergence` is measured to 1 um/mm RMS and in the last frames, to 1.6 in single frames. At the median the
-    field falls by 70 um/mm over the area, so an error of 4 % of the area changes the median by 1.4.
-    """
-    errors = []
-    for press, result in recorded:
-        measured, chain = median_divergence(press, result)
-        error = measured - chain
-        errors.append(error)
-        assert np.abs(error[-5:]).mean() < 1.0
+    errors = [np.subtract(*median_divergence(press, result)) for press, result in recorded]
     for error in (*errors, errors[0] - errors[1]):
         assert np.isfinite(error).sum() > 40
         assert np.sqrt(np.nanmean(error**2)) < 1.0
         assert np.nanmax(np.abs(error)) < 1.6
-
-
-def test_a_report_draws_the_chain_beside_the_trial(
-    recorded: list[tuple[ChainPress, xr.Dataset]], tmp_path: Path
-) -> None:
-    """The fitted stiffness agrees to 5 % (drag of the ramp, edge of the contact); the prediction with the right
-    friction is within 1 um/mm of the measurement, the other one more than 2.5 off.
-    """
-    for number, (_, result) in enumerate(recorded):
-        beside = compare_with_chain(result, FRICTIONS, "paper")
-        assert beside.fit.tissue_stiffness == pytest.approx(130.0, rel=0.05)
-        last = slice(-6, -1)
-        off = np.abs(np.nanmean((beside.chain_inner - beside.inner)[:, last], 1))
-        assert off[number] < 1.0
-        assert off[1 - number] > 2.5
-        assert np.nanmax(np.abs(beside.chain_area / beside.area - 1)[:, last]) < 0.08
-    large = beside.area > 10
-    assert np.isfinite(beside.chain_median[:, large]).all()
-    page = write_report(result, None, tmp_path, chain=beside).read_text(encoding="utf-8")
-    assert "Beside the skin chain" in page
-    assert f"k_t = {beside.fit.tissue_stiffness:.4g} N/m" in page
-
-
-def test_what_cannot_be_compared_with_a_chain_is_refused(recorded: list[tuple[ChainPress, xr.Dataset]]) -> None:
-    _, result = recorded[0]
-    with pytest.raises(FingerflowError, match="0 or more"):
-        compare_with_chain(result, [-0.1])
-    with pytest.raises(FingerflowError, match="choose one of paper, lab"):
-        compare_with_chain(result, [0.2], "foot")
-    with pytest.raises(FingerflowError, match="no normal_force"):
-        compare_with_chain(result.drop_vars("normal_force"), [0.2])
-    blank = result.assign(normal_force=0 * result["normal_force"])
-    with pytest.raises(FingerflowError, match="check the force file"):
-        compare_with_chain(blank, [0.2])
 
 
 def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:

@@ -40,16 +40,8 @@ def winding(image: Tensor, centre: tuple[float, float], radius: float) -> float:
 
 
 @pytest.mark.parametrize(("pattern", "turns"), [("loop", 0.5), ("whorl", 1.0), ("arch", 0.0)])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float, seed: int) -> None:
-    assert winding(ridge_image(pattern, seed), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
-
-
-def test_loop_has_a_delta() -> None:
-    """Along a circle around core and delta the ridge direction turns by 1/2 - 1/2 = 0."""
-    centre = (MIDDLE + 2.0, MIDDLE + 1.6)
-    assert winding(ridge_image("loop"), centre, 5.2) == pytest.approx(0, abs=0.05)
-    assert winding(ridge_image("loop"), (MIDDLE + 4.6, MIDDLE + 5.0), 2.0) == pytest.approx(-0.5, abs=0.05)
+def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float) -> None:
+    assert winding(ridge_image(pattern), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
 
 
 @ANY_PATTERN
@@ -103,18 +95,6 @@ def test_single_precision_differs_by_less_than_a_grey_level(pattern: str) -> Non
     assert exact.abs().max() <= 1
     # A grey level is 1 / 95; the camera noise is two levels.
     assert (rounded - exact).abs().max() < 0.004
-
-
-@ANY_PATTERN
-def test_ridges_touch_less_near_the_edge_and_in_pieces(pattern: str) -> None:
-    texture = skin(pattern)
-    y, x = torch.meshgrid(*(torch.arange(0, 15.6, 0.02, dtype=torch.float64),) * 2, indexing="ij")
-    inside, edge = (texture.ridge_margin(x, y, 0.5, torch.full_like(x, depth)) > 0 for depth in (5.0, 0.0))
-    assert 0.3 < inside.double().mean() < 0.5
-    assert 0.1 < edge.double().mean() < 0.7 * inside.double().mean()
-    # Long ridges break into many pieces.
-    pieces = [cv2.connectedComponents(mask.numpy().astype(np.uint8))[0] for mask in (inside, edge)]
-    assert pieces[1] > 2 * pieces[0]
 
 
 @ANY_PATTERN

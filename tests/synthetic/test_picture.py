@@ -1,6 +1,5 @@
 """Tests of skin from an image that is drawn from a formula, so that the true skin is known."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -85,21 +84,6 @@ def test_spline_is_twice_differentiable_and_its_slope_is_its_own(picture: Path) 
     assert at_edge.sum() > 100
     lengths = by_place.norm(dim=1)[at_edge]
     assert lengths.median() == pytest.approx(1, abs=0.05)
-
-
-def test_single_precision(picture: Path) -> None:
-    texture = PictureTexture(picture, DPI)
-    y, x = torch.meshgrid(*(torch.arange(-8.0, 8.0, 0.05, dtype=torch.float64),) * 2, indexing="ij")
-    rounded = texture(x.float(), y.float())
-    assert rounded.dtype == torch.float32
-    assert (rounded - texture(x, y)).abs().max() < 1e-3
-
-
-def test_centre_moves_the_skin(picture: Path) -> None:
-    still = PictureTexture(picture, DPI)
-    x = torch.linspace(-3, 3, 500, dtype=torch.float64)
-    moved = replace(still, centre=(1.3, -0.4))
-    torch.testing.assert_close(moved(x + 1.3, x - 0.4), still(x, x), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [Press, Slide])

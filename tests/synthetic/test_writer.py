@@ -1,13 +1,10 @@
 import errno
-import json
 import os
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import (
@@ -103,13 +100,6 @@ def test_a_failure_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
         assert list(tmp_path.iterdir()) == []
 
 
-def test_threads_of_torch_are_left_as_they_were(tmp_path: Path) -> None:
-    before = torch.get_num_threads()
-    write_recording(tmp_path / "trial", Press(**SMALL))
-    with ThreadPoolExecutor(1) as fresh:
-        assert fresh.submit(torch.get_num_threads).result() == before == torch.get_num_threads()
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -124,16 +114,3 @@ def test_a_broken_description_is_refused_by_name(text: str, reason: str, tmp_pat
     (tmp_path / "truth.json").write_text(text)
     with pytest.raises(FingerflowError, match=f"(?s)truth.json {reason}"):
         rebuild_scene(tmp_path)
-
-
-def test_a_real_recording_has_no_truth(tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=r"truth\.json does not exist"):
-        rebuild_scene(tmp_path)
-
-
-def test_description_is_plain_json(tmp_path: Path) -> None:
-    write_recording(tmp_path / "trial", Press(**SMALL))
-    description = json.loads((tmp_path / "trial" / "truth.json").read_text())
-    assert description["kind"] == "Press"
-    assert description["semi_axes"] == [0.7, 0.6]
-    assert description["camera"]["noise"] == 2.0
