@@ -116,35 +116,6 @@ def test_progress_of_a_press_that_is_held() -> None:
         replace(press, path_force=2.0)
 
 
-def test_skin_shifts_as_a_whole_while_the_force_is_held() -> None:
-    """During a hold the displacement changes by the shift, divergence and area do not. A shared path gives the same
-    press to 3 % of the area and 1.5 µm/mm, due to drag at its higher speed.
-    """
-    held = ChainPress(
-        friction=0.2,
-        softness=3.0,
-        force=4.0,
-        elements=301,
-        n_frames=40,
-        frame_rate=30.0,
-        frames_before_trigger=0,
-        steady=True,
-        shift=(0.3, -0.1),
-    )
-    truth, last = held.truth, held.n_frames - 1
-    peak = int(np.searchsorted(held.times, held.contact_time + held.rise_time))
-    before, after = truth.medians(peak, 0.3), truth.medians(last, 0.3)
-    assert (after.displacement_x, after.displacement_y) == pytest.approx(held.shift, abs=1e-9)
-    assert after.divergence == pytest.approx(before.divergence, abs=1e-5)
-    assert truth.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(peak), rel=1e-9)
-    ellipse = truth.ellipse(last)
-    assert ellipse is not None
-    assert np.subtract(ellipse.centre, held.contact_centre) == pytest.approx(held.shift, abs=1e-12)
-    shared = replace(held, path_force=8.0).truth
-    assert shared.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(last), rel=0.03)
-    assert 1e3 * shared.medians(last, 0.3).divergence == pytest.approx(1e3 * after.divergence, abs=1.5)
-
-
 def test_friction_is_of_a_chain_press_alone(tmp_path: Path) -> None:
     with pytest.raises(FingerflowError, match=r"--friction 0\.3 is of a chain-press"):
         simulate("press", tmp_path / "press", friction=0.3)

@@ -63,29 +63,6 @@ def test_skin_beyond_the_print_and_the_picture_never_touches(picture: Path) -> N
         assert texture(x, y).abs().max() < 0.05
 
 
-def test_spline_is_twice_differentiable_and_its_slope_is_its_own(picture: Path) -> None:
-    """The spline has a continuous second derivative, and the margin, level divided by slope, has the slope 1 per mm at
-    an edge.
-    """
-    texture = PictureTexture(picture, DPI)
-    along = torch.arange(-3, 3, 1e-4, dtype=torch.float64)
-    for x, y in ((along, torch.full_like(along, 0.37)), (torch.full_like(along, -1.2), along)):
-        values = texture(x, y)
-        slope = torch.gradient(values, spacing=1e-4)[0]
-        # The second derivative of a cubic spline is continuous: it changes in proportion to the step.
-        bend = torch.diff(slope[1:-1], n=2).abs().max() / 1e-4
-        assert torch.diff(values).abs().max() < 60 * 1e-4
-        assert bend < 5
-    points = 6 * torch.rand(20_000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 3
-    points.requires_grad_()
-    margin = texture.ridge_margin(points[:, 0], points[:, 1], 0.5, torch.full((len(points),), 9.0))
-    (by_place,) = torch.autograd.grad(margin.sum(), points)
-    at_edge = margin.abs() < 0.002
-    assert at_edge.sum() > 100
-    lengths = by_place.norm(dim=1)[at_edge]
-    assert lengths.median() == pytest.approx(1, abs=0.05)
-
-
 @pytest.mark.parametrize("kind", [Press, Slide])
 def test_contact_lies_in_the_print(kind: type[Press] | type[Slide], picture: Path) -> None:
     scene = scene_of_print(kind, picture, DPI)

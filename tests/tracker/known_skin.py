@@ -33,9 +33,6 @@ class KnownSkin:
 
     Attributes:
         searches, looks: number of points of each search and look.
-        prepared: number of points of each preparation of updated templates.
-        warp: (N, 2, 2), deformation of the skin at each point.
-        updates: rows of templates that were updated, for each update.
     """
 
     name = described = "known"
@@ -46,10 +43,7 @@ class KnownSkin:
         self.place, self._by_neighbours = place, by_neighbours
         self.searches: list[int] = []
         self.looks: list[int] = []
-        self.prepared: list[int] = []
-        self.updates: list[Array] = []
-        self.warp = np.broadcast_to(np.eye(2, dtype=np.float32), (len(place), 2, 2))
-        self.inverse = self.warp  # inverse deformation of the templates, as last given to `correct`
+        self._warp = np.broadcast_to(np.eye(2, dtype=np.float32), (len(place), 2, 2))
         self._pattern = np.random.default_rng(1).standard_normal((len(place), 81)).astype(np.float32)
 
     def noise(self, image: Array) -> float:
@@ -59,12 +53,7 @@ class KnownSkin:
         return KeyFrame(image, 0.0)
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> Templates:
-        if warp is not None:
-            self.prepared.append(len(points))
         return Templates(len(points))
-
-    def update(self, templates: Templates, rows: Array, updated: Templates) -> None:
-        self.updates.append(rows)
 
     def follow(
         self, templates: Templates, images: Array, place: Array, speed: Array, rows: Array | None = None
@@ -86,12 +75,10 @@ class KnownSkin:
         return Followed(FoundPoints(*(each[None] for each in one)), one.estimate, speed)
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        self.inverse = inverse_warp
         points = found.points[0]
         expected = self._by_neighbours(points) if self._by_neighbours else np.full_like(points, np.nan)
-        left = np.square(self.warp @ inverse_warp - np.eye(2)).sum((-2, -1)) ** 0.5
-        shift = (self.settings.window_px // 2 * left).astype(np.float32)
-        return Corrected(found, self.warp[None], shift[None], expected[None].astype(np.float32))
+        still = np.zeros((1, len(points)), np.float32)
+        return Corrected(found, self._warp[None], still, expected[None].astype(np.float32))
 
     def neighbours(self, start: Array) -> None:
         return None

@@ -55,7 +55,7 @@ class Trial(NamedTuple):
 
 @pytest.fixture(scope="module")
 def played(trials: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
-    """Return the trials by name: a press, a slide, and a press with single frames of another moment, repeated, or dim."""
+    """Return a press, a slide, and a press with single frames of another moment, repeated or dim, by name."""
     folder = tmp_path_factory.mktemp("one_rule")
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
     for name, source in (("press", "press"), ("slide", "slide"), ("spoiled", "press")):

@@ -60,17 +60,6 @@ def test_noise_is_not_taken_for_motion() -> None:
     assert np.std(motion.expect(100) - start) < 3.5 * 0.05
 
 
-def test_one_jolt_is_no_motion_and_a_second_one_is() -> None:
-    half = START[:, :1] > 150
-    jumped = START + np.where(half, np.float32(8), np.float32(0))
-    motion, jolted = PointMotion.at_rest(START), half[:, 0]
-    after = motion.see(jumped, jolted=jolted)
-    assert not after.speed.any()
-    again = after.see(jumped + np.float32(8), jolted=np.ones(len(START), bool))
-    np.testing.assert_allclose(again.speed[jolted], 4.0, rtol=1e-5)
-    assert not again.speed[~jolted].any()
-
-
 def test_lost_points_move_with_their_neighbours() -> None:
     """Lost points move with their neighbours and not at their last speed: skin at rest begins to move by 1.5 px a
     frame, and a fourth of its points are not seen.

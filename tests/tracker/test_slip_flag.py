@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms, rim_motion
+from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms
 
 DRAW = np.random.default_rng(0)
 POINTS = 300 * DRAW.random((400, 2))
@@ -31,23 +31,6 @@ def test_the_residual_is_that_of_the_op() -> None:
     expected = rigid_residual(torch.from_numpy(POINTS)[None], torch.from_numpy(after - POINTS)[None])[0]
     before, after = (one.view(np.complex128)[:, 0] for one in (POINTS, after))
     assert rigid_residual_rms(before, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
-
-
-def test_the_motion_of_the_rim_is_that_of_the_fit() -> None:
-    """The motion of the rim is that of the coefficients of a displacement made by the formula of the fit, about the
-    mean of the points.
-    """
-    z = POINTS.view(np.complex128)[:, 0]
-    about = z - z.mean()
-    about = about / math.sqrt(2 * np.mean(np.abs(about) ** 2))
-    square = np.abs(about) ** 2
-    moved = 0.3 + (0.2 + 0.1j) * about - 0.05j * about.conj() + 0.4 * square - 0.03 * square * about
-    ahead, spread = rim_motion(z, z + moved)
-    mean = moved.mean()
-    assert ahead == pytest.approx((0.4 * mean.conjugate()).real / abs(mean), rel=1e-6)
-    assert spread == pytest.approx(math.hypot(abs(0.17 + 0.1j), 0.05), rel=1e-6)
-    assert rim_motion(z, z) == (0.0, 0.0)
-    assert np.isfinite(rim_motion(z.real + 0j, z.real + 0.1j)).all()  # points on a line
 
 
 def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> bool:

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from fingerflow import process
 from fingerflow.engines.engine import Engine, EngineSettings
-from fingerflow.engines.together import Call, Steps, run_alone
+from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker import window_match
 from fingerflow.tracker.points import Points
-from fingerflow.tracker.subset_verification import STEP, Verification
-from fingerflow.tracker.window_match import compare, deformed_alike, fit_shifts
+from fingerflow.tracker.subset_verification import Verification
+from fingerflow.tracker.window_match import compare, fit_shifts
 from tests.small_trials import SMALL_PRESS, warnings_of, write_small
 
 Array = NDArray[Any]
@@ -67,28 +67,6 @@ def warps(gradient: Array, count: int) -> Array:
 
 
 UNMOVED = np.zeros((2, 2), np.float32)
-
-
-def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) -> None:
-    """With noise, 1 - correlation of the same skin is sigma^2 / S; without noise it is at most 1e-3, from cubic
-    convolution of waves of 15 px.
-    """
-    engine = make_engine(SETTINGS)
-    then, now = points(GRADIENT, (1.3, -2.6))
-    number = np.zeros(len(then), np.int64)
-    for noise, least, most in ((0.0, 0.0, 1e-3), (6.0, 0.5, 2.0)):
-        first = engine.images(picture(UNMOVED, (0, 0), noise, 1))
-        after = engine.images(picture(GRADIENT, (1.3, -2.6), noise, 2))
-        one = engine.windows(first, number, then, warps(UNMOVED, len(then)), STEP)
-        other = engine.windows(after, number, now, warps(GRADIENT, len(then)), STEP)
-        apart = 1 - compare(one, other).correlation
-        expected = noise**2 / one.var(1)
-        if noise:
-            # Interpolation between pixels averages some of the noise.
-            assert least < float(np.median(apart / expected)) < most
-        else:
-            assert float(apart.max()) < most
-        np.testing.assert_allclose(compare(one, 3 * one - 20).correlation, 1, atol=1e-5)
 
 
 @pytest.fixture(params=["compiled", "portable"])
@@ -143,27 +121,6 @@ def test_the_shift_of_most_samples_is_found_where_others_do_not_move() -> None:
     assert np.abs((found.shift - shift[:, 0])[right]).max() < 0.015
     np.testing.assert_allclose(found.excluded[right], 9 / 81, atol=2.1 / 81)
     assert (found.deviations > np.linalg.norm(found.shift, axis=1) / 0.01)[right].all()
-
-
-def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
-    """The deformation of the skin is found from none to 0.01 in each component within four rounds, without noise. A
-    window beyond the picture keeps its deformation.
-    """
-    engine = make_engine(SETTINGS)
-    then, now = points(GRADIENT, (0.0, 0.0))
-    now[7] = (3, 3)
-    number, straight = np.zeros(len(then), np.int64), warps(UNMOVED, len(then))
-    first = engine.windows(engine.images(picture(UNMOVED, (0, 0), 0.0, 1)), number, then, straight, STEP)
-    after = engine.images(picture(GRADIENT, (0.0, 0.0), 0.0, 2))
-
-    def sample(images: Array, places: Array, warp: Array) -> Steps[Array]:
-        found: Array = yield Call(engine.windows, (after, images, places, warp, STEP))
-        return found
-
-    found = run_alone(deformed_alike(first, sample, number, now, straight, WINDOW, STEP))
-    assert np.array_equal(found[7], STRAIGHT)
-    near = np.abs(found - STRAIGHT - GRADIENT).max((1, 2))
-    assert float(np.quantile(near, 0.9)) < 0.01
 
 
 @pytest.mark.parametrize(("least", "most", "share"), [(2.0, 4.0, 0.7), (4.0, 16.0, 0.97)])

@@ -54,7 +54,7 @@ def status_of(result: xr.Dataset) -> dict[int, str]:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(trials: Path, trial: str, first: int, tmp_path: Path) -> None:
+def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, first: int, tmp_path: Path) -> None:
     """Results of bad frames, here every other kind, are NaN, and results of the other frames stay as they are.
 
     Areas agree to 0.5 %: the threshold changes if the bad frame is the one with the largest force. Positions and

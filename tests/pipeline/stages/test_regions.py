@@ -59,16 +59,6 @@ def test_a_region_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
     np.testing.assert_array_equal(found, (along / 38) ** 2 + (across / 17) ** 2 <= 1)
 
 
-def test_polygons_that_share_a_side_share_no_pixel() -> None:
-    left, right = [(2, 3), (10, 3), (14, 20), (2, 20)], [(10, 3), (30, 3), (30, 20), (14, 20)]
-    masks = [mask_of(polygon_runs(one, 40, 40), (40, 40)) for one in (left, right)]
-    assert not (masks[0] & masks[1]).any()
-    np.testing.assert_array_equal(
-        masks[0] | masks[1], mask_of(polygon_runs([(2, 3), (30, 3), (30, 20), (2, 20)], 40, 40), (40, 40))
-    )
-    assert (masks[0] | masks[1]).sum() == 28 * 17
-
-
 def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], drawn: Callable[..., Scene]) -> None:
     """The contact areas of two half views add up to the whole to 2 %; the median filter of 3 x 3 px differs where the
     border cuts ridges.

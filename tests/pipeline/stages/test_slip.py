@@ -21,10 +21,7 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
-from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
-from fingerflow.pipeline.stages.slip.slip_stage import SlipStage, _incipient
 from fingerflow.schema.scene import Scene, Views
-from fingerflow.schema.views import View
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 from tests.small_trials import scene_beside, write_small_slip
 
@@ -245,33 +242,6 @@ def test_trials_that_cannot_be_judged(slip_trials: Path, tmp_path: Path) -> None
     assert any("their stuck area is NaN" in warning for warning in warnings_of(few))
 
 
-@pytest.mark.long
-def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
-    """If skin rests in two regions, the part of the larger region in contact is the stick region."""
-    inputs = open_inputs(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None), "cpu")
-    x, y = np.meshgrid(np.arange(8.0, 236, 4), np.arange(8.0, 168, 4))  # one cell beyond the contact
-    rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
-    position = np.repeat(np.stack((x, y), -1).reshape(1, -1, 2), 2, axis=0)
-    position[1, ~rests.ravel(), 0] += 2  # px, 0.065 mm
-    scene = inputs.scene
-    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    calibration = replace(scene.calibration, topography_to_contact=identity)
-    inputs.scene = replace(scene, calibration=calibration)
-    regions = np.zeros((2, 48, 60), bool)
-    regions[:, 3:40, 3:57] = True  # rows to 160 px, further from the edge than half a ridge period
-    given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
-    given["deformation_correction_px"] = np.zeros(position.shape)
-    trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
-    run(trial, SlipStage(trial))
-    ratio, stuck = (values_of(trial, name) for name in ("stuck_ratio", "stuck_region"))
-    assert ratio[0] == 1
-    # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
-    assert ratio[1] == pytest.approx(14 * 29 / (54 * 37), abs=2 * (14 + 29) / (54 * 37))
-    assert not stuck[1][:, 36:].any()
-    assert not stuck[1][40:].any()
-    np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
-
-
 def small(folder: Path, **settings: Any) -> Path:
     """Write a trial like those of `slip_trials`, with 60 frames and other settings, and return its folder."""
     return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
@@ -399,39 +369,6 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
-    """A contact that slides out of the view has no d² from the frame on in which the contact reaches the edge.
-
-    Before, d² is within two stated deviations and within 0.09: the shift of a small contact's border, which slip with a
-    rounded onset leaves undetermined.
-    """
-    folder = small(
-        tmp_path / "trial",
-        finger=(2.6, 2.1),
-        semi_axes=(1.8, 1.5),
-        travel=3.0,
-        creep=0.25,
-        full_slip=0.5,
-        n_frames=100,
-        frame_rate=60.0,
-    )
-    scene, truth = load_scene(folder / "scene.toml"), shares(folder)
-    cut = replace(scene, views=Views({**scene.views, "contact": View((0, 192), (240, 448))}))
-    result = process(cut, ["stuck_ratio", "stuck_ratio_std", "gross_contact_region"])
-    found = result["stuck_ratio"].values
-    at_edge = result["gross_contact_region"].values[:, :, -2:].any((1, 2))
-    assert at_edge[-1]
-    assert np.isnan(found[at_edge]).all()
-    begins = int(np.flatnonzero(np.isnan(found))[0])
-    assert np.isnan(found[begins:]).all()
-    assert truth[begins] == 0
-    assert at_edge[begins]
-    error = np.abs(found - truth)[:begins]
-    assert error.max() < 0.09
-    assert (error < 2 * result["stuck_ratio_std"].values[:begins]).all()
-
-
-@pytest.mark.long
 def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
     """Light that fades by a fifth over the trial changes d² by less than 0.03."""
     frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
@@ -481,38 +418,6 @@ def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[st
         assert np.nanmin(values) > 0
 
 
-def swirl(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an eddy (..., 2) mm: a displacement with curl but no divergence."""
-    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
-    return np.stack((-height * y, height * x), -1)
-
-
-def source(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a source (..., 2) mm, the eddy rotated by a right angle: divergence but no curl."""
-    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
-    return np.stack((height * x, height * y), -1)
-
-
-@pytest.mark.parametrize(("flow", "other"), [(swirl, "irrotational"), (source, "solenoidal")])
-def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
-    """An eddy is solenoidal and a source irrotational: the other part is below 5 % of the whole residual.
-
-    Both vanish towards the rim of the contact, so no harmonic field remains. On a grid of 0.13 mm a part leaks by the
-    error of the differences. The best rigid motion removes the mean rotation of the eddy, whose curl is uniform.
-    """
-    y, x = np.meshgrid(*2 * (np.arange(-2.6, 2.6, 0.13),), indexing="ij")
-    places, region = np.stack((x, y), -1), np.hypot(x, y) < 2.4
-    grid = object.__new__(SlipGrid)
-    grid.places = places
-    moved = flow(x, y) + np.array([0.3, -0.1])
-    whole, irrotational, solenoidal = _incipient(moved.astype(np.float32), region, grid)
-    left = rigid_residual(torch.from_numpy(places[region])[None], torch.from_numpy(moved[region])[None])[0]
-    assert whole == pytest.approx(float(left.square().sum(-1).mean().sqrt()), rel=1e-3)
-    parts = {"irrotational": irrotational, "solenoidal": solenoidal}
-    assert parts.pop(other) < 0.05 * whole
-    assert parts.popitem()[1] == pytest.approx(whole, rel=0.05)
-
-
 def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
     """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning."""
     scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
@@ -522,15 +427,3 @@ def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
     noise = float(re.search(r"standard deviation of ([0-9.]+) µm", warning)[1])
     assert 1 < noise < 3
     assert "has moved by 1.0 µm counts as slipped: where the stuck part ends is not known" in warning
-
-
-def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path: Path) -> None:
-    """Noise of 6 more grey levels in the topography view gives a warning that the border of the stick region is
-    unknown.
-    """
-    frames = np.load(slip_trials / "abrupt" / "frames.npy")[:60]
-    noisy = frames.astype(np.float64)
-    noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))
-    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
-    warnings = warnings_of(process(scene, ["stuck_ratio"]))
-    assert any("where the stuck part ends is not known" in warning for warning in warnings)

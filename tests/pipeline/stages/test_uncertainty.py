@@ -334,18 +334,3 @@ def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() ->
     between = values_of(found, "strain_energy_between_points")[-1]
     assert between < 0.97 * energy
     assert values_of(found, "strain_energy_std")[-1] > (energy - between) / 2
-
-
-def test_medians_miss_nothing_before_the_onset() -> None:
-    """The median divergence has no bias from the onset. If displacement counted from the first frame with contact, half
-    a frame late on average, the bias would be 0.8 um/mm.
-    """
-    motion, points = Motion((0.0, 0.0), ((0.001, 0.0), (0.0, 0.001)), 0.005), material()
-    found = measured(tracked(motion, points, 0))
-    true = exact(motion, points, found, False)
-    error, stated = (
-        values_of(one, name)[20:] for one, name in ((found, "median_divergence"), (found, "median_divergence_std"))
-    )
-    error = error - values_of(true, "median_divergence")[20:]
-    assert abs(np.mean(error)) < 0.2e-3
-    assert np.sqrt(np.mean((error / stated) ** 2)) < 1
