@@ -6,8 +6,6 @@ tests/test_press_accuracy.py compares the numbers with truth.
 
 import json
 import re
-import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -163,45 +161,6 @@ def test_frames_are_selected_by_time(result: xr.Dataset, tmp_path: Path) -> None
         assert float(given.sel(frame=int(result["frame"][4]))["time"]) == times[4]
 
 
-def test_no_recording_is_closed_while_it_is_read(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, torch_threads: Callable[[int], None]
-) -> None:
-    """No recording is closed while another thread still reads the next frames after an error: a video decoder would
-    crash.
-    """
-    ahead, readers, at_close = threading.Event(), set[int](), []
-    read, close = FileRecording._read_frame, FileRecording.close
-
-    def slow_read(recording: FileRecording, index: int) -> np.ndarray:
-        if threading.current_thread() is threading.main_thread():
-            return read(recording, index)
-        readers.add(index)
-        if index >= 8:  # frames of the second batch
-            ahead.set()
-            time.sleep(0.05)
-        frame = read(recording, index)
-        readers.remove(index)
-        return frame
-
-    def noted_close(recording: FileRecording) -> None:
-        if recording.path == scene.recording.frames:
-            at_close.append(sorted(readers))
-        close(recording)
-
-    def fail(*_: object) -> None:
-        assert ahead.wait(60)
-        raise KeyboardInterrupt("tracking")
-
-    monkeypatch.setattr(Recording, "mapped", Recording.read)
-    monkeypatch.setattr(FileRecording, "_read_frame", slow_read)
-    monkeypatch.setattr(FileRecording, "close", noted_close)
-    monkeypatch.setattr(TrackingStage, "step", fail)
-    torch_threads(2)
-    with pytest.raises(KeyboardInterrupt, match="tracking"):
-        process(scene)
-    assert at_close == [[]]
-
-
 def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], None]) -> None:
     """Results do not depend on the number of threads; with two, batches are read ahead and work is divided."""
     results = []
@@ -212,6 +171,7 @@ def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], N
         np.testing.assert_array_equal(results[1][name].values, results[0][name].values, err_msg=str(name))
 
 
+@pytest.mark.long
 def test_report_compares_with_the_truth(result: xr.Dataset, scene: Scene, tmp_path: Path) -> None:
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")

@@ -21,7 +21,6 @@ from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.pipeline.stages import all_stages
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import RunContext, Stage
-from fingerflow.results.result import scene_of
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
@@ -208,16 +207,6 @@ def test_keys_know_all_code_that_stages_run() -> None:
             left.append(room)
     parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines", "stages": "pipeline/stages"}
     assert {parts_of.get(room, room) for room in reached} - known == {"errors"}
-
-
-def test_the_scene_of_a_result(folder: Path, tmp_path: Path) -> None:
-    assert scene_of(folder / "result.h5") == (folder / "scene.toml").resolve()
-    with xr.open_dataset(folder / "result.h5", engine="h5netcdf") as stored:
-        gone = stored.load()
-    gone.attrs["settings"] = json.dumps({"path": str(tmp_path / "gone.toml")})
-    gone.to_netcdf(tmp_path / "gone.h5", engine="h5netcdf")
-    with pytest.raises(FingerflowError, match=r"gone\.toml is not there any more; name the scene file"):
-        scene_of(tmp_path / "gone.h5")
 
 
 def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: set[str]) -> None:

@@ -89,33 +89,6 @@ def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.render(3), press.render(3))
 
 
-def test_progress_of_a_press_that_is_held() -> None:
-    """Progress rises steadily for a constant rate, for a path shared by several presses, and during a hold with
-    relaxing force and shifting skin.
-    """
-    plain = ChainPress(n_frames=40, frame_rate=30.0, frames_before_trigger=0)
-    shared = replace(plain, force=3.0, path_force=12.0)
-    for press in (plain, replace(plain, steady=True), shared, replace(shared, steady=True)):
-        peak = press.contact_time + press.rise_time
-        time = np.linspace(press.contact_time + 1e-3, press.times[-1], 97)
-        progress = press.progress(time)
-        assert (np.diff(progress) > 0).all()
-
-        assert press.progress(np.array([0.0, peak, press.times[-1]])).tolist() == pytest.approx([0, 1, 2])
-        # On a shared path the force determines the state of the chain.
-        share = press.normal_force(time[time < peak]) / (press.path_force or press.force)
-        end = press.force / (press.path_force or press.force)
-        place = progress[time < peak] * 2 / np.pi * np.arcsin(end**0.5)
-        np.testing.assert_allclose(np.sin(np.pi / 2 * place) ** 2, share, atol=1e-12)
-    relaxing = replace(press, relaxation=0.1, drag=0.2)
-    force = relaxing.normal_force(np.array([0.0, peak, press.times[-1]]))
-    assert force.tolist() == pytest.approx([0, 3.0, 2.7])
-    assert relaxing.tangential_force(np.array([peak]))[0] == pytest.approx(0.6)
-    assert relaxing.normal_force(relaxing.times).max() <= force[1]
-    with pytest.raises(ValueError, match="below the 3 N"):
-        replace(press, path_force=2.0)
-
-
 def test_friction_is_of_a_chain_press_alone(tmp_path: Path) -> None:
     with pytest.raises(FingerflowError, match=r"--friction 0\.3 is of a chain-press"):
         simulate("press", tmp_path / "press", friction=0.3)

@@ -54,15 +54,6 @@ def test_ridges_of_the_picture_are_where_they_were(source: FingerprintTexture, p
     assert contrast.abs().max() <= 1
 
 
-def test_skin_beyond_the_print_and_the_picture_never_touches(picture: Path) -> None:
-    texture = PictureTexture(picture, DPI)
-    assert texture.size == pytest.approx((275 * MM_PER_PX, 314 * MM_PER_PX))
-    x = torch.tensor([-30.0, -7.5, -6.8, 6.8, 7.5, 30.0], dtype=torch.float64)
-    for y in (torch.full_like(x, 7.6), torch.full_like(x, -40.0)):
-        assert (texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) < 0).all()
-        assert texture(x, y).abs().max() < 0.05
-
-
 @pytest.mark.parametrize("kind", [Press, Slide])
 def test_contact_lies_in_the_print(kind: type[Press] | type[Slide], picture: Path) -> None:
     scene = scene_of_print(kind, picture, DPI)

@@ -1,7 +1,5 @@
 """Tests of a trial driven by its load: stuck area, load and truth are those of the model."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -70,33 +68,6 @@ def test_jumps_carry_contact_and_skin_together() -> None:
         np.testing.assert_allclose(gone, number * 0.1625 * np.array(jumping.motion.direction), atol=1e-9)
         skin = jumping.truth.material(np.array(ellipse.centre), frame)
         np.testing.assert_allclose(skin, ABRUPT.truth.material(np.array(plain.centre), frame), atol=1e-9)
-
-
-def test_jumps_before_full_slip_are_of_the_skin_that_slips() -> None:
-    """Jumps before full slip are 5 px at the rim and 0 at the border of the stick region, do not change d², and are
-    part of the displacement that `slow_share` limits.
-    """
-    jumping = PartialSlip(jumps=(2.6,))
-    at = int(np.searchsorted(jumping.times, 2.6))
-    motion = jumping.motion
-    angle = np.linspace(0, 2 * np.pi, 7)
-    for frame, gone in ((at - 1, 0.0), (at, 0.1625), (at + 20, 0.1625)):
-        ellipse = jumping.truth.ellipse(frame)
-        assert ellipse is not None
-        stuck = float(motion.stuck_radius(torch.tensor(jumping.times[frame] / jumping.times[-1], dtype=torch.float64)))
-        assert 0.5 < stuck < 0.9
-        assert jumping.stuck_share(frame) == ABRUPT.stuck_share(frame) == pytest.approx(stuck**2)
-        for share, expected in ((1.0, gone), (1.3, gone), ((1 + stuck) / 2, gone / 2), (stuck, 0.0), (stuck / 2, 0.0)):
-            # A jump moves skin along the pull: the positions on the ellipse are those on the glass, not on the skin.
-            turned = np.stack((share * 5.0 * np.cos(angle), share * 4.2 * np.sin(angle)), -1)
-            turn = np.array([[math.cos(0.14), math.sin(0.14)], [-math.sin(0.14), math.cos(0.14)]])
-            places = ellipse.centre + turned @ turn
-            moved = ABRUPT.truth.material(places, frame) - jumping.truth.material(places, frame)
-            np.testing.assert_allclose(moved, np.broadcast_to(expected * np.array(motion.direction), (7, 2)), atol=1e-9)
-        radius = np.linspace(0, 1, 100_001)
-        progress = torch.tensor(jumping.times[frame] / jumping.times[-1], dtype=torch.float64)
-        slipped = motion._slip_at(torch.from_numpy(radius), motion.stuck_radius(progress), motion.jumped(progress))
-        assert jumping.slow_share(frame) == pytest.approx(radius[int((slipped < 0.04).sum())] ** 2, abs=1e-4)
 
 
 def test_jumps_that_would_tear_the_skin_are_refused() -> None:

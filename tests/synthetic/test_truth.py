@@ -44,17 +44,6 @@ def test_forward_map_inverts_the_inverse_map(scene: SyntheticScene, frame: int) 
 
 
 @ANY_SCENE
-def test_skin_never_folds_in_view(scene: SyntheticScene) -> None:
-    positions = field_of_view(scene)
-    for frame in range(0, scene.n_frames, 52):
-        material = scene.truth.material(positions, frame)
-        rows, columns = (np.diff(material, axis=axis) for axis in (0, 1))
-        area = columns[:-1, :, 0] * rows[:, :-1, 1] - columns[:-1, :, 1] * rows[:, :-1, 0]
-        step_y, step_x = positions[1, 0, 1] - positions[0, 0, 1], positions[0, 1, 0] - positions[0, 0, 0]
-        assert (area > 0.5 * step_x * step_y).all()
-
-
-@ANY_SCENE
 def test_onset_frame_is_the_first_inside(scene: SyntheticScene) -> None:
     truth = scene.truth
     for frame in (60, 140, LAST):
@@ -139,16 +128,6 @@ def test_before_contact_and_without_contact_there_is_no_displacement() -> None:
     assert not np.isnan(truth.displacement(late, LAST)).any()
 
 
-def test_points_come_in_any_shape() -> None:
-    truth = SCENES[0].truth
-    assert truth.gradient(np.empty((0, 2)), LAST).shape == (0, 2, 2)
-    assert truth.displacement([10.5, 8.4], LAST).shape == (2,)
-    grid = truth.displacement(np.full((3, 4, 2), 9.0), LAST)
-    np.testing.assert_array_equal(grid, np.broadcast_to(truth.displacement([9.0, 9.0], LAST), grid.shape))
-    with pytest.raises(ValueError, match=r"shape \(4, 3\).*x and y"):
-        truth.positions(np.zeros((4, 3)), 0)
-
-
 @pytest.mark.parametrize("scene", [Slide(), PartialSlip(), PartialSlip(static_friction=0.6, kinetic_friction=0.8)])
 @pytest.mark.parametrize("frame", [40, 150, 220])
 def test_slow_share_is_the_share_of_slow_skin(scene: Slide, frame: int) -> None:
@@ -178,11 +157,6 @@ def test_areas_equal_pixel_counts(scene: SyntheticScene) -> None:
         # Some 20 ridges cross the edge, so pixel counts are less accurate than for a smooth ellipse.
         assert truth.contact_mask(frame).sum() * pixel == pytest.approx(area, rel=5e-3)
         assert area == pytest.approx(0.5 * ellipse.area, rel=0.05)
-
-
-def test_contact_fraction_is_a_setting() -> None:
-    truth = Press(contact_fraction=0.35).truth
-    assert truth.real_contact_area_mm2(LAST) == pytest.approx(0.35 * truth.gross_contact_area_mm2(LAST), rel=0.05)
 
 
 @ANY_SCENE

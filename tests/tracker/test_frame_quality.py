@@ -132,15 +132,3 @@ def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> 
     found = [k for k, one in enumerate(status) if FRAME_STATUS[one] == "repeated"]
     assert found == (repeats if told else [])
     assert len(repeats) == told or not told
-
-
-def test_a_copy_of_an_earlier_frame_is_told_live() -> None:
-    """Three copies in a row of earlier frames are recognised, though the skin does not move: the noise of a camera is
-    never equal to the last digit.
-    """
-    check, skin = FrameCheck(GLASS, 0 * GLASS, 8), _skin()[:, :240]
-    views = [_view(skin, k) for k in range(40)]
-    views[30:33] = views[15:18]
-    status = [check.see(k, *check.look({"contact_view": view}))[1] for k, view in enumerate(views)]
-    assert [k for k, one in enumerate(status) if one != USABLE] == [30, 31, 32]
-    assert {FRAME_STATUS[one or 0] for one in status[30:33]} == {"repeated"}

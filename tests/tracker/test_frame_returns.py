@@ -77,11 +77,11 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_jumps_and_returns_is_found_and_nothing_else(skin: Frames, kind: str) -> None:
-    places = (0, 9, 11, 13, 30, 31, 32, 50, 51, FRAMES - 1)
-    frames = skin.copy()
-    for k in places:
-        frames[k] = KINDS[kind](frames[k])
-    assert found(frames) == list(places)
+    for places in ([0, 30, 31, 32], [9, 11, 13], [20, 21, FRAMES - 1]):
+        frames = skin.copy()
+        for k in places:
+            frames[k] = KINDS[kind](frames[k])
+        assert found(frames) == places
 
 
 def test_motion_and_light_that_stay_are_none(skin: Frames) -> None:

@@ -10,7 +10,6 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.report.page import write_report
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, write_recording
 from tests.pipeline.stages.conftest import Change
@@ -67,29 +66,18 @@ def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | in
     assert not np.nan_to_num(result["displacement"].values[frame]).any()
 
 
-@pytest.mark.parametrize("direction", ["forward", "backward"])
-def test_by_onset_sliding_counts_as_another_strain(scene: Scene, direction: str) -> None:
+def test_by_onset_sliding_counts_as_another_strain(scene: Scene) -> None:
     """Counted from their onsets, neighbours have different reference times: the true divergence is 115 um/mm, against
-    100 um/mm of the skin itself. Tracked backward, points give the same, and the error of the displacement since the
-    true onset is uncorrelated with the step at onset.
+    100 um/mm of the skin itself.
     """
     truth = PRESS.truth
     by_onset, by_skin = truth.medians(39).divergence, truth.medians(39, reference=0).divergence
     assert by_onset - by_skin > 0.01
-    # Without a stream region both directions seed points wherever skin touches at some time.
-    stream, tracking = replace(scene.stream, region=None), replace(scene.tracking, direction=direction)
-    result = counted_from(replace(scene, stream=stream, tracking=tracking), "onset")
+    result = counted_from(scene, "onset")
     # At 40 frames/s the contact grows by up to 0.2 mm per frame while the skin slides, and the onset is late by this.
     assert abs(result["median_divergence"].values[39] - by_onset) < 0.006
     assert "reference_frame" not in result["divergence"].attrs
     assert "own onset" in result["displacement"].attrs["reference"]
-    position, onset = result["position"].values, result["onset_frame"].values
-    touched = np.flatnonzero((onset > 0) & np.isfinite(position[-1]).all(-1))
-    step = position[onset[touched], touched] - position[onset[touched] - 1, touched]
-    exact = truth.displacement(truth.material(position[-1, touched], 39), 39)
-    missing = exact - (position[-1, touched] - result["reference_position"].values[touched])
-    known = np.isfinite(missing).all(-1) & np.isfinite(step).all(-1)
-    assert abs((missing[known] * step[known]).sum() / (step[known] ** 2).sum()) < 0.18
 
 
 def test_truth_by_a_frame_is_the_difference_of_two_positions() -> None:
@@ -107,9 +95,7 @@ def test_truth_by_a_frame_is_the_difference_of_two_positions() -> None:
         np.testing.assert_allclose(gradient[..., axis], (other - moved) / step, atol=1e-4)  # second order in step
 
 
-def test_what_is_unknown_in_the_reference_is_said(
-    changed: Change, frames: np.ndarray[Any, Any], tmp_path: Path
-) -> None:
+def test_what_is_unknown_in_the_reference_is_said(changed: Change, frames: np.ndarray[Any, Any]) -> None:
     """Points lost in the reference frame, behind a patch of the topography view, have no displacement, and a warning
     counts them. A frame outside the recording or without light is refused.
     """
@@ -130,5 +116,3 @@ def test_what_is_unknown_in_the_reference_is_said(
     assert lost.sum() > 10
     assert np.isnan(result["displacement"].values[:, lost]).all()
     assert "are not known in fields.reference, frame 5" in warnings_of(result)
-    page = write_report(result, None, tmp_path).read_text(encoding="utf-8")
-    assert "Displacement counts from frame 5, 0.5 s from the trigger" in page

@@ -234,24 +234,6 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     assert np.isfinite(moved[1:, 0]).all()
 
 
-def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
-    """A touch of two frames is no onset. Displacement during this touch counts from the middle of the step to its first
-    frame, with the noise of the positions at both ends of the step.
-    """
-    position = np.zeros((7, 1, 2)) + np.arange(7)[:, None, None] ** 2
-    deviation = np.sqrt(np.array([[1.0], [2], [3], [4], [5], [6], [7]], np.float32))
-    covered = np.array([[0], [1], [1], [0], [1], [1], [1]], dtype=bool)
-    given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
-    series = contact()
-    series["ellipse_semi_axes"][0] = np.nan  # no contact yet, so that the point is not on its border
-    trial = trial_of(inputs(), series, 7, **given)
-    run(trial, DisplacementStage(trial))
-    assert values_of(trial, "onset_frame").tolist() == [4]
-    np.testing.assert_allclose(values_of(trial, "displacement")[:, 0, 0], [np.nan, 0.5, 3.5, np.nan, 3.5, 12.5, 23.5])
-    noise = values_of(trial, "displacement_std")[:, 0] ** 2 - values_of(trial, "displacement_std")[4, 0] ** 2
-    np.testing.assert_allclose(noise[[1, 2, 5]] / MM_PER_PX**2, [-0.75, 0.75, 3.0], rtol=1e-2, atol=1e-2)
-
-
 def test_there_is_no_energy_only_where_nothing_touches() -> None:
     """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest the
     energy is below its deviation.
