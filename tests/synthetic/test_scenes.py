@@ -21,9 +21,8 @@ def test_frames_are_the_same_in_any_order(kind: type[SyntheticScene]) -> None:
     assert (kind(camera=Camera(seed=1)).render(200) != first).mean() > 0.5
 
 
-@ANY_SCENE
-def test_single_precision_is_far_below_the_noise(kind: type[SyntheticScene]) -> None:
-    scene = kind()
+def test_single_precision_is_far_below_the_noise() -> None:
+    scene = Press()
     exact, fast = scene.render_clean(250, dtype=torch.float64), scene.render_clean(250)
     assert fast.dtype == np.float32
     # An edge of 80 levels over 0.35 px turns the 2e-6 mm of float32's rounding into 0.01 levels at most.
@@ -42,9 +41,8 @@ def test_noise_is_the_cameras(kind: type[SyntheticScene]) -> None:
 
 
 @ANY_SCENE
-@pytest.mark.parametrize("bit_depth", [8, 12])
-def test_grey_levels_use_the_range_without_saturation(kind: type[SyntheticScene], bit_depth: int) -> None:
-    scene = kind(camera=Camera(bit_depth=bit_depth))
+def test_grey_levels_use_the_range_without_saturation(kind: type[SyntheticScene]) -> None:
+    scene = kind(camera=Camera(bit_depth=12))
     frame = scene.render(299)
     levels = scene.camera.levels
     assert (frame == scene.camera.full_range).mean() < 0.001

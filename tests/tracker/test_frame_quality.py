@@ -9,7 +9,7 @@ import pytest
 
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_distances import LONGEST
-from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck
+from fingerflow.tracker.stream_frame_quality import FrameCheck
 
 Array = np.ndarray[Any, Any]
 GLASS = np.full((192, 240), 200.0)
@@ -98,25 +98,6 @@ def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
     found = _statuses([place * (1 + 0.2 * np.sin(2.4 * k)) for k in range(60)])
     assert [one != "usable" for one in found].count(True) <= 9
     assert found[14:57] == ["usable"] * 43
-
-
-def test_lines_without_light_are_lost_ones() -> None:
-    """Dark lines across the view make a frame bad; dark lines that stay belong to the camera after three frames. Lines
-    that do not reach from side to side may be a contact.
-    """
-    view = np.full((192, 240), 180.0)
-    lines = view.copy()
-    lines[90:100] = 0
-    jumps = "jumps_and_returns"
-    found = _statuses([lines if k in (3, 6) else view for k in range(9)], end=False)
-    assert found == [jumps if k in (3, 6) else "usable" for k in range(9)]
-    found = _statuses([lines if k >= 9 else view for k in range(20)], end=False)
-    assert found[:12] == ["usable"] * 9 + [jumps] * 3
-    assert set(found[12:]) == {"usable"}
-    half = view.copy()
-    half[90:100, :120] = 0  # a contact does not reach from side to side
-    check = FrameCheck(GLASS, 0 * GLASS, 8)
-    assert check.look({"contact_view": _view(half, 0)})[1] == USABLE
 
 
 @pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0)])

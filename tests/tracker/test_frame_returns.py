@@ -44,9 +44,8 @@ def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     return np.concatenate(parts)
 
 
-def found(frames: Frames, usable: NDArray[np.bool_] | None = None) -> list[int]:
-    all_usable = np.ones(len(frames), dtype=bool)
-    return np.flatnonzero(jumps_and_returns(distances(frames), all_usable if usable is None else usable)).tolist()
+def found(frames: Frames) -> list[int]:
+    return np.flatnonzero(jumps_and_returns(distances(frames), np.ones(len(frames), dtype=bool))).tolist()
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -100,19 +99,6 @@ def test_flickering_light_and_vibrating_skin_are_no_return_of_a_frame(skin: Fram
         assert found(skin * (1 + share * np.sin(phase))[:, None, None]) == []
     shift = np.round(4 * np.sin(2 * np.pi * np.arange(FRAMES) / round(period) + 0.3)).astype(int)
     assert found(np.stack([np.roll(frame, k, 1) for frame, k in zip(skin, shift, strict=True)])) == []
-
-
-def test_frames_that_are_known_not_to_be_pictures_measure_none(skin: Frames) -> None:
-    """No frame is compared with frames known to be bad: a good frame between two black frames, which resemble each
-    other, is not a jump.
-    """
-    frames = skin.copy()
-    frames[[20, 22]] = 1 + 0.1 * frames[[20, 22]]
-    usable = np.ones(FRAMES, dtype=bool)
-    usable[[20, 22]] = False
-    assert found(frames, usable) == []
-    frames[40] = KINDS["rolled"](frames[40])
-    assert found(frames, usable) == [40]
 
 
 def copied(frames: Frames) -> list[int]:

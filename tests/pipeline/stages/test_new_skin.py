@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.spatial import cKDTree
 
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import process
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
@@ -161,38 +159,3 @@ def test_points_are_wanted_as_far_upstream_as_skin_comes_from() -> None:
         wanted[begun] = 39 * 8 - np.flatnonzero(region.any(0))[0]  # px upstream of the disc
     assert wanted[False] <= 16
     assert 64 <= wanted[True] <= 96
-
-
-@pytest.mark.parametrize(("fastest", "far"), [(0.0, 12.5), (40.0, 3.0), (500.0, 60.0)])
-def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
-    """The preselection of cells without points contains all empty cells that a search of all cells finds."""
-    rng = np.random.default_rng(int(fastest))
-    cell, shape = 8, (32, 40)
-    skin = NewSkin(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), cell, 25)
-    rows, columns = np.indices(shape)
-    touching = np.hypot(rows - 14, columns - 25) < 9
-    at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * 2 + 0.5) * cell - 0.5
-    place = rng.uniform((-30, -30), (670, 540), (120, 2))
-    way = rng.uniform(-fastest, fastest, (120, 2))
-    may = skin._cells_without_points(touching, place, way, far)
-    distance, nearest = cKDTree(place).query(at)
-    empty = (skin._in(touching, at) | skin._in(touching, at + 2 * way[nearest])) & (distance > far)
-    assert empty.any()
-    assert may[empty].all()
-    assert (distance[may] > far).all()
-
-
-@pytest.mark.parametrize("backward", [False, True])
-def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
-    """After a rigid motion the position of a point at the first seeding is exactly its position minus the motion."""
-    places = np.random.default_rng(3).uniform(0, 10, (60, 2))
-    moved = places + np.arange(9)[:, None, None] * np.array([0.3, -0.1])
-    status = np.zeros((9, 60), np.uint8)
-    status[:4, 40:] = NOT_YET
-    if backward:
-        moved, status = moved[::-1], status[::-1]
-    position = np.where((status == NOT_YET)[..., None], np.nan, moved)
-    found = common_frame(position, status, 8 if backward else 0, backward)
-    np.testing.assert_allclose(found.places, places, atol=1e-12)
-    assert (found.seeded[40:] == 4).all()
-    assert found.later.sum() == 20
