@@ -193,30 +193,3 @@ def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: SyntheticSc
     within = (ellipse.distance(x, y) > 0.15).numpy()
     np.testing.assert_array_equal(dark[within], scene.truth.contact_mask(frame)[within])
     assert not dark[(ellipse.distance(x, y) < -0.05).numpy()].any()
-
-
-@ANY_SCENE
-def test_views_are_related_by_the_affine_map(scene: SyntheticScene) -> None:
-    truth = scene.truth
-    pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.5, 255.25], [0.0, 511.0]])
-    np.testing.assert_allclose(truth.topography_pixels(truth.topography_positions(pixels)), pixels, atol=1e-10)
-
-    matrix = np.array(scene.topography_to_contact)
-    seen = truth.contact_pixels(truth.topography_positions(pixels))
-    np.testing.assert_allclose(seen, pixels @ matrix[:, :2].T + matrix[:, 2], atol=1e-10)
-    assert math.sqrt(np.linalg.det(matrix[:, :2])) == pytest.approx(1.01)
-    assert np.abs(seen - pixels).max() > 3
-
-
-@ANY_SCENE
-def test_followed_points_stay_on_their_skin(scene: SyntheticScene) -> None:
-    truth = scene.truth
-    pixels = truth.topography_pixels(inside(scene, 100, 50))
-    later = truth.follow(pixels, 100, LAST)
-    np.testing.assert_allclose(
-        truth.material(truth.topography_positions(later), LAST),
-        truth.material(truth.topography_positions(pixels), 100),
-        atol=1e-12,
-    )
-    np.testing.assert_allclose(truth.follow(later, LAST, 100), pixels, atol=1e-9)
-    assert np.linalg.norm(later - pixels, axis=-1).max() > 2
