@@ -107,8 +107,7 @@ def copied(frames: Frames) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    ("places", "sources"),
-    [([30], [29]), ([30, 31, 32], [29, 29, 29]), ([77, 78, 79], [37, 38, 39])],
+    ("places", "sources"), [([30], [29]), ([30, 31, 32], [29, 29, 29]), ([77, 78, 79], [37, 38, 39])]
 )
 def test_a_copy_of_an_earlier_or_later_frame_is_found(skin: Frames, places: list[int], sources: list[int]) -> None:
     frames = skin.copy()

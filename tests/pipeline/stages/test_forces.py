@@ -161,12 +161,7 @@ def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "heading", "settings", "message"),
     [
-        (
-            [1, 1, 1, 1],
-            HEADING.format(""),
-            NAMED + 'units = "V"',
-            r"csv: column 'fz' .* is in V, not in N; give",
-        ),
+        ([1, 1, 1, 1], HEADING.format(""), NAMED + 'units = "V"', r"csv: column 'fz' .* is in V, not in N; give"),
         ([1, 1, 1, 1], HEADING.format(" (V)"), NAMED, r"csv: column 'fz' .* is in V, not in N; give"),
         ([1, -1, 1, 1], HEADING.format(" (N)"), NAMED, r"between -\d.* N: pressing must be positive; give .*sign = -1"),
         ([1, np.nan, 1, 1], HEADING.format(" (N)"), NAMED, ""),

@@ -160,7 +160,7 @@ MOST = {"noise": {"median": 1.5}, "onset": {"median": 1.5, "energy": 3.0}}
 LEAST = {"noise": 0.8, "onset": 0.55}
 
 
-@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("kind", ["noise", pytest.param("onset", marks=pytest.mark.long)])
 def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors agree with the stated deviations within a quarter; 40 copies know the deviation of one number to 11 %, of
     hundreds far better.
