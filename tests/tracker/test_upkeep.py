@@ -31,23 +31,6 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
     assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
 
 
-def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
-    search = ThresholdSearch(2)
-    assert search.see(0, 1.0, 0.3)
-    assert (search.due(1), search.due(2)) == (None, 0.3)
-    search.used()
-    assert not search.see(2, 10.0, None)
-    assert not search.see(3, 20.0, None)
-    assert [search.wants(index) for index in (4, 5, 6)] == [False, True, False]
-    assert not search.see(5, 20.0, math.nan)
-    assert not search.see(6, 24.0, None)
-    assert not search.see(7, 26.0, None)
-    assert search.wants(9)
-    search.passed_over()  # the frame is black: the threshold is measured later
-    search.see(10, 26.0, None)
-    assert search.wants(12)
-
-
 def test_single_frames_change_nothing() -> None:
     """Single frames with few points change nothing, nor do frames that are not four in a row. Lost points are seeded
     again after 64 frames at the earliest.

@@ -9,7 +9,6 @@ import xarray as xr
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import process
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
 from tests.small_trials import edit_scene
@@ -135,27 +134,3 @@ def test_a_slow_roll(tmp_path: Path) -> None:
     assert stated.max() < 1e-3
     energy = energies(trial.truth.entry_gradient(skin_in_contact(trial, 59, 0.1), 59), 0.1).sum()
     assert result["strain_energy"].values[-1] == pytest.approx(energy, rel=0.1)
-
-
-def test_points_are_wanted_as_far_upstream_as_skin_comes_from() -> None:
-    """Points are seeded as far upstream as skin comes from until the next seeding but one.
-
-    Skin moves 40 px between seedings past a disc at rest that is full of points: 80 px of skin enter, found to a cell
-    of 16 px. Without the positions of the first seeding the motion is not known at the first check.
-    """
-    rows, columns = np.indices((40, 80))
-    disc = np.where(np.hypot(rows - 20, columns - 50) < 12, 1.0, -1.0)
-    searched = np.kron(disc > 0, np.ones((8, 8))) > 0
-    start = np.argwhere(searched)[::97, ::-1].astype(float)
-    known = Known(start + np.array([40.0, 0.0]), start, np.ones(len(start), bool), np.zeros(len(start), int))
-    wanted = {}
-    for begun in (False, True):
-        skin = NewSkin(np.eye(2, 3), 8, 25)
-        skin.searched.append(searched)
-        if begun:
-            skin.begin(disc, start)
-        region = skin.region(disc, known)
-        assert region is not None
-        wanted[begun] = 39 * 8 - np.flatnonzero(region.any(0))[0]  # px upstream of the disc
-    assert wanted[False] <= 16
-    assert 64 <= wanted[True] <= 96

@@ -21,15 +21,12 @@ def skin(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(120 + 40 * np.sin(2 * np.pi * along / 14) + 25 * np.sin(x / 3.1) * np.sin(y / 2.7 + x / 9))
 
 
-def picture(shift: tuple[float, float], seed: int = 0, stretch: float = 0.0) -> torch.Tensor:
-    """Return an image (1, 1, SIZE, SIZE) uint8 of skin shifted by `shift` px and stretched right of the middle, with
-    noise of 1 grey level.
-    """
+def picture(shift: tuple[float, float], seed: int = 0) -> torch.Tensor:
+    """Return an image (1, 1, SIZE, SIZE) uint8 of skin shifted by `shift` px, with noise of 1 grey level."""
     y, x = np.mgrid[:SIZE, :SIZE].astype(float)
-    x, y = x - shift[0], y - shift[1]
-    x = np.where(x > 64, 64 + (x - 64) / (1 + stretch), x)
     noise = np.random.default_rng(seed).normal(0, 1, x.shape)
-    return torch.from_numpy(np.clip(np.rint(skin(x, y) + noise), 0, 255).astype(np.uint8))[None, None]
+    light = np.rint(skin(x - shift[0], y - shift[1]) + noise)
+    return torch.from_numpy(np.clip(light, 0, 255).astype(np.uint8))[None, None]
 
 
 def even(shift: tuple[float, float]) -> NDArray[np.float32]:
