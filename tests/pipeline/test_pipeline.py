@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -107,13 +108,14 @@ def test_what_cannot_be_computed_is_named(scene: Scene, tmp_path: Path) -> None:
     background = replace(scene.background, frames=tmp_path / "small.npy", dark=None)
     alone = Views({"contact": scene.views.contact})
     swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
-    for changes, output, message in (
+    cases: list[tuple[dict[str, Any], str, str]] = [
         ({}, "real_contact_aera", "did you mean 'real_contact_area'"),
         ({"views": alone}, "divergence", "topography"),
         ({"forces": None}, "normal_force", "forces"),
         ({"background": background}, "real_contact_area", "100 rows x 200 columns"),
         ({"views": swapped}, "real_contact_area", r"\[views.contact\]"),
-    ):
+    ]
+    for changes, output, message in cases:
         with pytest.raises(FingerflowError, match=message):
             process(replace(scene, **changes), output)
     for path in ("", ".", "/"):

@@ -14,4 +14,6 @@ from fingerflow.kernels import tensors as kernels
 @pytest.fixture
 def make_engine() -> Callable[[EngineSettings], Engine]:
     """Return a function that makes an engine of given settings: the compiled one where it was built."""
-    return NativeEngine if kernels.serve() else lambda settings: TorchEngine(settings, torch.device("cpu"))
+    if kernels.serve():
+        return NativeEngine
+    return lambda settings: TorchEngine(settings, torch.device("cpu"))

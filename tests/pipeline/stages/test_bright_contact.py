@@ -24,7 +24,7 @@ def pictures(press: Path) -> dict[str, Frames]:
 @pytest.fixture
 def negatives(press: Path, pictures: dict[str, Frames]) -> dict[str, Frames]:
     """Return the pictures with the negative of their contact view."""
-    view, negatives = load_scene(press / "scene.toml").views.contact, {}
+    view, negatives = load_scene(press / "scene.toml").views.contact, dict[str, Frames]()
     for name, picture in pictures.items():
         negatives[name] = picture.copy()
         view.crop(negatives[name])[...] = 255 - view.crop(picture)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +20,15 @@ from tests.small_trials import FRAMES, SPOILED, WIDTH, dim_contact, other_noise,
 
 Frame = np.ndarray[Any, Any]
 FAR = "jumps_and_returns"
+
+
+def _of_itself(spoil: Callable[[Frame], Frame], frame: Frame, other: Frame, k: int) -> Frame:
+    return spoil(frame)
+
+
 #: (function that returns a spoiled frame from it, the frame half a recording away and its number; status).
 KINDS: dict[str, tuple[Callable[[Frame, Frame, int], Frame], str]] = {
-    **{name: (lambda frame, *_, spoil=spoil: spoil(frame), status) for name, (spoil, status) in SPOILED.items()},
+    **{name: (partial(_of_itself, spoil), status) for name, (spoil, status) in SPOILED.items()},
     "dim topography view": (lambda frame, *_: np.roll(dim_contact(np.roll(frame, WIDTH, 1)), WIDTH, 1), FAR),
     "noise": (lambda frame, _, k: np.random.default_rng(k).integers(0, 256, frame.shape), FAR),
     "other moment": (lambda _, other, k: other_noise(other, k), FAR),

@@ -100,7 +100,9 @@ def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
     picture[10:30, 20:50] = 255
     cv2.imwrite(str(tmp_path / "mask.png"), picture)
     scene = drawn(CONTACT, 'mask = "mask.png"')
-    np.testing.assert_array_equal(region_mask(scene, "contact"), picture > 0)
+    found = region_mask(scene, "contact")
+    assert found is not None
+    np.testing.assert_array_equal(found, picture > 0)
     assert tmp_path / "mask.png" in scene.files()
     with pytest.raises(PlayerError, match=r"views\.topography\.region is a picture.*polygon or an ellipse"):
         load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"').path)

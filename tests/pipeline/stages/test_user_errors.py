@@ -164,8 +164,12 @@ def test_contact_everywhere(changed: Change, frames: Array, replaced: dict[str, 
 
 def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each recording and its background are closed after processing, so that one process can handle thousands."""
-    closed: list[str] = []
-    close = FileRecording.close
-    monkeypatch.setattr(FileRecording, "close", lambda self: (closed.append(self.path.name), close(self)))
+    closed, close = set[str](), FileRecording.close
+
+    def noted(recording: FileRecording) -> None:
+        closed.add(recording.path.name)
+        close(recording)
+
+    monkeypatch.setattr(FileRecording, "close", noted)
     process(changed(), AREAS)
-    assert {"frames.npy", "empty.npy", "dark.npy"} == set(closed)
+    assert closed == {"frames.npy", "empty.npy", "dark.npy"}
