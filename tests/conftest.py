@@ -16,7 +16,7 @@ from bench.chromium import launch
 from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
-from tests.small_trials import TINY_PRESS, write_bundle_of_trials, write_small_slip
+from tests.small_trials import TINY_PRESS, write_bundle_of_trials, write_small_slip, write_trial
 
 #: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
 #: long before those that play it, which would wait.
@@ -108,6 +108,17 @@ def slip_trials(shared_folder: Path) -> Path:
 def tiny_press(shared_folder: Path) -> Path:
     """Return the folder of `TINY_PRESS` of tests/small_trials.py, which no test may write to."""
     return _made_once(shared_folder / "tiny_press", lambda path: write_recording(path, TINY_PRESS))
+
+
+@pytest.fixture(scope="session")
+def trials(shared_folder: Path) -> Path:
+    """Return a folder with the trials `press` and `slide` of tests/small_trials.py, whose files no test may change."""
+
+    def write(folder: Path) -> None:
+        for kind in ("press", "slide"):
+            write_trial(folder / kind, kind)
+
+    return _made_once(shared_folder / "trials", write)
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@
 import ast
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -60,9 +61,14 @@ PACKAGES = {
 }
 
 
-def imported(source: str) -> Iterator[tuple[int, str]]:
+@cache
+def _tree(path: Path) -> ast.AST:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Yield (line, module) of every import, also inside functions and by `import_module` with a text."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, name.name) for name in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -88,10 +94,10 @@ def _member(name: str) -> str:
     return f"fingerflow.{name}" if is_module else "fingerflow.__init__"
 
 
-def wrong_arrows(room: str, source: str, where: str = "") -> list[str]:
+def wrong_arrows(room: str, tree: ast.AST, where: str = "") -> list[str]:
     """Return one sentence for each import that the tables do not allow."""
     wrong = []
-    for line, module in imported(source):
+    for line, module in imported(tree):
         top, _, rest = module.partition(".")
         if top == "fingerflow":
             target = _room(rest.split(".")) or "__init__"
@@ -112,16 +118,11 @@ def _room(parts: list[str]) -> str:
     return own.get(tuple(parts[:2]), parts[0])
 
 
-def test_every_room_has_its_place() -> None:
-    rooms = {room_of(path) for path in PACKAGE.rglob("*.py")}
-    assert rooms <= set(ARROWS), "a new room: say in ARROWS what it may import"
-
-
 def test_no_class_name_twice() -> None:
     """Every class of the package has a name of its own, so that a name in a message or docstring leads to one class."""
     named: dict[str, list[str]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(_tree(path)):
             if isinstance(node, ast.ClassDef):
                 named.setdefault(node.name, []).append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
     assert not {name: places for name, places in named.items() if len(places) > 1}
@@ -136,7 +137,7 @@ def test_every_variable_is_put_under_its_literal_name() -> None:
         node.value
         for room in rooms
         for path in (PACKAGE / room).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(_tree(path))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
     every = [one for value in vars(variables).values() if isinstance(value, tuple) for one in value]
@@ -148,16 +149,9 @@ def test_every_variable_is_put_under_its_literal_name() -> None:
 def test_imports_follow_the_arrows() -> None:
     files = sorted(PACKAGE.rglob("*.py"))
     assert len(files) > 50
-    wrong = [
-        sentence
-        for path in files
-        for sentence in wrong_arrows(room_of(path), path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE)))
-    ]
+    assert {room_of(path) for path in files} <= set(ARROWS), "a new room: say in ARROWS what it may import"
+    wrong = [one for path in files for one in wrong_arrows(room_of(path), _tree(path), str(path.relative_to(PACKAGE)))]
     assert not wrong, "\n".join(wrong)
-
-
-def test_nothing_imports_the_command_line() -> None:
-    assert all("cli" not in targets for room, targets in ARROWS.items() if room not in ("cli", "__main__"))
 
 
 def test_no_room_leads_back_to_itself() -> None:
@@ -171,37 +165,26 @@ def test_no_room_leads_back_to_itself() -> None:
 
 def test_the_package_itself_loads_nothing() -> None:
     """`import fingerflow` loads nothing; torch is loaded with the first public function."""
-    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
-    loaded = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
-    assert {node.module for node in loaded if isinstance(node, ast.ImportFrom)} <= {
-        "importlib",
-        "importlib.util",
-        "typing",
-    }
-    assert not [node for node in loaded if isinstance(node, ast.Import)]
+    loaded = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8")).body
+    modules = [getattr(node, "module", "") for node in loaded if isinstance(node, (ast.Import, ast.ImportFrom))]
+    assert set(modules) <= {"importlib", "importlib.util", "typing"}
 
 
 @pytest.mark.parametrize(
     ("room", "source"),
     [
-        ("ops", "from fingerflow.graphs import ContactGraph"),
         ("ops", "import numpy as np"),
         ("ops", "def f():\n    from fingerflow import scene"),
         ("graphs", "import fingerflow.pipeline.stages.contact.contact_stage"),
-        ("kernels", "import torch"),
         ("kernels", "from fingerflow.kernels import tensors"),
-        ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),
-        ("models", "from fingerflow.ops.fields.strain import curl"),
-        ("recordings", "from fingerflow.pipeline.stages.preparation.inputs import Inputs"),
         ("stages", "from fingerflow.pipeline.run import process"),
         ("report", "from fingerflow.cli import main"),
-        ("player", "import torch"),
         ("calibration", 'import_module(f"fingerflow.report.{name}")'),
         ("results", "if TYPE_CHECKING:\n    from fingerflow.pipeline.run import process"),
     ],
 )
 def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:
-    assert len(wrong_arrows(room, source)) == 1
+    assert len(wrong_arrows(room, ast.parse(source))) == 1
 
 
 def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> None:

@@ -62,12 +62,7 @@ def test_octave_runs_the_page(trial: tuple[Path, xr.Dataset]) -> None:
     said = run(*here, f"cd('{folder}'); {block}").splitlines()[-1]
     assert said == f"{area:.1f} mm^2 at {time:.2f} s, median divergence {1e3 * spread:.1f} um/mm"
 
-
-@pytest.mark.long
-def test_octave_reads_a_result(trial: tuple[Path, xr.Dataset]) -> None:
-    """Octave reads a result with the file that MATLAB uses as well."""
-    here = _octave()
-    folder, result = trial
+    # Octave reads a result with the file that MATLAB uses as well.
     code = f"addpath('{EXAMPLES}'); t = read_result('{folder / 'result.h5'}'); "
     said = run(*here, code + "printf('%.9g ', t.contact, t.farthest, size(t.displacement))").splitlines()
     length = 1e3 * np.linalg.norm(result["displacement"].values, axis=-1)

@@ -10,8 +10,6 @@ import torch
 from fingerflow.ops.contact import apparent_contact, otsu
 from tests.embedded import CASES, expected, tensors_of, without_a_case
 
-DTYPES = (torch.float64, torch.bfloat16, torch.float16)
-
 
 @pytest.fixture
 def restored() -> Iterator[None]:
@@ -21,53 +19,35 @@ def restored() -> Iterator[None]:
     torch.set_default_device(None)
 
 
-def without_what_was_kept() -> None:
-    """Clear the tensors that ops cache from call to call, which may come from before the defaults changed."""
-    otsu._bin_of_level.cache_clear()
-    apparent_contact._kept_boxes.cache_clear()
-
-
-def same(name: str) -> None:
-    wanted = expected(name)
-    case = CASES[name]
-    with torch.no_grad():
-        for result, other in zip(tensors_of(case.call(*case.inputs)), wanted, strict=True):
-            assert result.dtype == other.dtype
-            assert result.device == other.device
-            assert torch.equal(result.nan_to_num(-7.0), other.nan_to_num(-7.0))
-
-
 def test_every_op_and_module_has_a_case() -> None:
     assert not without_a_case(), "give these inputs in tests/embedded.py"
 
 
 @pytest.mark.usefixtures("each_form", "restored")
-@pytest.mark.parametrize("dtype", DTYPES, ids=str)
 @pytest.mark.parametrize("name", CASES)
-def test_default_dtype(name: str, dtype: torch.dtype) -> None:
-    expected(name)
-    without_what_was_kept()
-    torch.set_default_dtype(dtype)
-    same(name)
+def test_default_dtype_and_device(name: str) -> None:
+    case, wanted = CASES[name], expected(name)
+    for dtype, device in ((torch.float64, None), (torch.bfloat16, None), (torch.float32, "meta")):
+        # Tensors that ops keep from call to call may come from before the defaults changed.
+        otsu._bin_of_level.cache_clear()
+        apparent_contact._kept_boxes.cache_clear()
+        torch.set_default_dtype(dtype)
+        torch.set_default_device(device)
+        with torch.no_grad():
+            for result, other in zip(tensors_of(case.call(*case.inputs)), wanted, strict=True):
+                assert result.dtype == other.dtype
+                assert result.device == other.device
+                assert torch.equal(result.nan_to_num(-7.0), other.nan_to_num(-7.0))
 
 
-@pytest.mark.usefixtures("each_form", "restored")
-@pytest.mark.parametrize("name", CASES)
-def test_default_device(name: str) -> None:
-    expected(name)
-    without_what_was_kept()
-    torch.set_default_device("meta")
-    same(name)
-
-
-@pytest.mark.parametrize("setting", ["dtype(torch.float64)", "dtype(torch.bfloat16)", 'device("meta")'])
-def test_ops_are_independent_of_default_dtype_and_device_at_import(setting: str) -> None:
+def test_ops_are_independent_of_default_dtype_and_device_at_import() -> None:
     """Tensors made once, at import or in the first call, have their own dtype and device whatever the defaults are
     then.
     """
-    code = f"""
+    code = """
 import torch
-torch.set_default_{setting}
+torch.set_default_dtype(torch.float64)
+torch.set_default_device("meta")
 import fingerflow.ops
 import fingerflow.graphs
 from fingerflow.graphs import FieldsGraph, GrossEllipse

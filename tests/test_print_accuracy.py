@@ -15,7 +15,7 @@ from bench.suites.prints import OUTPUTS, errors
 from fingerflow.synthetic import FingerprintTexture
 
 
-@pytest.mark.parametrize("pattern", ["loop", "whorl", "arch"])
+@pytest.mark.parametrize("pattern", ["loop", *(pytest.param(one, marks=pytest.mark.long) for one in ("whorl", "arch"))])
 def test_print(pattern: str) -> None:
     press = replace(QUICK_PRESS, texture=FingerprintTexture(pattern=pattern))
     found = errors(processed(press, OUTPUTS), press, middle=8.0)

@@ -188,8 +188,6 @@ def test_pipeline() -> None:
     assert number(ours, "gross_area_pct") < number(theirs, "gross_area_pct")
 
 
-
-
 def test_simulated_studies(tmp_path: Path) -> None:
     """Metrics measured in pictures rank the presses as their truth does, and an interrupted run continues."""
     felt = {str(row["feels"]): row for row in simulated_studies.run(quick=True) if row["study"] == "0"}

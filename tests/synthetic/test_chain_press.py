@@ -58,11 +58,12 @@ def test_truth_is_what_the_chain_says_of_itself(friction: float) -> None:
         assert abs(medians.curl) < 1e-6
 
 
-def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
+def test_the_divergence_of_the_chain_comes_back_from_the_pictures(
     recorded: list[tuple[ChainPress, xr.Dataset]],
 ) -> None:
     """The inner divergence is measured to 1.2 um/mm in every frame from 5 mm² on and 0.6 RMS, for each friction and for
-    their difference of 3.8.
+    their difference of 3.8; `median_divergence` to 1 um/mm RMS and 1.6 in single frames. At the median the field falls
+    by 70 um/mm over the area, so an error of 4 % of the area changes the median by 1.4.
     """
     found = [inner_divergence(press, result) for press, result in recorded]
     errors = [measured - chain for measured, chain in found]
@@ -73,18 +74,8 @@ def test_the_divergence_of_the_inner_contact_comes_back_from_the_pictures(
     (low, chain_low), (high, chain_high) = found
     assert chain_low[-1] - chain_high[-1] == pytest.approx(3.8, abs=0.2)
     assert low[-1] - high[-1] == pytest.approx(chain_low[-1] - chain_high[-1], abs=1.0)
-
-
-def test_the_median_divergence_comes_back_from_the_pictures(recorded: list[tuple[ChainPress, xr.Dataset]]) -> None:
-    """`median_divergence` is measured to 1 um/mm RMS and in the last frames, to 1.6 in single frames. At the median the
-    field falls by 70 um/mm over the area, so an error of 4 % of the area changes the median by 1.4.
-    """
-    errors = []
-    for press, result in recorded:
-        measured, chain = median_divergence(press, result)
-        error = measured - chain
-        errors.append(error)
-        assert np.abs(error[-5:]).mean() < 1.0
+    medians = [median_divergence(press, result) for press, result in recorded]
+    errors = [measured - chain for measured, chain in medians]
     for error in (*errors, errors[0] - errors[1]):
         assert np.isfinite(error).sum() > 40
         assert np.sqrt(np.nanmean(error**2)) < 1.0
@@ -97,62 +88,6 @@ def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:
     again = rebuild_scene(tmp_path / "press")
     assert again == press
     np.testing.assert_array_equal(again.render(3), press.render(3))
-
-
-def test_progress_of_a_press_that_is_held() -> None:
-    """Progress rises steadily for a constant rate, for a path shared by several presses, and during a hold with
-    relaxing force and shifting skin.
-    """
-    plain = ChainPress(n_frames=40, frame_rate=30.0, frames_before_trigger=0)
-    shared = replace(plain, force=3.0, path_force=12.0)
-    for press in (plain, replace(plain, steady=True), shared, replace(shared, steady=True)):
-        peak = press.contact_time + press.rise_time
-        time = np.linspace(press.contact_time + 1e-3, press.times[-1], 97)
-        progress = press.progress(time)
-        assert (np.diff(progress) > 0).all()
-
-        assert press.progress(np.array([0.0, peak, press.times[-1]])).tolist() == pytest.approx([0, 1, 2])
-        # On a shared path the force determines the state of the chain.
-        share = press.normal_force(time[time < peak]) / (press.path_force or press.force)
-        end = press.force / (press.path_force or press.force)
-        place = progress[time < peak] * 2 / np.pi * np.arcsin(end**0.5)
-        np.testing.assert_allclose(np.sin(np.pi / 2 * place) ** 2, share, atol=1e-12)
-    relaxing = replace(press, relaxation=0.1, drag=0.2)
-    force = relaxing.normal_force(np.array([0.0, peak, press.times[-1]]))
-    assert force.tolist() == pytest.approx([0, 3.0, 2.7])
-    assert relaxing.tangential_force(np.array([peak]))[0] == pytest.approx(0.6)
-    assert relaxing.normal_force(relaxing.times).max() <= force[1]
-    with pytest.raises(ValueError, match="below the 3 N"):
-        replace(press, path_force=2.0)
-
-
-def test_skin_shifts_as_a_whole_while_the_force_is_held() -> None:
-    """During a hold the displacement changes by the shift, divergence and area do not. A shared path gives the same
-    press to 3 % of the area and 1.5 µm/mm, due to drag at its higher speed.
-    """
-    held = ChainPress(
-        friction=0.2,
-        softness=3.0,
-        force=4.0,
-        elements=301,
-        n_frames=40,
-        frame_rate=30.0,
-        frames_before_trigger=0,
-        steady=True,
-        shift=(0.3, -0.1),
-    )
-    truth, last = held.truth, held.n_frames - 1
-    peak = int(np.searchsorted(held.times, held.contact_time + held.rise_time))
-    before, after = truth.medians(peak, 0.3), truth.medians(last, 0.3)
-    assert (after.displacement_x, after.displacement_y) == pytest.approx(held.shift, abs=1e-9)
-    assert after.divergence == pytest.approx(before.divergence, abs=1e-5)
-    assert truth.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(peak), rel=1e-9)
-    ellipse = truth.ellipse(last)
-    assert ellipse is not None
-    assert np.subtract(ellipse.centre, held.contact_centre) == pytest.approx(held.shift, abs=1e-12)
-    shared = replace(held, path_force=8.0).truth
-    assert shared.gross_contact_area_mm2(last) == pytest.approx(truth.gross_contact_area_mm2(last), rel=0.03)
-    assert 1e3 * shared.medians(last, 0.3).divergence == pytest.approx(1e3 * after.divergence, abs=1.5)
 
 
 def test_friction_is_of_a_chain_press_alone(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.synthetic import FingerprintTexture, Press, texture_image
+from fingerflow.synthetic import FingerprintTexture, texture_image
 
 pytestmark = pytest.mark.long
 
@@ -40,16 +40,8 @@ def winding(image: Tensor, centre: tuple[float, float], radius: float) -> float:
 
 
 @pytest.mark.parametrize(("pattern", "turns"), [("loop", 0.5), ("whorl", 1.0), ("arch", 0.0)])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float, seed: int) -> None:
-    assert winding(ridge_image(pattern, seed), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
-
-
-def test_loop_has_a_delta() -> None:
-    """Along a circle around core and delta the ridge direction turns by 1/2 - 1/2 = 0."""
-    centre = (MIDDLE + 2.0, MIDDLE + 1.6)
-    assert winding(ridge_image("loop"), centre, 5.2) == pytest.approx(0, abs=0.05)
-    assert winding(ridge_image("loop"), (MIDDLE + 4.6, MIDDLE + 5.0), 2.0) == pytest.approx(-0.5, abs=0.05)
+def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float) -> None:
+    assert winding(ridge_image(pattern), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
 
 
 @ANY_PATTERN
@@ -68,18 +60,6 @@ def test_ridges_have_their_distance_everywhere(pattern: str) -> None:
 
 
 @ANY_PATTERN
-def test_ridges_end_and_branch(pattern: str) -> None:
-    """The skeleton of the ridges has 0.1 to 0.6 minutiae per mm² away from the frame, as in a print."""
-    skeleton = (cv2.ximgproc.thinning(255 * (ridge_image(pattern).numpy() > 0).astype(np.uint8)) > 0).astype(int)
-    ring = [(-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)]
-    around = np.stack([skeleton[40 + row : 440 + row, 40 + column : 440 + column] for row, column in ring])
-    lines = (np.diff(around, axis=0) == 1).sum(0)[skeleton[40:-40, 40:-40] > 0]
-    endings, branches = int((lines == 1).sum()), int((lines == 3).sum())
-    area = (400 * MM_PER_PX) ** 2
-    assert 0.1 < (endings + branches) / area < 0.6
-
-
-@ANY_PATTERN
 def test_formula_is_smooth_across_its_cuts_and_singularities(pattern: str) -> None:
     """Second differences are bounded along lines through core and delta and across the branch cuts of the roots.
 
@@ -93,35 +73,6 @@ def test_formula_is_smooth_across_its_cuts_and_singularities(pattern: str) -> No
             values = texture(MIDDLE + x, MIDDLE + y)
             bend = (values[2:] - 2 * values[1:-1] + values[:-2]).abs().max() / step**2
             assert bend < 4000, (pattern, across)
-
-
-@ANY_PATTERN
-def test_single_precision_differs_by_less_than_a_grey_level(pattern: str) -> None:
-    exact = texture_image(skin(pattern), SHAPE, MM_PER_PX)
-    rounded = texture_image(skin(pattern), SHAPE, MM_PER_PX, dtype=torch.float32)
-    assert rounded.dtype == torch.float32
-    assert exact.abs().max() <= 1
-    # A grey level is 1 / 95; the camera noise is two levels.
-    assert (rounded - exact).abs().max() < 0.004
-
-
-@ANY_PATTERN
-def test_ridges_touch_less_near_the_edge_and_in_pieces(pattern: str) -> None:
-    texture = skin(pattern)
-    y, x = torch.meshgrid(*(torch.arange(0, 15.6, 0.02, dtype=torch.float64),) * 2, indexing="ij")
-    inside, edge = (texture.ridge_margin(x, y, 0.5, torch.full_like(x, depth)) > 0 for depth in (5.0, 0.0))
-    assert 0.3 < inside.double().mean() < 0.5
-    assert 0.1 < edge.double().mean() < 0.7 * inside.double().mean()
-    # Long ridges break into many pieces.
-    pieces = [cv2.connectedComponents(mask.numpy().astype(np.uint8))[0] for mask in (inside, edge)]
-    assert pieces[1] > 2 * pieces[0]
-
-
-@ANY_PATTERN
-def test_real_area_does_not_depend_on_the_quadrature(pattern: str) -> None:
-    press = Press(texture=FingerprintTexture(pattern=pattern), semi_axes=(2.0, 1.6))
-    coarse, fine = (press.truth.real_contact_area_mm2(299, samples) for samples in (4, 11))
-    assert coarse == pytest.approx(fine, rel=2e-3)
 
 
 def test_unknown_pattern_is_refused() -> None:

@@ -1,6 +1,5 @@
 """Tests of skin from an image that is drawn from a formula, so that the true skin is known."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -53,53 +52,6 @@ def test_ridges_of_the_picture_are_where_they_were(source: FingerprintTexture, p
     contrast, ridges = texture(x, y), source.ridges(x, y)
     assert np.corrcoef(contrast.flatten(), ridges.flatten())[0, 1] > 0.95
     assert contrast.abs().max() <= 1
-
-
-def test_skin_beyond_the_print_and_the_picture_never_touches(picture: Path) -> None:
-    texture = PictureTexture(picture, DPI)
-    assert texture.size == pytest.approx((275 * MM_PER_PX, 314 * MM_PER_PX))
-    x = torch.tensor([-30.0, -7.5, -6.8, 6.8, 7.5, 30.0], dtype=torch.float64)
-    for y in (torch.full_like(x, 7.6), torch.full_like(x, -40.0)):
-        assert (texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) < 0).all()
-        assert texture(x, y).abs().max() < 0.05
-
-
-def test_spline_is_twice_differentiable_and_its_slope_is_its_own(picture: Path) -> None:
-    """The spline has a continuous second derivative, and the margin, level divided by slope, has the slope 1 per mm at
-    an edge.
-    """
-    texture = PictureTexture(picture, DPI)
-    along = torch.arange(-3, 3, 1e-4, dtype=torch.float64)
-    for x, y in ((along, torch.full_like(along, 0.37)), (torch.full_like(along, -1.2), along)):
-        values = texture(x, y)
-        slope = torch.gradient(values, spacing=1e-4)[0]
-        # The second derivative of a cubic spline is continuous: it changes in proportion to the step.
-        bend = torch.diff(slope[1:-1], n=2).abs().max() / 1e-4
-        assert torch.diff(values).abs().max() < 60 * 1e-4
-        assert bend < 5
-    points = 6 * torch.rand(20_000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 3
-    points.requires_grad_()
-    margin = texture.ridge_margin(points[:, 0], points[:, 1], 0.5, torch.full((len(points),), 9.0))
-    (by_place,) = torch.autograd.grad(margin.sum(), points)
-    at_edge = margin.abs() < 0.002
-    assert at_edge.sum() > 100
-    lengths = by_place.norm(dim=1)[at_edge]
-    assert lengths.median() == pytest.approx(1, abs=0.05)
-
-
-def test_single_precision(picture: Path) -> None:
-    texture = PictureTexture(picture, DPI)
-    y, x = torch.meshgrid(*(torch.arange(-8.0, 8.0, 0.05, dtype=torch.float64),) * 2, indexing="ij")
-    rounded = texture(x.float(), y.float())
-    assert rounded.dtype == torch.float32
-    assert (rounded - texture(x, y)).abs().max() < 1e-3
-
-
-def test_centre_moves_the_skin(picture: Path) -> None:
-    still = PictureTexture(picture, DPI)
-    x = torch.linspace(-3, 3, 500, dtype=torch.float64)
-    moved = replace(still, centre=(1.3, -0.4))
-    torch.testing.assert_close(moved(x + 1.3, x - 0.4), still(x, x), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [Press, Slide])

@@ -35,39 +35,12 @@ def field_of_view(scene: SyntheticScene) -> Array:
 
 
 @ANY_SCENE
-@pytest.mark.parametrize("frame", [0, 150, LAST])
+@pytest.mark.parametrize("frame", [0, LAST])
 def test_forward_map_inverts_the_inverse_map(scene: SyntheticScene, frame: int) -> None:
     positions = field_of_view(scene)
     found = scene.truth.positions(scene.truth.material(positions, frame), frame)
     # Newton ends at 1e-13 mm; det F is under 2.
     np.testing.assert_allclose(found, positions, rtol=0, atol=1e-12)
-
-
-@ANY_SCENE
-def test_skin_never_folds_in_view(scene: SyntheticScene) -> None:
-    positions = field_of_view(scene)
-    for frame in range(0, scene.n_frames, 13):
-        material = scene.truth.material(positions, frame)
-        rows, columns = (np.diff(material, axis=axis) for axis in (0, 1))
-        area = columns[:-1, :, 0] * rows[:, :-1, 1] - columns[:-1, :, 1] * rows[:, :-1, 0]
-        step_y, step_x = positions[1, 0, 1] - positions[0, 0, 1], positions[0, 1, 0] - positions[0, 0, 0]
-        assert (area > 0.5 * step_x * step_y).all()
-
-
-@ANY_SCENE
-def test_onset_lies_on_the_edge_of_the_contact(scene: SyntheticScene) -> None:
-    truth = scene.truth
-    material = truth.material(inside(scene, LAST, 300), LAST)
-    frames = truth.onset_frame(material)
-    assert (frames >= 0).all()
-    late = frames > 0
-    assert late.sum() > 5
-    progress, place = truth._onset(torch.from_numpy(material[late]))
-    seen = truth.positions(material, LAST) - truth.displacement(material, LAST)
-    np.testing.assert_allclose(place, seen[late], rtol=0, atol=1e-9)
-    assert scene.motion.depth(place[:, 0], place[:, 1], progress).abs().max() < 1e-9
-    found = torch.stack(scene.motion.material(place[:, 0], place[:, 1], progress), dim=-1)
-    np.testing.assert_allclose(found, material[late], rtol=0, atol=1e-9)
 
 
 @ANY_SCENE
@@ -92,7 +65,7 @@ def relative_radius(ellipse: Ellipse, position: Array) -> float:
     return math.hypot(principal.real / ellipse.semi_axes[0], principal.imag / ellipse.semi_axes[1])
 
 
-@pytest.mark.parametrize(("scene", "frame"), [(SCENES[0], 90), (SCENES[0], LAST), (SCENES[1], 120), (SCENES[1], LAST)])
+@pytest.mark.parametrize(("scene", "frame"), [(SCENES[0], LAST), (SCENES[1], 120)])
 def test_gradient_equals_finite_differences(scene: SyntheticScene, frame: int) -> None:
     truth = scene.truth
     material = truth.material(inside(scene, frame, 200, share=0.97), frame)
@@ -115,13 +88,6 @@ def test_gradient_equals_finite_differences(scene: SyntheticScene, frame: int) -
     # slide has a kink of its gradient on the edge of the stick region, which a pair of neighbours may straddle.
     assert np.quantile(errors, 0.98) < 2e-7
     assert errors.max() < (2e-7 if isinstance(scene, Press) else 1e-3)
-
-
-def test_press_spreads_the_skin_by_twelve_percent() -> None:
-    scene = SCENES[0]
-    gradient = scene.truth.gradient(scene.truth.material(inside(scene, LAST, 2000), LAST), LAST)
-    divergence = np.trace(gradient, axis1=-2, axis2=-1)
-    assert divergence.max() == pytest.approx(0.12, abs=0.005)
 
 
 @ANY_SCENE
@@ -162,28 +128,8 @@ def test_before_contact_and_without_contact_there_is_no_displacement() -> None:
     assert not np.isnan(truth.displacement(late, LAST)).any()
 
 
-def test_points_come_in_any_shape() -> None:
-    truth = SCENES[0].truth
-    assert truth.gradient(np.empty((0, 2)), LAST).shape == (0, 2, 2)
-    assert truth.displacement([10.5, 8.4], LAST).shape == (2,)
-    grid = truth.displacement(np.full((3, 4, 2), 9.0), LAST)
-    np.testing.assert_array_equal(grid, np.broadcast_to(truth.displacement([9.0, 9.0], LAST), grid.shape))
-    with pytest.raises(ValueError, match=r"shape \(4, 3\).*x and y"):
-        truth.positions(np.zeros((4, 3)), 0)
-
-
-def test_stuck_skin_does_not_move_at_all() -> None:
-    scene = Slide()
-    frame = 100
-    share = scene.stuck_share(frame)
-    assert 0.3 < share < 0.9
-    stuck = inside(scene, frame, 500, share=0.999 * math.sqrt(share))
-    assert (scene.truth.displacement(stuck, frame) == 0).all()
-    assert (scene.truth.gradient(stuck, frame) == 0).all()
-
-
 @pytest.mark.parametrize("scene", [Slide(), PartialSlip(), PartialSlip(static_friction=0.6, kinetic_friction=0.8)])
-@pytest.mark.parametrize("frame", [0, 40, 100, 150, 184, 188, 220, 228])
+@pytest.mark.parametrize("frame", [40, 150, 220])
 def test_slow_share_is_the_share_of_slow_skin(scene: Slide, frame: int) -> None:
     positions = inside(scene, frame, 20000)
     moved = np.linalg.norm(positions - scene.truth.material(positions, frame), axis=-1)
@@ -211,16 +157,6 @@ def test_areas_equal_pixel_counts(scene: SyntheticScene) -> None:
         # Some 20 ridges cross the edge, so pixel counts are less accurate than for a smooth ellipse.
         assert truth.contact_mask(frame).sum() * pixel == pytest.approx(area, rel=5e-3)
         assert area == pytest.approx(0.5 * ellipse.area, rel=0.05)
-
-
-def test_area_of_the_real_contact_does_not_depend_on_the_samples() -> None:
-    truth = SCENES[0].truth
-    assert truth.real_contact_area_mm2(70) == pytest.approx(truth.real_contact_area_mm2(70, samples_per_px=9), rel=2e-4)
-
-
-def test_contact_fraction_is_a_setting() -> None:
-    truth = Press(contact_fraction=0.35).truth
-    assert truth.real_contact_area_mm2(LAST) == pytest.approx(0.35 * truth.gross_contact_area_mm2(LAST), rel=0.05)
 
 
 @ANY_SCENE
@@ -257,30 +193,3 @@ def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: SyntheticSc
     within = (ellipse.distance(x, y) > 0.15).numpy()
     np.testing.assert_array_equal(dark[within], scene.truth.contact_mask(frame)[within])
     assert not dark[(ellipse.distance(x, y) < -0.05).numpy()].any()
-
-
-@ANY_SCENE
-def test_views_are_related_by_the_affine_map(scene: SyntheticScene) -> None:
-    truth = scene.truth
-    pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.5, 255.25], [0.0, 511.0]])
-    np.testing.assert_allclose(truth.topography_pixels(truth.topography_positions(pixels)), pixels, atol=1e-10)
-
-    matrix = np.array(scene.topography_to_contact)
-    seen = truth.contact_pixels(truth.topography_positions(pixels))
-    np.testing.assert_allclose(seen, pixels @ matrix[:, :2].T + matrix[:, 2], atol=1e-10)
-    assert math.sqrt(np.linalg.det(matrix[:, :2])) == pytest.approx(1.01)
-    assert np.abs(seen - pixels).max() > 3
-
-
-@ANY_SCENE
-def test_followed_points_stay_on_their_skin(scene: SyntheticScene) -> None:
-    truth = scene.truth
-    pixels = truth.topography_pixels(inside(scene, 100, 50))
-    later = truth.follow(pixels, 100, LAST)
-    np.testing.assert_allclose(
-        truth.material(truth.topography_positions(later), LAST),
-        truth.material(truth.topography_positions(pixels), 100),
-        atol=1e-12,
-    )
-    np.testing.assert_allclose(truth.follow(later, LAST, 100), pixels, atol=1e-9)
-    assert np.linalg.norm(later - pixels, axis=-1).max() > 2

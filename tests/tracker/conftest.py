@@ -1,4 +1,4 @@
-"""Engines with which rules of the tracker are tested."""
+"""The engine with which rules of the tracker are tested."""
 
 from collections.abc import Callable
 
@@ -11,14 +11,9 @@ from fingerflow.engines.torch import TorchEngine
 from fingerflow.kernels import tensors as kernels
 
 
-@pytest.fixture(params=["native", "torch"])
-def make_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[EngineSettings], Engine]:
-    """Return a function that makes an engine of given settings: the compiled engine, or torch without compiled
-    kernels.
-    """
-    if request.param == "torch":
-        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-        return lambda settings: TorchEngine(settings, torch.device("cpu"))
-    if not kernels.serve():
-        pytest.skip("the compiled kernels were not built or are turned off")
-    return NativeEngine
+@pytest.fixture
+def make_engine() -> Callable[[EngineSettings], Engine]:
+    """Return a function that makes an engine of given settings: the compiled one where it was built."""
+    if kernels.serve():
+        return NativeEngine
+    return lambda settings: TorchEngine(settings, torch.device("cpu"))

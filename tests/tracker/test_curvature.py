@@ -35,14 +35,12 @@ def test_deviation_is_the_stated_share_of_the_shift_by_curvature(
     np.testing.assert_allclose(np.sqrt(found[INSIDE]), expected, rtol=0.01)
 
 
-def test_uniform_strain_has_none(make_engine: Callable[[EngineSettings], Engine]) -> None:
-    """A stretch of 5 % with rotation has no curvature: below 1e-4 px."""
+def test_uniform_strain_and_unknown_points_have_none(make_engine: Callable[[EngineSettings], Engine]) -> None:
+    """A stretch of 5 % with rotation has no curvature: below 1e-4 px. Points without a position in the key frame, and
+    all points where none is known, have the variance 0.
+    """
     turned = (GRID @ np.array([[1.05, 0.1], [-0.1, 0.97]], np.float32))[None]
     assert np.sqrt(curvature_variance(make_engine(SETTINGS), GRID, turned)).max() < 1e-4
-
-
-def test_unknown_points_have_no_variance(make_engine: Callable[[EngineSettings], Engine]) -> None:
-    """Points without a position in the key frame, and all points where none is known, have the variance 0."""
     start = GRID.copy()
     start[:5] = np.nan
     assert (curvature_variance(make_engine(SETTINGS), start, bent(1e-3, 0))[0, :5] == 0).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fingerflow.tracker.contact_border import Border
-from fingerflow.tracker.entry import advected, with_neighbours
+from fingerflow.tracker.entry import advected
 
 Row = tuple[float, ...]
 
@@ -58,16 +58,3 @@ def test_distance_inside_a_border() -> None:
     across = np.array([-along[1], along[0]])
     places = np.stack([4.9 * along, 5.1 * along, -3.9 * across, 4.1 * across])[None] + (1.0, 2.0)
     assert border.inside(places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)
-
-
-def test_one_point_among_those_that_moved_in() -> None:
-    """A point among points that slid into contact counts as one of them, unless it was in contact in the first frame or
-    all others are far away; single points that slid in remain so.
-    """
-    places = np.stack(np.meshgrid(np.arange(8) * 0.3, np.arange(2) * 0.3), axis=-1).reshape(-1, 2)
-    band, every = np.ones(16, dtype=bool), np.ones(16, dtype=bool)
-    band[5] = False
-    assert with_neighbours(band, places, every, 0.8).all()
-    assert not with_neighbours(band, places, band, 0.8)[5]  # in contact in the first frame
-    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all other points are far away
-    assert (with_neighbours(~band, places, every, 0.8) == ~band).all()

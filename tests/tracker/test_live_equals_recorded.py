@@ -18,7 +18,7 @@ from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
-from tests.small_trials import SPOILED, recipe_of_trials, write_library_bundle, write_trial
+from tests.small_trials import SPOILED, recipe_of_trials, write_library_bundle
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 Array = np.ndarray[Any, Any]
@@ -54,27 +54,24 @@ class Trial(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
-    """Return the trials by name: a press, a slide, and a press with single frames of another moment, repeated, or in
-    dim light.
-    """
+def played(trials: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
+    """Return a press, a slide, and a press with single frames of another moment, repeated or dim, by name."""
     folder = tmp_path_factory.mktemp("one_rule")
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
-    scenes = {name: write_trial(folder / name, name) for name in ("press", "slide")}
-    shutil.copytree(folder / "press", folder / "spoiled")
+    for name, source in (("press", "press"), ("slide", "slide"), ("spoiled", "press")):
+        shutil.copytree(trials / source, folder / name)
     frames = np.load(folder / "spoiled" / "frames.npy")
     frames[50] = frames[20]
     frames[30] = frames[29]
     for frame in (40, 60, 61, 62):
         frames[frame] = SPOILED["dim contact view"][0](frames[frame])
     np.save(folder / "spoiled" / "frames.npy", frames)
-    scenes["spoiled"] = folder / "spoiled" / "scene.toml"
-    return {name: Trial(scene, bundle) for name, scene in scenes.items()}
+    return {name: Trial(folder / name / "scene.toml", bundle) for name in ("press", "slide", "spoiled")}
 
 
 @pytest.fixture(scope="module")
-def as_they_are(trials: dict[str, Trial]) -> dict[str, Both]:
-    return {name: trial.both() for name, trial in trials.items()}
+def as_they_are(played: dict[str, Trial]) -> dict[str, Both]:
+    return {name: played[name].both() for name in ("slide", "spoiled")}
 
 
 def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None:
@@ -87,18 +84,13 @@ def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None
 @pytest.mark.parametrize(
     ("module", "name", "value", "trial", "changes"),
     [
-        ("points", "UPDATE_PX", 0.4, "press", {"position_px"}),
-        ("points", "FASTEST_PX", 0.01, "press", {"position_px"}),
-        ("point_prediction", "SPEED_WEIGHT", 0.2, "slide", {"position_px"}),
-        ("recovery", "ROUNDS", 0, "slide", {"position_px", "status"}),
+        ("points", "UPDATE_PX", 0.4, "slide", {"position_px"}),
         ("subset_verification", "_NOISE", -3.0, "slide", {"position_px", "status"}),
         ("frame_returns", "_LEAST_EXCESS", 1e9, "spoiled", {"frame_status", "real_contact_area"}),
-        ("frame_copies", "REPEATED_SHARE", 0.0, "spoiled", {"frame_status"}),
-        ("frame_distances", "LONGEST", 2, "spoiled", {"frame_status", "real_contact_area"}),
     ],
 )
 def test_constants_of_the_tracker_change_live_and_recorded_results(
-    trials: dict[str, Trial],
+    played: dict[str, Trial],
     as_they_are: dict[str, Both],
     monkeypatch: pytest.MonkeyPatch,
     module: str,
@@ -109,7 +101,7 @@ def test_constants_of_the_tracker_change_live_and_recorded_results(
 ) -> None:
     old = getattr(sys.modules[f"fingerflow.tracker.{module}"], name)
     _set(monkeypatch, name, old, value)
-    after = trials[trial].both()
+    after = played[trial].both()
     for before, now in zip(as_they_are[trial], after, strict=True):
         for one in changes:
             assert not np.array_equal(before[one], now[one], equal_nan=True), one
@@ -117,7 +109,7 @@ def test_constants_of_the_tracker_change_live_and_recorded_results(
 
 @pytest.mark.parametrize("kind", ["press", "slide"])
 def test_a_stream_equals_the_recording_bit_for_bit(
-    trials: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
+    played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """A stream equals a recording bit for bit as long as it has its first key frame; a recording has no other one.
     Standard deviations and errors of points are not compared in the key frame itself, in which a stream tracks the
@@ -133,7 +125,7 @@ def test_a_stream_equals_the_recording_bit_for_bit(
         inputs.knowledge = STREAM
 
     monkeypatch.setattr(Inputs, "__post_init__", as_a_stream)
-    recorded, records = fingerflow.process(trials[kind].scene), trials[kind].play()
+    recorded, records = fingerflow.process(played[kind].scene), played[kind].play()
     points, frames = recorded.sizes["point"], int((records["key_frame"] == 0).sum())
     assert frames > 25
     assert points == 150

@@ -41,32 +41,23 @@ def frames() -> list[Array]:
     return views
 
 
-def tracker_of(engine: Engine, lag: int = 1) -> StreamTracker:
+def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[FrameOutcome], list[Event]]:
+    """Return the outcomes and events of frames of which up to `beside`, at most the lag, have begun before the first of
+    them ends.
+    """
     region = np.zeros((HEIGHT, WIDTH), bool)
     region[24:-24, 24:-24] = True
     settings = TrackerSettings(
         points=80, bit_depth=8, mm_per_px=0.05, topography_to_contact=np.eye(2, 3), region=region, threshold=0.3
     )
-    return StreamTracker(engine, settings, np.full((HEIGHT, WIDTH), 200.0), np.zeros((HEIGHT, WIDTH)), lag)
-
-
-def frame_of(tracker: StreamTracker, topography: Array, number: int, lines_lost: bool = False) -> Frame:
-    contact = np.full((1, 1, HEIGHT, WIDTH), 190, np.uint8)
-    contact[:, :, 60:80] *= not lines_lost
-    frame = Frame({CONTACT_VIEW: contact, TOPOGRAPHY_VIEW: topography}, number)
-    tracker.inspect(frame)
-    return frame
-
-
-def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[FrameOutcome], list[Event]]:
-    """Return the outcomes and events of frames of which up to `beside`, at most the lag, have begun before the first of
-    them ends.
-    """
-    tracker = tracker_of(engine, lag)
+    tracker = StreamTracker(engine, settings, np.full((HEIGHT, WIDTH), 200.0), np.zeros((HEIGHT, WIDTH)), lag)
     passed: list[Event | FrameOutcome] = []
     works = []
     for number, topography in enumerate(frames):
-        frame = frame_of(tracker, topography, number)
+        frame = Frame(
+            {CONTACT_VIEW: np.full((1, 1, HEIGHT, WIDTH), 190, np.uint8), TOPOGRAPHY_VIEW: topography}, number
+        )
+        tracker.inspect(frame)
         while works and (len(works) == beside or tracker.must_wait(frame)):
             passed += tracker.finish(works.pop(0))
         work, before = tracker.begin(frame)
@@ -79,9 +70,8 @@ def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[
     return [one for one in passed if isinstance(one, FrameOutcome)], [one for one in passed if isinstance(one, Event)]
 
 
-@pytest.mark.parametrize("lag", [2, 3])
-def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, frames: list[Array], lag: int) -> None:
-    engine = make_engine(EngineSettings())
+def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, frames: list[Array]) -> None:
+    engine, lag = make_engine(EngineSettings()), 3
     (alone, events), (beside, same) = (played(engine, frames, lag, count) for count in (1, lag))
     assert len(alone) == len(beside) == FRAMES
     assert events == same
@@ -92,18 +82,3 @@ def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, fra
         assert one.tracked > 50
         for ours, theirs in zip(one.found, other.found, strict=True):
             np.testing.assert_array_equal(ours, theirs)
-
-
-def test_frames_before_the_first_usable_one_are_not_called_usable(make_engine: Make, frames: list[Array]) -> None:
-    """Frames with lost lines before the first usable frame are bad, although some of them differ much from the
-    others.
-    """
-    tracker = tracker_of(make_engine(EngineSettings()))
-    found = []
-    for number, (place, lost) in enumerate([(0, True), (29, True), (0, True), (29, True), (0, False), (1, False)]):
-        work, passed = tracker.begin(frame_of(tracker, frames[place], number, lost))
-        tracker.compute(work)
-        found += [*passed, *tracker.finish(work)]
-    told = [FRAME_STATUS[one.status] for one in found if isinstance(one, FrameOutcome)]
-    assert told == ["jumps_and_returns"] * 4 + ["usable"] * 2
-    assert [one for one in found if isinstance(one, Event)] == [Event("restart", 4, {"cause": "start", "points": 80})]

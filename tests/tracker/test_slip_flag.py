@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fingerflow.ops.fields.rigid_motion import rigid_residual
-from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms, rim_motion
+from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms
 
 DRAW = np.random.default_rng(0)
 POINTS = 300 * DRAW.random((400, 2))
@@ -33,31 +33,14 @@ def test_the_residual_is_that_of_the_op() -> None:
     assert rigid_residual_rms(before, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
 
 
-def test_the_motion_of_the_rim_is_that_of_the_fit() -> None:
-    """The motion of the rim is that of the coefficients of a displacement made by the formula of the fit, about the
-    mean of the points.
-    """
-    z = POINTS.view(np.complex128)[:, 0]
-    about = z - z.mean()
-    about = about / math.sqrt(2 * np.mean(np.abs(about) ** 2))
-    square = np.abs(about) ** 2
-    moved = 0.3 + (0.2 + 0.1j) * about - 0.05j * about.conj() + 0.4 * square - 0.03 * square * about
-    ahead, spread = rim_motion(z, z + moved)
-    mean = moved.mean()
-    assert ahead == pytest.approx((0.4 * mean.conjugate()).real / abs(mean), rel=1e-6)
-    assert spread == pytest.approx(math.hypot(abs(0.17 + 0.1j), 0.05), rel=1e-6)
-    assert rim_motion(z, z) == (0.0, 0.0)
-    assert np.isfinite(rim_motion(z.real + 0j, z.real + 0.1j)).all()  # points on a line
-
-
 def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> bool:
     return flag.see(after + noise(), STD, covered).slipping
 
 
-@pytest.mark.parametrize("motion", ["spread", "shear and twist", "shift while it grows", "roll", "press, then roll"])
+@pytest.mark.parametrize("motion", ["spread", "shear and twist", "shift while it grows", "press, then roll"])
 def test_motion_of_a_press_is_no_slip(motion: str) -> None:
     """The flag stays off in 400 frames, with noise of 0.03 px, while skin spreads, shears and twists, moves with a
-    growing contact, or is rolled over, at rest or after it was pressed and shifted.
+    growing contact, or is rolled over after it was pressed and shifted.
     """
     flag, about = SlipFlag(), POINTS - 150
     for step in np.linspace(0, 1, 400):
@@ -72,8 +55,7 @@ def test_motion_of_a_press_is_no_slip(motion: str) -> None:
             moved = np.broadcast_to(step * np.array([4.0, -2.0]), POINTS.shape)
         else:
             radius, centre = 80, np.array([80 + 140 * step, 150.0])
-            if motion == "press, then roll":
-                moved = min(step / 0.1, 1) * (0.03 * (POINTS - [80, 150]) + [3.0, -1.0])
+            moved = min(step / 0.1, 1) * (0.03 * (POINTS - [80, 150]) + [3.0, -1.0])
         covered = (np.square(POINTS - centre).sum(1) < radius**2).astype(np.uint8)
         assert not _sees(flag, POINTS + moved, covered), step
 
@@ -117,21 +99,16 @@ def test_other_points_and_points_that_leave_start_anew() -> None:
     assert not states[-1].slipping
     flag.see(POINTS, STD, np.zeros(400, np.uint8))
     assert all(flag.see(POINTS, STD, COVERED).residual == 0 for _ in range(3))
-
-
-def test_too_few_points_say_nothing() -> None:
-    flag = SlipFlag()
-    lost = POINTS.copy()
-    lost[7:] = np.nan
-    for _ in range(5):
-        state = flag.see(lost, STD, COVERED)
-        assert math.isnan(state.residual)
-        assert not state.slipping
+    few = POINTS.copy()
+    few[7:] = np.nan  # too few points say nothing
+    states = [flag.see(few, STD, COVERED) for _ in range(5)]
+    assert all(math.isnan(state.residual) and not state.slipping for state in states)
 
 
 def test_the_flag_outlives_a_choice_of_other_points() -> None:
     """After points are seeded again, new points take over the displacement of the nearest old points, and flag and
     residual stay: on skin whose rim is 3 px ahead, to 0.3 px, the error of a mean of four neighbours some 15 px away.
+    Lost points do not end the slip, and the end of the contact does.
     """
     old, new = POINTS[:200], 300 * np.random.default_rng(4).random((150, 2))
     std, covered = np.full(200, 0.03), np.ones(200, np.uint8)
@@ -149,17 +126,8 @@ def test_the_flag_outlives_a_choice_of_other_points() -> None:
     after = [flag.see(slipped(new), std[:150], covered[:150]) for _ in range(6)]
     assert all(one.slipping for one in after)
     assert after[-1].residual == pytest.approx(state.residual, rel=0.15)
-
-
-def test_the_flag_is_held_where_no_old_point_is_left_until_the_contact_ends() -> None:
-    old, std, covered = POINTS[:200], np.full(200, 0.03), np.ones(200, np.uint8)
-    slipped, lost = old + np.square((old - 150) / 150).sum(1)[:, None] * [2.0, 0.0], np.full_like(old, np.nan)
-    flag = SlipFlag()
-    flag.see(old, std, covered)
-    assert [flag.see(slipped, std, covered).slipping for _ in range(4)][-1]
-    assert all(flag.see(lost, std, covered).slipping for _ in range(6))  # lost points do not end the slip
-    flag.follow_others(lost, slipped)
-    assert all(flag.see(slipped, std, covered).slipping for _ in range(6))
+    lost = np.full_like(new, np.nan)
+    assert all(flag.see(lost, std[:150], covered[:150]).slipping for _ in range(6))
     for _ in range(3):
-        ended = flag.see(slipped, std, 0 * covered)
+        ended = flag.see(slipped(new), std[:150], 0 * covered[:150])
     assert not ended.slipping

@@ -31,21 +31,6 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
     assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
 
 
-def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
-    search = ThresholdSearch(2)
-    assert search.see(0, 1.0, 0.3)
-    assert (search.due(1), search.due(2)) == (None, 0.3)
-    search.used()
-    assert not search.see(2, 10.0, None)
-    assert not search.see(3, 20.0, None)
-    assert [search.wants(index) for index in (4, 5, 6)] == [False, True, False]
-    assert not search.see(5, 20.0, math.nan)
-    assert not search.see(6, 24.0, None)
-    assert not search.wants(8)
-    assert not search.see(7, 26.0, None)
-    assert search.wants(9)
-
-
 def test_single_frames_change_nothing() -> None:
     """Single frames with few points change nothing, nor do frames that are not four in a row. Lost points are seeded
     again after 64 frames at the earliest.
@@ -65,20 +50,6 @@ def test_single_frames_change_nothing() -> None:
     assert upkeep.see(130, 130, 0) == "lost"
 
 
-def test_a_threshold_is_measured_later_where_its_frame_does_not_count() -> None:
-    search = ThresholdSearch(2)
-    assert search.see(0, 1.0, 0.3)
-    assert search.due(2) == 0.3
-    search.used()
-    search.see(2, 10.0, None)
-    search.see(3, 20.0, None)
-    assert search.wants(5)
-    search.passed_over()  # frame 5 is black
-    assert not search.wants(6)
-    search.see(6, 20.0, None)
-    assert search.wants(8)
-
-
 def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
     upkeep = Upkeep(0.8, math.inf)
     upkeep.restarted(0, 0, 100)
@@ -89,13 +60,3 @@ def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
         causes.append(upkeep.see(index, index, 100))
     assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
     assert {causes[14], causes[71]} == {CONTACT}
-
-
-def test_a_growing_contact_may_have_enough_points_between_two_evaluations_with_too_few() -> None:
-    upkeep = Upkeep(0.8, math.inf)
-    upkeep.restarted(0, 0, 100)
-    causes = []
-    for index in range(20):
-        upkeep.see_contact(True, index % 2 == 0)
-        causes.append(upkeep.see(index, index, 100))
-    assert [index for index, cause in enumerate(causes) if cause] == [2]

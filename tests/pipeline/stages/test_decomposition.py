@@ -3,6 +3,7 @@ rigid motion.
 """
 
 import numpy as np
+import pytest
 from stages_alone import inputs_of, run, trial_of, values_of
 
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
@@ -38,8 +39,13 @@ def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:
     return {name: values_of(trial, name)[-1] for name in names}
 
 
-def test_parts_add_up_to_the_gradient() -> None:
-    found, (ux, uy, vx, vy) = measured(GRADIENT), 3 * GRADIENT.ravel()
+@pytest.fixture(scope="module")
+def found() -> dict[str, np.ndarray]:
+    return measured(GRADIENT)
+
+
+def test_parts_add_up_to_the_gradient(found: dict[str, np.ndarray]) -> None:
+    ux, uy, vx, vy = 3 * GRADIENT.ravel()
     for name, expected in (("divergence", ux + vy), ("curl", vx - uy), ("shear", [ux - vy, uy + vx])):
         known = np.isfinite(found[name]).reshape(100, -1).all(1)
         assert known.mean() > 0.9  # too few points lie within the gauge length at corners
@@ -47,8 +53,8 @@ def test_parts_add_up_to_the_gradient() -> None:
         np.testing.assert_allclose(values, np.broadcast_to(expected, values.shape), atol=1e-5)
 
 
-def test_principal_strains_are_eigenvalues() -> None:
-    found, symmetric = measured(GRADIENT), 1.5 * (GRADIENT + GRADIENT.T)
+def test_principal_strains_are_eigenvalues(found: dict[str, np.ndarray]) -> None:
+    symmetric = 1.5 * (GRADIENT + GRADIENT.T)
     values, vectors = np.linalg.eigh(symmetric)
     shape = found["principal_strains"].shape
     np.testing.assert_allclose(found["principal_strains"], np.broadcast_to(values[::-1], shape), atol=1e-5)
@@ -56,10 +62,9 @@ def test_principal_strains_are_eigenvalues() -> None:
     np.testing.assert_allclose(np.sin(turned), 0, atol=1e-3)
 
 
-def test_a_rigid_motion_leaves_nothing_and_a_stretch_does() -> None:
+def test_a_rigid_motion_leaves_nothing_and_a_stretch_does(found: dict[str, np.ndarray]) -> None:
     turn = 0.01 * np.array([[0.0, -1.0], [1.0, 0.0]])
     assert np.abs(measured(turn)["rigid_residual"]).max() < 2e-3  # 0.03 rad: second order in the angle
-    found = measured(GRADIENT)
     symmetric = 1.5 * (GRADIENT + GRADIENT.T)
     # The symmetric part of the gradient remains, to second order in the rotation.
     axis = np.arange(0.0, 4.0, 0.4) - 1.8

@@ -12,13 +12,11 @@ from matplotlib.path import Path as Outline
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError, PlayerError
-from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.player.stream_scene import load_scene as load_stream
 from fingerflow.player.stream_scene import stream_settings
 from fingerflow.schema.region import ellipse_runs, polygon_runs
 from fingerflow.schema.scene import Scene
-from tests.small_trials import warnings_of
 
 POINTS = "points = 700"
 CONTACT, TOPOGRAPHY = "[views.contact]", "[views.topography]"
@@ -45,9 +43,9 @@ def drawn(changed: Callable[..., Scene]) -> Callable[..., Scene]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_polygon_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
-    """A polygon contains the same pixel centres as by matplotlib; its corners are not integers, so no centre lies on a
-    side.
+def test_a_region_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
+    """A polygon contains the same pixel centres as by matplotlib, an ellipse those of its formula; corners are not
+    integers, so no centre lies on a side.
     """
     random = np.random.default_rng(seed)
     turn = np.sort(random.uniform(0, 2 * np.pi, 9))
@@ -55,25 +53,10 @@ def test_a_polygon_holds_the_pixels_whose_centres_it_holds(seed: int) -> None:
     x, y = np.meshgrid(np.arange(80), np.arange(50))
     expected = Outline(corners).contains_points(np.stack([x.ravel(), y.ravel()], 1)).reshape(50, 80)
     np.testing.assert_array_equal(mask_of(polygon_runs([tuple(one) for one in corners], 50, 80), (50, 80)), expected)
-
-
-def test_polygons_that_share_a_side_share_no_pixel() -> None:
-    left, right = [(2, 3), (10, 3), (14, 20), (2, 20)], [(10, 3), (30, 3), (30, 20), (14, 20)]
-    masks = [mask_of(polygon_runs(one, 40, 40), (40, 40)) for one in (left, right)]
-    assert not (masks[0] & masks[1]).any()
-    np.testing.assert_array_equal(
-        masks[0] | masks[1], mask_of(polygon_runs([(2, 3), (30, 3), (30, 20), (2, 20)], 40, 40), (40, 40))
-    )
-    assert (masks[0] | masks[1]).sum() == 28 * 17
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.7, -1.9])
-def test_an_ellipse_holds_the_pixels_whose_centres_it_holds(angle: float) -> None:
-    x, y = np.meshgrid(np.arange(90.0) - 41.3, np.arange(70.0) - 30.2)
+    x, y, angle = x - 41.3, y - 30.2, seed - 2.1
     along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-    expected = (along / 38) ** 2 + (across / 17) ** 2 <= 1
-    found = mask_of(ellipse_runs((41.3, 30.2), (38.0, 17.0), angle, 70, 90), (70, 90))
-    np.testing.assert_array_equal(found, expected)
+    found = mask_of(ellipse_runs((41.3, 30.2), (38.0, 17.0), angle, 50, 80), (50, 80))
+    np.testing.assert_array_equal(found, (along / 38) ** 2 + (across / 17) ** 2 <= 1)
 
 
 def test_contact_counts_inside_its_region_alone(changed: Callable[..., Scene], drawn: Callable[..., Scene]) -> None:
@@ -109,6 +92,37 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Call
     assert mask[y, x].all()
 
 
+def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
+    press: Path, changed: Callable[..., Scene], drawn: Callable[..., Scene], tmp_path: Path
+) -> None:
+    shape = load_scene(press / "scene.toml").views.contact.shape
+    picture = np.zeros(shape, np.uint8)
+    picture[10:30, 20:50] = 255
+    cv2.imwrite(str(tmp_path / "mask.png"), picture)
+    scene = drawn(CONTACT, 'mask = "mask.png"')
+    found = region_mask(scene, "contact")
+    assert found is not None
+    np.testing.assert_array_equal(found, picture > 0)
+    assert tmp_path / "mask.png" in scene.files()
+    with pytest.raises(PlayerError, match=r"views\.topography\.region is a picture.*polygon or an ellipse"):
+        load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"').path)
+    with pytest.raises(PlayerError, match=r"views\.contact\.region is of `fingerflow process`.*rows and columns"):
+        load_stream(drawn(CONTACT, "polygon = [[0, 0], [90, 0], [90, 90]]").path)
+    outside = drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]")
+    with pytest.raises(FingerflowError, match=r"views\.contact\.region holds no pixel of the view of"):
+        region_mask(outside, "contact")
+    cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
+    with pytest.raises(FingerflowError, match=r"mask\.png has 7 x 9 px, the view"):
+        region_mask(scene, "contact")
+    (tmp_path / "mask.png").write_bytes(b"no picture")
+    with pytest.raises(FingerflowError, match=r"mask\.png is no picture that can be read; save it as PNG"):
+        region_mask(scene, "contact")
+    with pytest.raises(FingerflowError, match=r"other\.png does not exist"):
+        drawn(CONTACT, 'mask = "other.png"')
+    with pytest.raises(FingerflowError, match=r"both say where points are chosen"):
+        changed({TOPOGRAPHY: f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}"})
+
+
 def test_points_lie_evenly_over_the_region(drawn: Callable[..., Scene]) -> None:
     """The mean distance to the nearest point is 1.3 times that of random points or more (Clark & Evans 1954).
 
@@ -121,57 +135,3 @@ def test_points_lie_evenly_over_the_region(drawn: Callable[..., Scene]) -> None:
     assert len(points) == 40
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + 1e9 * np.eye(len(points))
     assert apart.min(1).mean() / (0.5 / np.sqrt(len(points) / (76 * 56))) > 1.3
-
-
-def test_fewer_points_than_asked_are_explained(drawn: Callable[..., Scene]) -> None:
-    said = warnings_of(
-        process(drawn(TOPOGRAPHY, "polygon = [[40, 30], [70, 30], [70, 60], [40, 60]]"), ["position_px"])
-    )
-    assert "of 700 points were found: the region of 900 px has room for some 25 that lie 6 px apart" in said
-    (noise,) = plausibility.of_points(40, 100, 6.0, 9000)
-    assert "40 of 100 points were found: the region of 9000 px has room for 250, but no more corners stand out" in noise
-
-
-def test_a_picture_is_a_region(press: Path, drawn: Callable[..., Scene], tmp_path: Path) -> None:
-    scene = load_scene(press / "scene.toml")
-    assert region_mask(scene, "contact") is None
-    shape = scene.views.contact.shape
-    picture = np.zeros(shape, np.uint8)
-    picture[10:30, 20:50] = 255
-    cv2.imwrite(str(tmp_path / "mask.png"), picture)
-    scene = drawn(CONTACT, 'mask = "mask.png"')
-    found = region_mask(scene, "contact")
-    assert found is not None
-    np.testing.assert_array_equal(found, picture > 0)
-    assert tmp_path / "mask.png" in scene.files()
-
-
-def _message(scene: Scene, name: str) -> str:
-    with pytest.raises(FingerflowError) as error:
-        region_mask(scene, name)
-    return str(error.value)
-
-
-def test_regions_that_hold_nothing_or_do_not_fit_are_refused(drawn: Callable[..., Scene], tmp_path: Path) -> None:
-    outside = drawn(CONTACT, "polygon = [[900, 0], [990, 0], [990, 90]]")
-    assert "views.contact.region holds no pixel of the view of" in _message(outside, "contact")
-    cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
-    small = drawn(CONTACT, 'mask = "mask.png"')
-    assert "mask.png has 7 x 9 px, the view" in _message(small, "contact")
-    (tmp_path / "mask.png").write_bytes(b"no picture")
-    assert "mask.png is no picture that can be read; save it as PNG" in _message(small, "contact")
-    with pytest.raises(FingerflowError, match=r"other\.png does not exist"):
-        drawn(CONTACT, 'mask = "other.png"')
-
-
-def test_a_stream_refuses_what_its_graphs_cannot_do(drawn: Callable[..., Scene], tmp_path: Path) -> None:
-    with pytest.raises(PlayerError, match=r"views\.contact\.region is of `fingerflow process`.*rows and columns"):
-        load_stream(drawn(CONTACT, "polygon = [[0, 0], [90, 0], [90, 90]]").path)
-    cv2.imwrite(str(tmp_path / "mask.png"), np.ones((7, 9), np.uint8))
-    with pytest.raises(PlayerError, match=r"views\.topography\.region is a picture.*polygon or an ellipse"):
-        load_stream(drawn(TOPOGRAPHY, 'mask = "mask.png"').path)
-
-
-def test_one_region_for_points(changed: Callable[..., Scene]) -> None:
-    with pytest.raises(FingerflowError, match=r"both say where points are chosen"):
-        changed({TOPOGRAPHY: f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}"})

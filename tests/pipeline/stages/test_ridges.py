@@ -12,7 +12,7 @@ from fingerflow.synthetic.skin_interface import Skin
 from fingerflow.synthetic.texture import RidgeTexture
 
 PRESS = Press(frame_shape=(384, 960), semi_axes=(4.5, 3.8))
-SKINS = [RidgeTexture(), *(FingerprintTexture(pattern=pattern) for pattern in ("loop", "whorl", "arch"))]
+SKINS = [RidgeTexture(), FingerprintTexture(pattern="loop")]
 
 
 def _patch(press: Press) -> tuple[ridges.SkinPatch, np.ndarray, np.ndarray]:

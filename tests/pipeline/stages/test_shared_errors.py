@@ -43,13 +43,3 @@ def test_the_variance_gain_is_that_of_overlapping_windows() -> None:
         z.append(float(ratio.square().mean().sqrt()))
     assert abs(z[0] - 1) < 0.07
     assert z[1] > 1.3
-
-
-def test_points_that_touch_apart_share_less() -> None:
-    """Of windows that overlap by half: all of it since one frame, two fifths less where onsets are frames apart."""
-    places, still = np.array([[0.0, 0.0], [12.5, 0.0]]), np.zeros((2, 2, 2))
-    one, other = np.array([0]), np.array([1])
-    of_frame = OverlapErrors(np.zeros(2, int), places, np.ones(2), still, False, WINDOW)
-    by_onset = OverlapErrors(np.array([3, 9]), places, np.ones(2), still, True, WINDOW)
-    assert of_frame.between(one, other)[0] == np.float32(0.5)
-    assert by_onset.between(one, other)[0] == np.float32(0.3)

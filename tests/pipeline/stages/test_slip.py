@@ -21,10 +21,7 @@ from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
-from fingerflow.pipeline.stages.slip.slip_grid import SlipGrid
-from fingerflow.pipeline.stages.slip.slip_stage import SlipStage, _incipient
 from fingerflow.schema.scene import Scene, Views
-from fingerflow.schema.views import View
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 from tests.small_trials import scene_beside, write_small_slip
 
@@ -76,10 +73,13 @@ def test_stuck_ratio_of_a_small_contact(
 
     A window of 15 px is a fifth of this contact's semi-axis and hides the length over which slip turns from a square
     into a line. The fading contact shows the shift in more frames, as this contact sticks for longer. The printed d²
-    errs by less than 0.03, as with the criterion of a length.
+    errs by less than 0.03, as with the criterion of a length. Resting skin sticks: noise within the contact is not
+    taken for slip. At the rim noise cannot be told from slip, which costs up to 2.5 % of d².
     """
-    found = results[name]
-    error = known(np.abs(found["stuck_ratio"].values - shares(slip_trials / name)))
+    found, truth = results[name], shares(slip_trials / name)
+    assert (truth[:6] == 1).all()
+    assert found["stuck_ratio"].values[:6].min() > 0.975
+    error = known(np.abs(found["stuck_ratio"].values - truth))
     assert error.max() < most
     assert np.quantile(error, 0.9) < usual
     deviation = known(found["stuck_ratio_std"].values)
@@ -88,8 +88,7 @@ def test_stuck_ratio_of_a_small_contact(
     assert known(np.abs(found["printed_stuck_ratio"].values - shares(slip_trials / name, 0.04))).max() < 0.03
 
 
-@pytest.mark.parametrize("criterion", ["displacement", "relative"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "criterion"), [("abrupt", "displacement"), ("fading", "relative")])
 def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Path) -> None:
     """With the paper's criterion of 40 um d² errs by less than 0.03 in every frame and 0.02 in nine of ten, for
     displacement relative to the glass and to the stick region.
@@ -116,7 +115,7 @@ def test_registered_positions_show_the_mean_displacement_of_their_windows(slip_t
     scene, trial = load_scene(slip_trials / "abrupt" / "scene.toml"), rebuild_scene(slip_trials / "abrupt")
     assert isinstance(trial, PartialSlip)
     result = process(scene, ["position_px", "deformation_correction_px"])
-    pixels, correction = result["position_px"].values, result["deformation_correction_px"].values
+    pixels, correction = (result[name].values for name in ("position_px", "deformation_correction_px"))
     frame = int(np.argmin(np.abs(shares(slip_trials / "abrupt") - 0.4)))
     reach = np.arange(scene.tracking.window_px) - scene.tracking.window_px // 2
     window = pixels[0][:, None] + np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
@@ -153,9 +152,18 @@ def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
 def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    trial = rebuild_scene(slip_trials / name)
+    """The verdict is that of the truth, and the outputs agree with each other."""
+    trial, result = rebuild_scene(slip_trials / name), results[name]
     assert isinstance(trial, PartialSlip)
-    found = verdict_of(results[name])
+    area, region = result["stuck_area"].values, result["stuck_region"]
+    np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
+    counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
+    # Cells at the border of the contact are counted whole.
+    np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
+    expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
+    np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
+    assert warnings_of(result) == []
+    found = verdict_of(result)
     assert found["outcome"] == outcome
     assert found["printed_outcome"] == "vanishes abruptly"  # by the printed rule both trials do
     truth = shares(slip_trials / name)
@@ -166,22 +174,6 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     if outcome == "vanishes abruptly":
         largest = truth[found["corridor_frames"][0]]
         assert found["corridor_area"] == pytest.approx(largest, abs=0.04)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    result, trial = results[name], rebuild_scene(slip_trials / name)
-    area = result["stuck_area"].values
-    np.testing.assert_allclose(area, result["stuck_ratio"] * result["gross_contact_area"])
-    region = result["stuck_region"]
-    counted = region.sum(("cell_row", "cell_column")).values * region.attrs["cell_mm"] ** 2
-    # Cells at the border of the contact are counted whole.
-    np.testing.assert_allclose(counted, area, rtol=0, atol=0.06 * float(result["gross_contact_area"].max()))
-    expected = trial.tangential_force(trial.times) / trial.normal_force(trial.times)
-    np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
-    assert {result[name].attrs["units"] for name in ("stuck_ratio", "load_ratio", "slip_coverage")} == {"1"}
-    assert result["stuck_area"].attrs["units"] == "mm2"
-    assert warnings_of(result) == []
 
 
 def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
@@ -198,121 +190,56 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
         plan(["load_ratio"], replace(slip, forces=None))
     with pytest.raises(FingerflowError, match="topographic view"):
         plan(["stuck_area"], areas)
+    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
+        plan(["dense_flow_difference"], slip)
+    assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(slip)).names
+    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(slip)).names
 
 
-def test_a_scene_that_is_about_slip_gives_it_unasked(slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    short = replace(scene, recording=replace(scene.recording, last_frame=3))
-    assert "stuck_ratio" in process(short)
-
-
-def with_forces(folder: Path, new: Path, forces: NDArray[Any]) -> Scene:
-    """Return the scene with other forces."""
+def test_trials_that_cannot_be_judged(slip_trials: Path, tmp_path: Path) -> None:
+    """Without forces, a whole trial or a known displacement the verdict is inconclusive and names what is missing; the
+    stuck ratio needs no force.
+    """
+    folder = slip_trials / "abrupt"
+    scene, frames = load_scene(folder / "scene.toml"), np.load(folder / "frames.npy")
+    assert scene.forces is not None
+    part = replace(scene, recording=replace(scene.recording, last_frame=70))
+    table = np.loadtxt(folder / "forces.csv", delimiter=",", skiprows=1)
     header = (folder / "forces.csv").read_text(encoding="utf-8").splitlines()[0]
-    np.savetxt(new / "forces.csv", forces, fmt="%.6f", delimiter=",", header=header, comments="")
-    return scene_beside(folder, new, {(folder / "forces.csv").as_posix(): "forces.csv"})
-
-
-def reason_of(scene: Scene) -> str:
-    found = verdict_of(process(scene, ["stuck_ratio"]))
-    assert found["outcome"] == found["printed_outcome"] == "inconclusive"
-    return str(found["reason"])
-
-
-def test_without_forces_the_stuck_part_is_there_and_no_verdict(slip_trials: Path) -> None:
-    scene = replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)
-    result = process(scene, ["stuck_ratio"])
-    assert "there are no forces" in verdict_of(result)["reason"]
-    assert "load_ratio" not in result
-    assert "friction_fit" not in result["stuck_ratio"].attrs
-    assert np.abs(result["stuck_ratio"].values - shares(slip_trials / "abrupt")).max() < 0.06
-
-
-@pytest.mark.parametrize(
-    ("part", "setting", "reason"),
-    [("forces", {"tangential": None}, "[forces] tangential"), ("recording", {"last_frame": 70}, "no full slip")],
-)
-def test_settings_without_a_verdict(part: str, setting: dict[str, Any], reason: str, slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    assert reason in reason_of(replace(scene, **{part: replace(getattr(scene, part), **setting)}))
-
-
-def test_forces_that_end_before_the_loss(slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    scene = with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.0])
-    result = process(scene, ["stuck_ratio"])
-    assert np.isnan(result["load_ratio"].values[-30:]).all()
-    assert np.isfinite(result["stuck_ratio"].values).all()
-    assert "no T/N" in verdict_of(result)["reason"]
-
-
-def test_forces_that_end_after_the_loss_are_enough(slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    result = process(with_forces(slip_trials / "abrupt", tmp_path, forces[forces[:, 0] < 1.6]), ["stuck_ratio"])
-    assert np.isnan(result["load_ratio"].values[-1])
-    assert verdict_of(result)["outcome"] == "vanishes abruptly"
-
-
-@pytest.mark.parametrize(("swing", "sign", "reason"), [(0.2, 1, "too unsteady"), (0.0, -1, "sign")])
-def test_forces_without_a_verdict(swing: float, sign: int, reason: str, slip_trials: Path, tmp_path: Path) -> None:
-    forces = np.loadtxt(slip_trials / "abrupt" / "forces.csv", delimiter=",", skiprows=1)
-    forces[:, 2] *= sign * (1 + swing * np.sin(2 * np.pi * 4 * forces[:, 0]))
-    assert reason in reason_of(with_forces(slip_trials / "abrupt", tmp_path, forces))
-
-
-def test_no_contact(slip_trials: Path, tmp_path: Path) -> None:
-    empty = np.stack([rebuild_scene(slip_trials / "abrupt").empty(number) for number in range(20)])
-    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=empty)
+    short = tmp_path / "short.csv"
+    np.savetxt(short, table[table[:, 0] < 1.0], fmt="%.6f", delimiter=",", header=header, comments="")
+    later, empty = frames[:40].copy(), rebuild_scene(folder).empty()
+    later[:3, :, 240:] = empty[:, 240:]
+    (tmp_path / "later").mkdir()
+    (tmp_path / "glass").mkdir()
+    glass = scene_beside(folder, tmp_path / "glass", frames=np.stack([empty] * 20))
     with pytest.raises(FingerflowError, match="no contact at the largest force"):
-        process(scene, ["stuck_ratio"])
-    contact = replace(scene.contact, threshold=0.3)
-    scene = replace(scene, contact=contact)
-    assert "no contact in any frame" in reason_of(scene)
-    assert np.isnan(process(scene, ["stuck_ratio"])["stuck_ratio"].values).all()
-
-
-def test_contact_that_comes_later_is_no_reference(slip_trials: Path, tmp_path: Path) -> None:
-    frames = np.load(slip_trials / "abrupt" / "frames.npy")[:40].copy()
-    frames[:3, :, 240:] = rebuild_scene(slip_trials / "abrupt").empty()[:, 240:]
-    assert "first frame" in reason_of(scene_beside(slip_trials / "abrupt", tmp_path, frames=frames))
-
-
-def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
-    """Twelve points leave most of the contact unknown: the stuck area is NaN, and a warning says so."""
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    scene = replace(scene, tracking=replace(scene.tracking, points=12))
-    result = process(scene, ["stuck_ratio"])
-    assert (result["slip_coverage"].values < 0.9).all()
-    assert np.isnan(result["stuck_area"].values).all()
-    assert any("their stuck area is NaN" in warning for warning in json.loads(result.attrs["warnings"]))
-    assert "too little of the contact" in verdict_of(result)["reason"]
-
-
-@pytest.mark.long
-def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
-    """If skin rests in two regions, the part of the larger region in contact is the stick region."""
-    inputs = open_inputs(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None), "cpu")
-    x, y = np.meshgrid(np.arange(8.0, 236, 4), np.arange(8.0, 168, 4))  # one cell beyond the contact
-    rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
-    position = np.repeat(np.stack((x, y), -1).reshape(1, -1, 2), 2, axis=0)
-    position[1, ~rests.ravel(), 0] += 2  # px, 0.065 mm
-    scene = inputs.scene
-    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    calibration = replace(scene.calibration, topography_to_contact=identity)
-    inputs.scene = replace(scene, calibration=calibration)
-    regions = np.zeros((2, 48, 60), bool)
-    regions[:, 3:40, 3:57] = True  # rows to 160 px, further from the edge than half a ridge period
-    given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
-    given["deformation_correction_px"] = np.zeros(position.shape)
-    trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
-    run(trial, SlipStage(trial))
-    ratio, stuck = (values_of(trial, name) for name in ("stuck_ratio", "stuck_region"))
-    assert ratio[0] == 1
-    # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
-    assert ratio[1] == pytest.approx(14 * 29 / (54 * 37), abs=2 * (14 + 29) / (54 * 37))
-    assert not stuck[1][:, 36:].any()
-    assert not stuck[1][40:].any()
-    np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
+        process(glass, ["stuck_ratio"])
+    cases = {
+        "there are no forces": replace(part, forces=None),
+        "[forces] tangential": replace(part, forces=replace(scene.forces, tangential=None)),
+        "no full slip": part,
+        "no T/N": replace(scene, forces=replace(scene.forces, file=short)),
+        "first frame": scene_beside(folder, tmp_path / "later", frames=later),
+        "no contact in any frame": replace(glass, contact=replace(glass.contact, threshold=0.3)),
+        "too little of the contact": replace(scene, tracking=replace(scene.tracking, points=12)),
+    }
+    results = {reason: process(one, ["stuck_ratio"]) for reason, one in cases.items()}
+    for reason, result in results.items():
+        found = verdict_of(result)
+        assert found["outcome"] == found["printed_outcome"] == "inconclusive"
+        assert reason in found["reason"]
+    without = results["there are no forces"]
+    assert "load_ratio" not in without
+    assert "friction_fit" not in without["stuck_ratio"].attrs
+    assert np.abs(without["stuck_ratio"].values - shares(folder)[:71]).max() < 0.06
+    assert np.isnan(results["no T/N"]["load_ratio"].values[-30:]).all()
+    assert np.isfinite(results["no T/N"]["stuck_ratio"].values).all()
+    assert np.isnan(results["no contact in any frame"]["stuck_ratio"].values).all()
+    few = results["too little of the contact"]
+    assert (few["slip_coverage"].values < 0.9).all()
+    assert np.isnan(few["stuck_area"].values).all()
+    assert any("their stuck area is NaN" in warning for warning in warnings_of(few))
 
 
 def small(folder: Path, **settings: Any) -> Path:
@@ -320,38 +247,20 @@ def small(folder: Path, **settings: Any) -> Path:
     return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
 
 
-def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
-    """Through a jump of 5 px every known position is within 2 px of the skin, whose ridges are 14 px apart."""
-    folder = small(tmp_path / "trial", jumps=(1.6, 1.75))
-    trial = rebuild_scene(folder)
-    result = process(load_scene(folder / "scene.toml"), ["position_px", "stuck_ratio"])
-    position = result["position_px"].values
-    worst, tracked = 0.0, []
-    for frame in range(0, trial.n_frames, 3):
-        true = trial.truth.follow(position[0], 0, frame)
-        known = np.isfinite(position[frame]).all(-1)
-        tracked.append(known.mean())
-        worst = max(worst, float(np.linalg.norm(position[frame] - true, axis=-1)[known].max()))
-    assert worst < 2
-    assert min(tracked) > 0.5
-    assert result["stuck_ratio"].values[-5:].max() == 0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("rate", "displacement"), [(60.0, "points"), (300.0, "points"), (60.0, "dense_flow")])
-def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("displacement", ["points", pytest.param("dense_flow", marks=pytest.mark.long)])
+def test_jumps_of_5_px_before_full_slip(displacement: str, tmp_path: Path) -> None:
     """Jumps of 5 px in one frame, at the rim while a quarter to a half of the contact sticks and later of all skin,
     leave no point on another ridge, with noise and drift in the forces.
 
     Ridges are 14 px apart. Points err by 2.5 px at most, where skin was stretched by a third. d² errs by less than
-    0.08, and 0.1 at 300 frames/s (measured: 0.088). By points d² is NaN in many frames, so the border is fitted to
-    fewer frames; by dense flow d² is known in nearly all frames.
+    0.08. By points d² is NaN in many frames, so the border is fitted to fewer frames; by dense flow d² is known in
+    nearly all frames.
     """
-    frames, jumps = round(0.8 * rate), ({60.0: 0.495, 300.0: 0.52}[rate], 0.7)
+    frames, jumps = 48, (0.495, 0.7)
     folder = small(
         tmp_path / "trial",
         n_frames=frames,
-        frame_rate=rate,
+        frame_rate=60.0,
         frames_before_trigger=2,
         jumps=jumps,
         collapse=0.05,
@@ -374,7 +283,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     assert min(tracked) > 0.5
     found = result["stuck_ratio"].values
     error = np.abs(found - truth)
-    assert np.nanmax(error) < (0.1 if rate == 300 else 0.08)
+    assert np.nanmax(error) < 0.08
     assert np.isfinite(found).mean() > (0.6 if displacement == "points" else 0.95)
     assert not (found[last:] > 0).any()
 
@@ -383,15 +292,11 @@ def by_flow(scene: Scene) -> Scene:
     return replace(scene, slip=replace(scene.slip, displacement="dense_flow"))
 
 
-@pytest.fixture(scope="module")
-def by_dense_flow(slip_trials: Path) -> xr.Dataset:
-    names = ["stuck_ratio", "skin_displacement", "position", "dense_flow_difference"]
-    return process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), names)
-
-
 @pytest.mark.long
-def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """By dense flow d² errs by less than 0.05 in every frame, as by points."""
+def test_stuck_ratio_by_dense_flow(slip_trials: Path) -> None:
+    """By dense flow d² errs by less than 0.05 in every frame, as by points, and resting skin sticks."""
+    by_dense_flow = process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), ["stuck_ratio"])
+    assert by_dense_flow["stuck_ratio"].values[:6].min() > 0.995
     error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))
     assert error.max() < 0.05
     assert verdict_of(by_dense_flow)["outcome"] == "vanishes abruptly"
@@ -400,68 +305,37 @@ def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path)
     assert warnings_of(by_dense_flow) == []
 
 
-@pytest.mark.parametrize("way", [*NAMES, "dense flow"])
-def test_skin_that_rests_all_sticks(
-    way: str, results: dict[str, xr.Dataset], by_dense_flow: xr.Dataset, slip_trials: Path
-) -> None:
-    """Resting skin sticks: noise within the contact is not taken for slip. At the rim noise cannot be told from slip,
-    which costs up to 2.5 % of d² by points.
+def test_dense_flow_is_where_the_skin_went(slip_trials: Path) -> None:
+    """Dense flow errs by less than 4 um RMS in all cells of the contact, and states its difference from the points.
+    Points shifted by 10 um in x and y show as a difference in every frame, and in a warning.
     """
-    found = by_dense_flow if way == "dense flow" else results[way]
-    rests = slice(0, 6)
-    assert (shares(slip_trials / ("abrupt" if way == "dense flow" else way))[rests] == 1).all()
-    assert found["stuck_ratio"].values[rests].min() > (0.995 if way == "dense flow" else 0.975)
-
-
-def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
-    """Dense flow errs by less than 4 um RMS in every eighth frame, in all cells of the contact, and states its
-    difference from the points.
-    """
-    trial, field = rebuild_scene(slip_trials / "abrupt"), by_dense_flow["skin_displacement"]
+    trial, frames = rebuild_scene(slip_trials / "abrupt"), 41
+    scene = by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None))
+    scene = replace(scene, recording=replace(scene.recording, last_frame=frames - 1))
+    inputs = ["position", "position_std_px", "gross_contact_region", "gross_contact_area"]
+    result = process(scene, ["skin_displacement", "dense_flow_difference", *inputs])
+    field = result["skin_displacement"]
     row, column = np.indices(field.shape[1:3])
     places = np.stack((column, row), -1) * field.attrs["cell_mm"] + field.attrs["first_cell_mm"]
     ellipse = trial.truth.ellipse(0)
     assert ellipse is not None
     inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0.1).numpy()
-    for frame in range(0, 120, 8):
+    for frame in range(0, frames, 8):
         moved = trial.truth.positions(trial.truth.material(places[inside], 0), frame) - places[inside]
         error = field.values[frame][inside] - moved
         assert np.isfinite(error).all(-1).mean() > 0.97
         assert np.sqrt(np.nanmean(error**2)) < 0.004, frame
-    median, most = (by_dense_flow[f"dense_flow_difference{part}"].values for part in ("", "_95"))
+    median, most = (result[f"dense_flow_difference{part}"].values for part in ("", "_95"))
     assert median[0] == 0
     assert 0.0002 < np.nanmedian(median) < 0.004
     assert (most[1:] > median[1:]).all()
-
-
-def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> None:
-    """Points shifted by 10 um in x and y show as a difference from the flow in every frame, and in a warning."""
-    inputs = open_inputs(by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)), "cpu")
-    given = process(inputs.scene, ["position", "position_std_px", "gross_contact_region", "gross_contact_area"])
-    frames = 12
-    position = given["position"].values[:frames].copy()
-    position[1:] += 0.01
-    trial = trial_of(
-        inputs,
-        {"gross_contact_area": given["gross_contact_area"].values[:frames]},
-        frames,
-        position=position,
-        position_std_px=given["position_std_px"].values[:frames],
-        gross_contact_region=given["gross_contact_region"].values[:frames],
-    )
-    stage = DenseFlowSlipStage(trial)
-    run(trial, stage)
-    np.testing.assert_allclose(values_of(trial, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
+    given = {name: result[name].values[:12] for name in inputs}
+    given["position"][1:] += 0.01
+    area = {"gross_contact_area": given.pop("gross_contact_area")}
+    stage = DenseFlowSlipStage(context := trial_of(open_inputs(scene, "cpu"), area, 12, **given))
+    run(context, stage)
+    np.testing.assert_allclose(values_of(context, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
     assert any("dense flow and tracked points differ" in warning for warning in stage.warnings)
-
-
-def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:
-    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
-    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
-        plan(["dense_flow_difference"], scene)
-    assert "slip" in plan(["stuck_ratio"], scene).names
-    assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(scene)).names
-    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(scene)).names
 
 
 def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
@@ -474,50 +348,6 @@ def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
         assert np.isnan(result[name].values).all(), name
     assert not result["stuck_region"].values.any()
     assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
-
-
-def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
-    """A contact that slides out of the view has no d² from the frame on in which the contact reaches the edge.
-
-    Before, d² is within two stated deviations and within 0.09: the shift of a small contact's border, which slip with a
-    rounded onset leaves undetermined.
-    """
-    folder = small(
-        tmp_path / "trial",
-        finger=(2.6, 2.1),
-        semi_axes=(1.8, 1.5),
-        travel=3.0,
-        creep=0.25,
-        full_slip=0.5,
-        n_frames=100,
-        frame_rate=60.0,
-    )
-    scene, truth = load_scene(folder / "scene.toml"), shares(folder)
-    cut = replace(scene, views=Views({**scene.views, "contact": View((0, 192), (240, 448))}))
-    result = process(cut, ["stuck_ratio", "stuck_ratio_std", "gross_contact_region"])
-    found = result["stuck_ratio"].values
-    at_edge = result["gross_contact_region"].values[:, :, -2:].any((1, 2))
-    assert at_edge[-1]
-    assert np.isnan(found[at_edge]).all()
-    begins = int(np.flatnonzero(np.isnan(found))[0])
-    assert np.isnan(found[begins:]).all()
-    assert truth[begins] == 0
-    assert at_edge[begins]
-    error = np.abs(found - truth)[:begins]
-    assert error.max() < 0.09
-    assert (error < 2 * result["stuck_ratio_std"].values[:begins]).all()
-
-
-@pytest.mark.long
-def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
-    """Light that fades by a fifth over the trial changes d² by less than 0.03."""
-    frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
-    frames *= np.linspace(1, 0.8, len(frames), dtype=np.float32)[:, None, None]
-    faded = process(
-        scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(frames).astype(np.uint8)), ["stuck_ratio"]
-    )
-    assert verdict_of(faded)["outcome"] == "vanishes abruptly"
-    assert np.nanmax(np.abs(faded["stuck_ratio"].values - results["abrupt"]["stuck_ratio"].values)) < 0.03
 
 
 def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
@@ -558,59 +388,12 @@ def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[st
         assert np.nanmin(values) > 0
 
 
-def swirl(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an eddy (..., 2) mm: a displacement with curl but no divergence."""
-    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
-    return np.stack((-height * y, height * x), -1)
-
-
-def source(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a source (..., 2) mm, the eddy rotated by a right angle: divergence but no curl."""
-    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
-    return np.stack((height * x, height * y), -1)
-
-
-@pytest.mark.parametrize(("flow", "other"), [(swirl, "irrotational"), (source, "solenoidal")])
-def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
-    """An eddy is solenoidal and a source irrotational: the other part is below 5 % of the whole residual.
-
-    Both vanish towards the rim of the contact, so no harmonic field remains. On a grid of 0.13 mm a part leaks by the
-    error of the differences. The best rigid motion removes the mean rotation of the eddy, whose curl is uniform.
-    """
-    y, x = np.meshgrid(*2 * (np.arange(-2.6, 2.6, 0.13),), indexing="ij")
-    places, region = np.stack((x, y), -1), np.hypot(x, y) < 2.4
-    grid = object.__new__(SlipGrid)
-    grid.places = places
-    moved = flow(x, y) + np.array([0.3, -0.1])
-    whole, irrotational, solenoidal = _incipient(moved.astype(np.float32), region, grid)
-    left = rigid_residual(torch.from_numpy(places[region])[None], torch.from_numpy(moved[region])[None])[0]
-    assert whole == pytest.approx(float(left.square().sum(-1).mean().sqrt()), rel=1e-3)
-    parts = {"irrotational": irrotational, "solenoidal": solenoidal}
-    assert parts.pop(other) < 0.05 * whole
-    assert parts.popitem()[1] == pytest.approx(whole, rel=0.05)
-
-
 def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
-    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning, a limit of 40 um does not."""
-    said = {}
-    for limit in (0.001, 0.04):
-        scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
-        scene = replace(scene, slip=replace(scene.slip, stuck_mm=limit))
-        said[limit] = warnings_of(process(scene, ["stuck_ratio"]))
-    assert said[0.04] == []
-    (warning,) = said[0.001]
+    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning."""
+    scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
+    scene = replace(scene, recording=replace(scene.recording, last_frame=40))
+    scene = replace(scene, slip=replace(scene.slip, stuck_mm=0.001))
+    (warning,) = warnings_of(process(scene, ["stuck_ratio"]))
     noise = float(re.search(r"standard deviation of ([0-9.]+) µm", warning)[1])
     assert 1 < noise < 3
     assert "has moved by 1.0 µm counts as slipped: where the stuck part ends is not known" in warning
-
-
-def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path: Path) -> None:
-    """Noise of 6 more grey levels in the topography view gives a warning that the border of the stick region is
-    unknown.
-    """
-    frames = np.load(slip_trials / "abrupt" / "frames.npy")
-    noisy = frames.astype(np.float64)
-    noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))
-    scene = scene_beside(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
-    warnings = warnings_of(process(scene, ["stuck_ratio"]))
-    assert any("where the stuck part ends is not known" in warning for warning in warnings)
