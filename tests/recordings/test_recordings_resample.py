@@ -76,25 +76,18 @@ def resampled(frequency: float, times: np.ndarray = TIMES) -> tuple[np.ndarray, 
     return signal, np.sin(2 * np.pi * frequency * FRAMES + 0.3)
 
 
-@pytest.mark.parametrize("frequency", [0.5, 3, 20, 50, 75])
+@pytest.mark.parametrize("frequency", [0.5, 20, 75])
 def test_pass_band_keeps_amplitude_and_phase(frequency):
     # Up to half of the Nyquist frequency of 150 Hz. Kaiser window of 66 dB: ripple 0.05 %; measured 0.04 %.
     signal, truth = resampled(frequency)
     assert np.abs(signal - truth).max() < 1e-3
 
 
-@pytest.mark.parametrize("frequency", [150, 170, 225, 299, 300, 301, 400, 1000, 4321, 5000])
+@pytest.mark.parametrize("frequency", [150, 225, 300, 400, 4321])
 def test_what_the_frames_cannot_show_is_gone(frequency):
     # 400 Hz would appear as 100 Hz with its full amplitude, and averaging over a frame would leave 21 % of it.
     signal, _ = resampled(frequency)
     assert np.abs(signal).max() < 1e-3
-
-
-def test_uneven_samples():
-    # The sum over uneven samples is a trapezoidal integral, coarser at 2 kHz: 2 % and not 0.1 %.
-    for frequency, keeps in ((5, True), (60, True), (200, False)):
-        signal, truth = resampled(frequency, uneven_times())
-        assert np.abs(signal - truth * keeps).max() < 0.02
 
 
 @pytest.mark.parametrize("times", [TIMES, uneven_times(), np.arange(0, 1.5, 1 / 1234.5), np.arange(0, 1.5, 1 / 310)])
@@ -126,14 +119,10 @@ def one_after_the_other(times: np.ndarray, values: np.ndarray, wanted: np.ndarra
 
 CLOCKS = {
     "3 kernels serve all": (TIMES, np.arange(450) / 300),
-    "1 kernel": (np.arange(0, 1.5, 1e-4), np.arange(1490) / 1000),
     "no two frames alike": (TIMES, 1.49 * np.sort(np.random.default_rng(3).random(200))),
     "uneven": (uneven_times(), 0.001 + np.arange(400) / 300),
-    "times of 6 digits": (np.round(np.arange(0, 1.5, 1 / 31000), 6), np.arange(449) / 300),
     "a gap": (TIMES[(TIMES < 0.5) | (TIMES > 0.502)], np.arange(449) / 300),
-    "far from time 0": (1e4 + TIMES, 1e4 + np.arange(449) / 300),
     "backward": (TIMES, np.arange(449)[::-1] / 300),
-    "shorter than the kernel": (np.arange(0, 0.02, 1e-3), np.arange(5) / 300),
     "two samples": (np.array([0.0, 0.002]), np.array([0.001])),
 }
 
@@ -156,20 +145,6 @@ def test_the_ends_of_the_record_are_no_zeros():
     # The truncated kernel is not symmetric: near the ends a ramp errs by its slope times 0.27 of a frame at most.
     np.testing.assert_allclose(values["ramp"], 3 * frames - 1, atol=3 * 0.3 / 300)
     assert np.all(np.isfinite(values["ramp"]))
-
-
-def test_a_press_of_the_finger_arrives_unchanged():
-    press = 18 * np.exp(-(((TIMES - 0.7) / 0.15) ** 2))
-    noisy = press + 0.2 * np.sin(2 * np.pi * 1000 * TIMES)
-    values = forces(normal=noisy).resample(FRAMES)["normal"]
-    assert np.abs(values - 18 * np.exp(-(((FRAMES - 0.7) / 0.15) ** 2))).max() < 1e-3
-
-
-def test_frames_in_any_order():
-    shuffled = np.random.default_rng(0).permutation(FRAMES)
-    record = forces(x=np.sin(30 * TIMES))
-    straight = dict(zip(FRAMES, record.resample(FRAMES)["x"], strict=True))
-    np.testing.assert_allclose(record.resample(shuffled)["x"], [straight[time] for time in shuffled], rtol=1e-12)
 
 
 def test_frames_outside_the_forces_are_nan_and_counted():
@@ -244,11 +219,6 @@ def test_a_sample_that_is_nan_is_one_that_is_missing():
     assert np.isnan(result["z"]).all()
     assert any("z: no sample is a number" in warning for warning in record.warnings)
     assert list(result) == ["x", "y", "z", "t"]
-
-
-def test_a_frame_half_a_sample_before_the_first_one_is_covered():
-    record = forces(TIMES + 0.4 * (TIMES[1] - TIMES[0]), x=np.ones(TIMES.size))
-    assert np.isfinite(record.resample(FRAMES[:5] - FRAMES[0])["x"]).all()
 
 
 @pytest.mark.parametrize("frames", [[], [np.nan, 1.0], [[0.1, 0.2]]])
