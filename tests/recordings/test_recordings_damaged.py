@@ -38,17 +38,16 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
         opens(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
 
 
-@pytest.mark.parametrize("name", ["a.npy", "a.csv"])
-def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch, name):
-    path = tmp_path / name
+def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
     path.write_bytes(b"something")
 
     def refused(self, *arguments, **options):
         raise PermissionError(13, "Permission denied", str(self))
 
     monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(FingerflowError, match=rf"{name}: cannot be opened \(Permission denied\); make it readable"):
-        (open_forces if name == "a.csv" else open_recording)(path)
+    with pytest.raises(FingerflowError, match=r"a.csv: cannot be opened \(Permission denied\); make it readable"):
+        open_forces(path)
 
 
 # Folders of images
@@ -82,13 +81,6 @@ def test_numbers_that_tell_no_time_are_said(tmp_path, numbers):
         assert recording.warnings == ()
     else:
         assert "read as consecutive" in recording.warnings[0]
-
-
-def test_equal_numbers_are_refused(tmp_path):
-    numbered(tmp_path, [1, 2])
-    numbered(tmp_path, [2], "frame_{}.png")
-    with pytest.raises(FingerflowError, match="have the same number"):
-        open_recording(tmp_path)
 
 
 def damaged_image(folder: Path) -> Path:
@@ -192,8 +184,7 @@ def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
     assert "index of /x is damaged: two chunks lie in the same bytes; copy" in said["address of a chunk shifted"]
     assert "chunk (9, 0, 0) is outside its grid" in said["place of a chunk outside the grid"]
     if "fletcher32" in options:  # without the check HDF5 crashes
-        for short in range(4):
-            assert f"chunk (2, 0, 0) of {short} bytes lacks its checksum" in said[f"size of a chunk {short}"]
+        assert "chunk (2, 0, 0) of 3 bytes lacks its checksum" in said["size of a chunk 3"]
 
 
 def test_forces_that_were_never_written_are_refused(tmp_path):
@@ -224,15 +215,6 @@ def test_a_frame_rate_that_cannot_be_is_none(tmp_path, rate):
         assert recording.times[-1] == pytest.approx(5 / 300)
     with pytest.raises(FingerflowError, match=rf"a\.h5: frame_rate={re.escape(str(rate))} was given; it must lie"):
         open_recording(tmp_path / "a.h5", frame_rate=rate)
-
-
-def test_a_data_set_by_its_path_is_found_every_time(tmp_path):
-    with h5py.File(tmp_path / "rec.h5", "w") as file:
-        file["cam/frames"], file["other"] = GREY, GREY
-        file["link"] = h5py.SoftLink("/cam/frames")
-    for name in ("/cam/frames", "cam/frames", "/cam/frames/", "link"):
-        with open_recording(f"{tmp_path / 'rec.h5'}::{name}") as recording:
-            np.testing.assert_array_equal(recording.read(), GREY)
 
 
 def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path, monkeypatch):
@@ -386,8 +368,8 @@ def test_frames_of_a_damaged_video_are_flagged(tmp_path):
     frames, rng = frames_of(8), np.random.default_rng(8)
     for name, codec, pixels, options, most in (
         ("a.mkv", "ffv1", "gray", {"g": "1"}, 0),
-        ("a.mp4", "libx264", "yuv420p", {"g": "12", "bf": "0", "qp": "10"}, 4),
-        ("a.mov", "libx264", "yuv420p", {"g": "12", "bf": "3", "qp": "10"}, 4),
+        ("a.mp4", "libx264", "yuv420p", {"g": "12", "bf": "0", "qp": "10"}, 3),
+        ("a.mov", "libx264", "yuv420p", {"g": "12", "bf": "3", "qp": "10"}, 3),
     ):
         path = write_video(tmp_path / name, frames, codec, pixels, **options)
         whole, clean = path.read_bytes(), open_recording(path).read()
@@ -404,7 +386,7 @@ def test_frames_of_a_damaged_video_are_flagged(tmp_path):
                 flagged += bool(bad or doubtful)
                 wrong = {n for n in range(COUNT) if not np.array_equal(read[n], clean[n])}
                 silent += bool(wrong - set(bad) - doubtful)
-        assert flagged >= 4, name
+        assert flagged >= 5, name
         assert silent <= most, name
 
 

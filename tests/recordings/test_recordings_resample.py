@@ -4,16 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.special import i0
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Forces
 from fingerflow.recordings.forces.low_pass import (
-    PASS_BAND,
-    STOP_BAND,
-    STOP_BAND_DB,
     kernel_half_width,
-    low_pass_at,
 )
 
 RATE = 10_000
@@ -98,46 +93,6 @@ def test_constants_everywhere_and_ramps_inside_are_exact(times):
     np.testing.assert_allclose(values["ramp"], 3 * inside - 1, rtol=0, atol=1e-12)
 
 
-def one_after_the_other(times: np.ndarray, values: np.ndarray, wanted: np.ndarray, nyquist: float) -> np.ndarray:
-    """Return the values of `low_pass_at`, computed frame by frame with the formulas of its module."""
-    half_width, beta = kernel_half_width(nyquist), 0.1102 * (STOP_BAND_DB - 8.7)
-    steps = np.minimum(np.diff(times), 2 * np.median(np.diff(times)))
-    stretches = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
-    result = np.empty((len(values), len(wanted)))
-    for frame, at in enumerate(wanted):
-        used = (times >= at - half_width) & (times <= at + half_width)
-        offset = times[used] - at
-        window = i0(beta * np.sqrt(np.clip(1 - (offset / half_width) ** 2, 0, None))) / i0(beta)
-        weights = np.sinc((PASS_BAND + STOP_BAND) * nyquist * offset) * window * stretches[used]
-        weights /= weights.sum()
-        odd = window * (offset - (window * offset).sum() / window.sum())
-        if at - half_width >= times[0] and at + half_width <= times[-1] and (odd * offset).sum() > 0:
-            weights = weights - (weights * offset).sum() / (odd * offset).sum() * odd
-        result[:, frame] = values[:, used] @ weights
-    return result
-
-
-CLOCKS = {
-    "3 kernels serve all": (TIMES, np.arange(450) / 300),
-    "no two frames alike": (TIMES, 1.49 * np.sort(np.random.default_rng(3).random(200))),
-    "uneven": (uneven_times(), 0.001 + np.arange(400) / 300),
-    "a gap": (TIMES[(TIMES < 0.5) | (TIMES > 0.502)], np.arange(449) / 300),
-    "backward": (TIMES, np.arange(449)[::-1] / 300),
-    "two samples": (np.array([0.0, 0.002]), np.array([0.001])),
-}
-
-
-@pytest.mark.parametrize("clock", CLOCKS)
-def test_frames_that_share_a_kernel_get_what_each_would_by_itself(clock):
-    """Frames that share a kernel get the value of their own kernel to 1e-9 of the noise: sample offsets equal to 1e-9
-    of a step count as equal.
-    """
-    times, wanted = CLOCKS[clock]
-    values = 5 + np.random.default_rng(1).normal(size=(2, len(times)))
-    expected = one_after_the_other(times, values, wanted, 150.0)
-    np.testing.assert_allclose(low_pass_at(times, values, wanted, 150.0), expected, rtol=0, atol=1e-9)
-
-
 def test_the_ends_of_the_record_are_no_zeros():
     frames = np.arange(0, 1.4999, 1 / 300)
     values = forces(constant=np.full(TIMES.size, 7.25), ramp=3 * TIMES - 1).resample(frames)
@@ -197,12 +152,6 @@ def test_forces_slower_than_the_frames_are_interpolated_and_it_is_said():
     record = forces(times, x=times**2)
     np.testing.assert_allclose(record.resample(FRAMES)["x"], np.interp(FRAMES, times, times**2), rtol=1e-12)
     assert "no faster than the frames (forces at 100 Hz, frames at 300 Hz)" in record.warnings[0]
-
-
-def test_one_frame_has_no_rate():
-    record = forces(x=TIMES)
-    np.testing.assert_allclose(record.resample([0.5])["x"], [0.5])
-    assert "not filtered" in record.warnings[0]
 
 
 def test_a_sample_that_is_nan_is_one_that_is_missing():

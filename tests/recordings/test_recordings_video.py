@@ -9,7 +9,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames import video
 from tests.recordings.camera_files import write_video
 
-HEIGHT, WIDTH, COUNT = 32, 48, 60
+HEIGHT, WIDTH, COUNT = 48, 80, 60
 
 
 def frames_of(bits: int) -> np.ndarray:
