@@ -2,8 +2,7 @@
 
 Each input is made from a small real file by a seeded generator and read in a process with a limit of memory and of
 processor time. The outcomes `read` and `own error`, which names the file, are right; every other outcome is printed
-with the number that makes its input again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1 --keep
-folder`.
+with the number that makes its input again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1`.
 """
 
 from __future__ import annotations
@@ -13,15 +12,13 @@ import json
 import signal
 import subprocess
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from fingerflow.recordings.guard.idle import IdleLimit
-from tests.fuzz.samples import READERS, samples
-from tests.fuzz.worker import damaged, write
+from tests.fuzz.samples import READERS
 
 OUTCOMES = ("read", "own error", "unnamed", "traceback", "memory", "hang", "crash")
 GOOD = ("read", "own error")
@@ -35,12 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--reader", choices=READERS, action="append", help="only this one; may be repeated")
     parser.add_argument("--seed", type=int, default=16)
     parser.add_argument("--first", type=int, default=0, help="number of the first input of each reader")
-    parser.add_argument("--keep", type=Path, help="a folder: write the inputs there and read none")
     asked = parser.parse_args(arguments)
     readers = asked.reader or list(READERS)
     shares = [asked.count // len(readers) + (n < asked.count % len(readers)) for n in range(len(readers))]
-    if asked.keep is not None:
-        return _keep(asked.keep, readers, shares, asked.seed, asked.first)
     print(f"seed {asked.seed}, {asked.count} inputs")
     print(f"{'reader':15}" + "".join(f"{outcome:>11}" for outcome in OUTCOMES))
     counts = {reader: Counter[str]() for reader in readers}
@@ -102,16 +96,6 @@ def _lines(worker: subprocess.Popen[bytes], answers: IO[bytes]) -> Iterator[byte
 
 def _name(status: int) -> str:
     return signal.Signals(-status).name if status < 0 else f"status {status}"
-
-
-def _keep(folder: Path, readers: list[str], shares: list[int], seed: int, first: int) -> int:
-    for reader, share in zip(readers, shares, strict=True):
-        with tempfile.TemporaryDirectory() as made:
-            found = samples(reader, Path(made))
-        for number in range(first, first + share):
-            sample, data = damaged(found, reader, seed, number)
-            print(write(sample, folder / reader / str(number), data))
-    return 0
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
             for number in range(first, end):
                 sample, data = damaged(found[reader], reader, seed, number)
                 print(json.dumps({"reader": reader, "begun": number}), file=answers, flush=True)
-                outcome = _outcome(_READERS[reader], sample, folder / "damaged", data)
+                outcome = outcome_of(_READERS[reader], sample, folder / "damaged", data)
                 print(json.dumps({"reader": reader, "number": number, **outcome}), file=answers, flush=True)
                 if outcome["outcome"] == "memory":
                     return  # the peak stays high: the next input needs a new process
@@ -80,7 +80,7 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _outcome(read: Callable[[Path], object], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
+def outcome_of(read: Callable[[Path], object], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
     from fingerflow.errors import FingerflowError
 
     before = _most_resident()

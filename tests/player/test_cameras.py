@@ -30,19 +30,12 @@ def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
     # From the second frame on the shortest transfer, 2 ms, is known: the time beyond it is latency.
     np.testing.assert_allclose(latencies[1:], late[1:] - 2e-3, atol=1e-9)
     assert clock.has_stamps
-
-
-def test_a_clock_follows_the_drift_of_two_clocks() -> None:
-    """A drift of 100 ppm between two clocks adds at most 1 ms to the latency: over the minute of the test the drift is
-    6 ms, but the offset is measured within a window of 5 to 10 s.
-    """
-    clock = CameraClock()
-    stamps = np.arange(0, 60, 0.02)
+    # Of a drift of 100 ppm, 6 ms in a minute, at most 1 ms is latency: the offset is measured within 5 to 10 s.
+    stamps = np.arange(0, 60, 0.05)
     for drift in (1 - 1e-4, 1 + 1e-4):
         clock = CameraClock()
-        late = [stamp * drift - clock.see(stamp, stamp * drift)[1] for stamp in stamps]
-        assert min(late) >= 0
-        assert max(late) <= 1.1e-3
+        drifting = [stamp * drift - clock.see(stamp, stamp * drift)[1] for stamp in stamps]
+        assert 0 <= min(drifting) <= max(drifting) <= 1.1e-3
 
 
 def test_a_clock_that_starts_again_is_measured_anew(caplog: pytest.LogCaptureFixture) -> None:

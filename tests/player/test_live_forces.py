@@ -48,15 +48,9 @@ def test_a_frame_has_the_sample_nearest_in_time() -> None:
     assert forces.at(0, 10.506)["normal_force"] == 51
     assert forces.at(0, 9.96)["normal_force"] == 0
     assert forces.at(0, 11.03)["normal_force"] == 99
-    # More than 50 ms from every sample the force is unknown.
+    # More than 50 ms from every sample, and before the first one, the force is unknown.
     for unknown in (9.94, 11.05):
         assert np.isnan(list(forces.at(0, unknown).values())).all()
-    forces.close()
-
-
-def test_before_the_first_sample_forces_are_unknown() -> None:
-    forces = SensorForces(Recorded([]), "recorded")
-    assert np.isnan(list(forces.at(0, 0.0).values())).all()
     forces.close()
 
 
@@ -65,9 +59,6 @@ def test_one_to_three_forces_are_a_sample(given: tuple[float, ...], normal: floa
     found = sample_of(1.0, given)
     assert (found.time, found.normal) == (1, normal)
     assert found.tangential == pytest.approx(tangential, nan_ok=True)
-
-
-def test_other_numbers_of_forces_are_refused() -> None:
     with pytest.raises(PlayerError, match="the force sensor gives 4 numbers; it must give the normal force"):
         sample_of(1.0, (1, 2, 3, 4))
 
@@ -180,9 +171,3 @@ def test_a_stream_of_lsl_is_a_sensor() -> None:
     assert (sample.normal, sample.tangential) == (2.0, 0.5)
     assert sample.time == pytest.approx(sent, abs=1.0)  # the first sample to arrive may be one of a second before
     sensor.close()
-
-
-def test_recorded_forces_are_those_of_the_frame_by_its_number() -> None:
-    forces = LiveForces(5, {"normal_force": np.array([1.0, 2.0])})
-    assert [forces.at(number, 0.0)["normal_force"] for number in (5, 6)] == [1, 2]
-    assert np.isnan([forces.at(number, 0.0)["normal_force"] for number in (4, 7)]).all()

@@ -23,7 +23,6 @@ from fingerflow.player.camera_clock import unix_now
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Channel
 from fingerflow.player.outputs.output import FrameStamp
-from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Message, Sender
 from fingerflow.schema.variables import VARIABLES
 
@@ -121,10 +120,7 @@ def test_zeromq_reaches_a_pull_socket(stream: Stream) -> None:
     assert len(received) == facts["sent"] == len(PIXELS) - facts["failed"]
     for one in received:
         _same(one, ended.results.records[one["frame"]])
-
-
-def test_zeromq_without_a_receiver_fails_and_is_counted(stream: Stream) -> None:
-    pytest.importorskip("zmq", reason="the package pyzmq is not installed: its output is not tested")
+    (stream.folder / "results").rename(stream.folder / "first")
     with socket.socket() as nobody:
         nobody.bind(("127.0.0.1", 0))  # bound, but not listening
         ended = _played(stream, "--send", f"zeromq:tcp://127.0.0.1:{nobody.getsockname()[1]}")
@@ -175,6 +171,32 @@ def test_lsl_is_a_stream_with_labels_units_and_camera_times(stream: Stream) -> N
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
+@pytest.mark.parametrize("windows", [False, True])
+def test_a_serial_line_carries_a_line_of_json_a_frame(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, windows: bool
+) -> None:
+    """A serial line carries one line of JSON for each frame, with termios and with pyserial, which Windows uses and
+    which opens a pseudo-terminal here as well; a function gets each frame with its record.
+    """
+    if windows:
+        pytest.importorskip("serial", reason="the package pyserial is not installed, which Windows needs")
+        monkeypatch.setattr(importlib.import_module("fingerflow.player.serial_line").sys, "platform", "win32")
+    module, found = ModuleType("own_of_the_test"), list[FrameStamp]()
+    module.take = lambda stamp, values: found.append(stamp)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    terminal, line = os.openpty()
+    own = ("--send", "callback:own_of_the_test:take")
+    ended = _played(stream, "--send", f"serial:{os.ttyname(line)}@115200", *own, "--values", "real_contact_area")
+    sent = [json.loads(one) for one in os.read(terminal, 65536).decode().splitlines()]
+    os.close(terminal)
+    os.close(line)
+    assert [one["frame"] for one in sent] == list(range(len(PIXELS)))
+    assert sent[4]["real_contact_area"] == PIXELS[4] / 4
+    for stamp, record in zip(found, ended.results.records, strict=True):
+        np.testing.assert_array_equal(stamp.record["position_px"], record["position_px"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 def test_a_trigger_goes_out_once_a_rise_by_udp_and_by_a_serial_line(stream: Stream, receiver: socket.socket) -> None:
     terminal, line = os.openpty()
     when = ("--when", "real_contact_area > 20 mm2", "--then")
@@ -190,35 +212,6 @@ def test_a_trigger_goes_out_once_a_rise_by_udp_and_by_a_serial_line(stream: Stre
         assert (facts["sent"], facts["overtaken"], facts["failed"]) == (len(RISES), 0, 0)
     found = [event["frame"] for event in ended.results.events if event["event"] == "trigger"]
     assert sorted(found) == sorted(RISES * 2)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
-@pytest.mark.parametrize("windows", [False, True])
-def test_a_serial_line_carries_a_line_of_json_a_frame(
-    stream: Stream, monkeypatch: pytest.MonkeyPatch, windows: bool
-) -> None:
-    """A serial line carries one line of JSON for each frame, with termios and with pyserial, which Windows uses and
-    which opens a pseudo-terminal here as well.
-    """
-    if windows:
-        pytest.importorskip("serial", reason="the package pyserial is not installed, which Windows needs")
-        monkeypatch.setattr(importlib.import_module("fingerflow.player.serial_line").sys, "platform", "win32")
-    terminal, line = os.openpty()
-    _played(stream, "--send", f"serial:{os.ttyname(line)}@115200", "--values", "real_contact_area")
-    sent = [json.loads(one) for one in os.read(terminal, 65536).decode().splitlines()]
-    os.close(terminal)
-    os.close(line)
-    assert [one["frame"] for one in sent] == list(range(len(PIXELS)))
-    assert sent[4]["real_contact_area"] == PIXELS[4] / 4
-
-
-def test_a_callback_gets_the_record_too(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    module, found = ModuleType("own_of_the_test"), list[FrameStamp]()
-    module.take = lambda stamp, values: found.append(stamp)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    ended = _played(stream, "--send", "callback:own_of_the_test:take")
-    for stamp, record in zip(found, ended.results.records, strict=True):
-        np.testing.assert_array_equal(stamp.record["position_px"], record["position_px"])
 
 
 class Slow:
@@ -260,37 +253,6 @@ def test_the_newest_frame_waits_for_an_output_that_is_busy(sent_within: float, m
     assert (sender.sent, sender.overtaken, sender.failed) == (len(expected), 7 - len(expected), 1)
 
 
-def test_no_more_than_a_few_hundred_messages_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fingerflow.player.sending._WAITING", 3)
-    slow = Slow()
-    sender = Sender(Destination("slow", slow, ("area",), Condition("gross_contact_area > 20 mm2", VALUES)))
-    for number in range(14):
-        sender.offer(Message(_message(number).frame, {"area": 0.0, "gross_contact_area": 30.0 * (number % 2)}))
-        if number == 1:
-            assert slow.taken.get() == 1
-    slow.go.set()
-    sender.close()
-    assert [slow.taken.get() for _ in range(3)] == [9, 11, 13]  # the newest three of the triggers 3, 5 ... 13
-    assert (sender.offered, sender.sent, sender.overtaken, sender.failed) == (7, 4, 3, 0)
-
-
-def test_a_file_waits_for_an_output_until_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fingerflow.player.sending._WAITING", 1)
-    slow = Slow()
-    sender = Sender(Destination("slow", slow, ("area",)), waits=True)
-    offering = threading.Thread(target=lambda: [sender.offer(_message(number)) for number in range(4)])
-    offering.start()
-    assert slow.taken.get() == 0
-    sender.stop_waiting()
-    offering.join(30)
-    assert not offering.is_alive()
-    slow.go.set()
-    sender.close()
-    # The waiting message is still sent if it waited when the queue was closed.
-    assert sender.sent + sender.failed == sender.offered == 4
-    assert 1 <= sender.sent <= 2
-
-
 def test_an_output_that_hangs_is_left_behind_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fingerflow.player.sending._CLOSING", 0.05)
     slow = Slow()
@@ -313,11 +275,8 @@ VALUES |= {one: VARIABLES[one] for one in ("slip_residual", "normal_force", "ell
         ("gross_contact_area > 20 mm2", "gross_contact_area", 20),
         ("apparent_area>=20mm²", "gross_contact_area", 20),
         ("median_divergence < -15 um/mm", "median_divergence", -0.015),
-        ("median_divergence > 0.015", "median_divergence", 0.015),
         ("median_divergence > 1.5 %", "median_divergence", 0.015),
-        ("slip_residual > 12 µm", "slip_residual", 0.012),
         ("slip_flag > 0.5", "slip_flag", 0.5),
-        ("normal_force <= 1e-1 N", "normal_force", 0.1),
         ("ellipse_angle > 90 deg", "ellipse_angle", np.pi / 2),
     ],
 )
@@ -332,13 +291,10 @@ def test_a_condition_is_read_by_the_record_of_the_variable(text: str, name: str,
     [
         ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit behind the number"),
         ("gross_contact_area > 20 cm2", "is measured in 'mm2' or 'mm²', not in 'cm2'"),
-        ("slip_flag > 1 mm", "is measured in 'no unit', not in 'mm'"),
         ("area > 20 mm2", "'area' may be any of real_contact_area, gross_contact_area"),
         ("size > 20 mm2", "there is no live value 'size'; there are real_contact_area, "),
         ("gross_contact_area = 20 mm2", "is no condition such as"),
         ("gross_contact_area > 2.0.1 mm2", "a number has one decimal point"),
-        ("gross_contact_area > 20 mm2, margin", "is no condition such as"),
-        ("gross_contact_area > 20 mm2, margin -2", "is no condition such as"),
     ],
 )
 def test_another_condition_is_refused_in_a_sentence(text: str, said: str) -> None:
@@ -348,25 +304,16 @@ def test_another_condition_is_refused_in_a_sentence(text: str, said: str) -> Non
     assert "\n" not in str(refused.value)
 
 
-def test_a_condition_rises_once_and_an_unknown_value_changes_nothing() -> None:
-    condition = Condition("gross_contact_area > 20 mm2", VALUES)
-    given = [np.nan, 25, 25, np.nan, 26, 20, np.nan, 21, 19, np.nan]
-    assert [condition.becomes_true({"gross_contact_area": one}) for one in given] == [
-        *(False, True, False, False, False, False, False, True, False, False)
-    ]
-
-
 @pytest.mark.parametrize(
     ("text", "given", "rises"),
     [
+        ("gross_contact_area > 20 mm2", [np.nan, 25, 25, np.nan, 26, 20, np.nan, 21, 19, np.nan], [1, 7]),
         ("gross_contact_area > 20 mm2, margin 2", [21, 19, 21, 18.1, 21, 18, 21, 19], [0, 6]),
         ("median_divergence < -15 um/mm, margin 5", [-0.016, -0.014, -0.016, -0.009, -0.012, -0.016], [0, 5]),
-        ("median_divergence >= 1 um/mm, margin 0.5", [0.001, 0.0006, 0.001, 0.0004, 0.001], [0, 4]),
     ],
 )
-def test_a_margin_keeps_noise_about_the_limit_from_triggering_again(
-    text: str, given: list[float], rises: list[int]
-) -> None:
+def test_a_condition_rises_once_and_beyond_its_margin_again(text: str, given: list[float], rises: list[int]) -> None:
+    """An unknown value changes nothing."""
     condition = Condition(text, VALUES)
     found = [condition.becomes_true({condition.name: value}) for value in given]
     assert np.flatnonzero(found).tolist() == rises
@@ -380,15 +327,12 @@ def test_a_margin_keeps_noise_about_the_limit_from_triggering_again(
             "output 'tcp:127.0.0.1:5': there is no kind 'tcp'; give one of callback",
         ),
         (("--send", "udp:127.0.0.1"), "'127.0.0.1' is no HOST:PORT; its form is udp:HOST:PORT"),
-        (("--send", "osc:127.0.0.1:99999"), "is no HOST:PORT; its form is osc:HOST:PORT"),
         (("--send", "zeromq:127.0.0.1"), "is no tcp://HOST:PORT"),
         (("--send", "serial:/nowhere"), "/nowhere cannot be opened (No such file or directory)"),
         (("--send", "serial:/dev/null"), "/dev/null is no serial line"),
-        (("--send", "serial:/dev/null@17"), "17 is no rate of serial lines here"),
         (("--send", "callback:json:nothing"), "has no attribute 'nothing'"),
         (("--send", "udp:127.0.0.1:9", "--values", "area"), "--values: there is no live value 'area'; there are"),
         (("--when", "slip_flag > 0"), "1 --when and 0 --then: give one --then after each --when"),
-        (("--when", "slip > 0 mm", "--then", "udp:127.0.0.1:9"), "may be any of slip_residual, slip_flag"),
         (("--forces", "udp:1"), "force sensor 'udp:1': there is no kind 'udp'; give one of callback:MODULE:FACTORY"),
     ],
 )
@@ -404,17 +348,3 @@ def test_a_package_that_is_not_there_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     said = stream.refused("--source", "synthetic", "--scene", str(stream.scene), "--send", kind)
     assert f"needs the package {package}: `pip install {package}`" in said
-
-
-def test_values_are_all_scalars_and_components_of_vectors() -> None:
-    from fingerflow.player.live_values import LiveValues
-
-    layout = RecordLayout(3, ("normal_force",))
-    values = LiveValues(layout)
-    record = np.zeros(1, layout.dtype)[0]
-    record["ellipse_semi_axes"] = (3, 2)
-    record["normal_force"] = 1.5
-    found = values.of(record)
-    assert {"frame", "time", "position_px"}.isdisjoint(found)
-    assert (found["ellipse_semi_axes_major"], found["ellipse_semi_axes_minor"], found["normal_force"]) == (3, 2, 1.5)
-    assert values.units_of(["normal_force"]) == {"normal_force": "N"}

@@ -5,16 +5,14 @@ import os
 import signal
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_bundle, write_scene
+from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_scene
 
 from fingerflow import player
-from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
 from fingerflow.player.latency import Latencies
@@ -59,40 +57,27 @@ def test_bright_contact_is_measured_in_the_negative_of_its_view(stream: Stream) 
 
 
 def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
+    """A raw file and a video give the same areas; a video that is cut is played to its end, and the log says so."""
     cv2 = pytest.importorskip("cv2")
-    frames = [frame(contact_px=100 * number) for number in range(4)]
+    frames = [frame(contact_px=10 * number) for number in range(20)]
     np.stack(frames).tofile(stream.folder / "frames.raw")
-    size = (2 * WIDTH, HEIGHT)
-    video = cv2.VideoWriter(str(stream.folder / "frames.avi"), cv2.VideoWriter_fourcc(*"FFV1"), 30, size, False)
+    path, size = stream.folder / "frames.avi", (2 * WIDTH, HEIGHT)
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30, size, False)
     if not video.isOpened():
         pytest.skip("this OpenCV cannot write a lossless video")
     for picture in frames:
         video.write(picture)
     video.release()
-    raw = stream.run("--source", str(stream.folder / "frames.raw"), "--shape", str(HEIGHT), str(2 * WIDTH))
-    areas = np.array(raw.results.records["real_contact_area"])
-    (stream.folder / "results").rename(stream.folder / "raw")
-    played = stream.run("--source", str(stream.folder / "frames.avi"))
-    np.testing.assert_array_equal(areas, np.arange(4) * 25)
-    np.testing.assert_array_equal(played.results.records["real_contact_area"], areas)
-    assert "damaged or cut" not in played.said
-
-
-def test_a_video_that_is_cut_says_so(stream: Stream) -> None:
-    cv2 = pytest.importorskip("cv2")
-    path = stream.folder / "cut.avi"
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30, (2 * WIDTH, HEIGHT), False)
-    if not video.isOpened():
-        pytest.skip("this OpenCV cannot write a lossless video")
-    for number in range(40):
-        video.write(frame(contact_px=10 * number))
-    video.release()
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) * 3 // 4])
-    played = stream.run("--source", str(path))
-    count = len(played.results.records)
-    assert 1 < count < 39
-    assert f"cut.avi: ends after {count} of 40 frames, as it is damaged or cut; copy it again" in played.said
+    whole, areas = path.read_bytes(), np.arange(20) * 2.5
+    (stream.folder / "cut.avi").write_bytes(whole[: len(whole) * 3 // 4])
+    shape = ("--shape", str(HEIGHT), str(2 * WIDTH))
+    for name, arguments in (("frames.raw", shape), ("frames.avi", ()), ("cut.avi", ())):
+        played = stream.run("--source", str(stream.folder / name), *arguments)
+        count = len(played.results.records)
+        np.testing.assert_array_equal(played.results.records["real_contact_area"], areas[:count])
+        cut = f"cut.avi: ends after {count} of 20 frames, as it is damaged or cut; copy it again" in played.said
+        assert (count < 19 and cut) if name == "cut.avi" else (count == 20 and not cut)
+        (stream.folder / "results").rename(stream.folder / f"of {name}")
 
 
 @pytest.fixture
@@ -103,29 +88,21 @@ def slow_engine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("slow_engine")
-def test_the_policy_every_loses_nothing(stream: Stream) -> None:
-    """The policy `every` drops no frame of a paced source twice as fast as the engine: the source waits, and the waits
-    are counted as overruns.
+@pytest.mark.parametrize("policy", ["every", "latest"])
+def test_a_policy_loses_nothing_or_takes_the_newest_frame(stream: Stream, policy: str) -> None:
+    """A paced source twice as fast as the engine: with `every` the source waits, and the waits are counted as overruns;
+    with `latest` frames are dropped, and the newest one is computed.
     """
-    ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--queue", "4")
-    np.testing.assert_array_equal(ended.results.records["frame"], np.arange(120))
-    assert ended.summary["dropped"] == 0
-    assert ended.summary["overruns"] > 0
-    # Waiting counts as latency, which is measured from the time at which a camera would have given the frame.
-    assert ended.results.records["latency"][-1] > 0.1
-
-
-@pytest.mark.usefixtures("slow_engine")
-def test_the_policy_latest_takes_the_newest_frame(stream: Stream) -> None:
-    ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--policy", "latest")
+    arguments = ("--source", "synthetic", "--rate", "500", "--frames", "60", "--queue", "4", "--policy", policy)
+    ended = stream.run(*arguments)
     summary, numbers = ended.summary, ended.results.records["frame"]
-    assert summary["frames_in"] == 120
-    assert summary["dropped"] > 0
-    assert summary["processed"] + summary["dropped"] == 120
+    assert summary["frames_in"] == summary["processed"] + summary["dropped"] == 60
     assert len(numbers) == summary["processed"]
+    assert numbers[-1] == 59
     assert (np.diff(numbers) > 0).all()
-    assert numbers[-1] == 119
-    assert summary["overruns"] == 0
+    assert (summary["dropped"] > 0) == (summary["overruns"] == 0) == (policy == "latest")
+    if policy == "every":  # waiting counts as latency, from the time at which a camera would have given the frame
+        assert ended.results.records["latency"][-1] > 0.05
 
 
 #: Numbers of spots and of spots that have moved elsewhere, for each frame of a stream with a new key frame (7 of 10
@@ -138,7 +115,7 @@ def _frames() -> list[Any]:
     return [frame(found, elsewhere=elsewhere) for found, elsewhere in FOUND]
 
 
-@pytest.mark.parametrize(("parallel", "lag"), [(None, 1), (1, 2), (2, 2), (3, 3)])
+@pytest.mark.parametrize(("parallel", "lag"), [(None, 1), (3, 3)])
 def test_points_are_keyed_anew_and_chosen_anew(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, lag: int
 ) -> None:
@@ -165,31 +142,22 @@ def test_points_are_keyed_anew_and_chosen_anew(
     np.testing.assert_allclose(records["position_px"][:15, :4], np.broadcast_to(PLACES[:4], (15, 4, 2)), atol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("parallel", "arguments"),
-    [(None, ("--rate", "1500")), (1, ("--rate", "1500")), (2, ()), (2, ("--rate", "1500"))],
-    ids=str,
-)
-def test_results_do_not_depend_on_the_clock(
-    stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, arguments: tuple[str, ...]
-) -> None:
+def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """Results are the same bit for bit, whatever the pace, the number of frames side by side and the time that each
     frame takes.
     """
     monkeypatch.setattr(Upkeep, "_RESTART", 10)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     generator = np.random.default_rng(5)
-    shown = FOUND + [(10, 0)] * 20 + FOUND * 3
+    shown = FOUND + [(10, 0)] * 20 + FOUND
     moved = np.cumsum(generator.choice((-0.5, 0, 0.5), len(shown))).clip(-6, 6)
     stretched = 0.03 * np.sin(np.arange(len(shown)) / 9)
     given = enumerate(zip(shown, moved, stretched, strict=True))
     frames = np.stack([frame(one[0], 40 * i % 3000, far, more, one[1]) for i, (one, far, more) in given])
     np.save(stream.folder / "frames.npy", frames)
     source = ("--source", str(stream.folder / "frames.npy"))
-    arguments = (*arguments, *stream.parallel(parallel))
     plain = stream.run(*source)
     assert {event["event"] for event in plain.results.events} >= {"restart", "key_frame", "threshold"}
-    assert len(plain.results.events) > 6
     (stream.folder / "results").rename(stream.folder / "plain")
     compute = StreamTracker.compute
 
@@ -198,7 +166,7 @@ def test_results_do_not_depend_on_the_clock(
         compute(tracker, work)
 
     monkeypatch.setattr(StreamTracker, "compute", uneven)
-    other = stream.run(*source, *arguments)
+    other = stream.run(*source, "--rate", "1500", *stream.parallel(2))
     reference = player.read_results(stream.folder / "plain").records
     assert np.nanmax(np.ptp(reference["position_px"][:30, :4, 0], axis=0)) > 1
     for name in set(reference.dtype.names or ()) - {"time", "latency"}:
@@ -207,22 +175,7 @@ def test_results_do_not_depend_on_the_clock(
     assert said[0] == said[1]
 
 
-def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three frames are computed at the same time: each frame waits until two others are computed as well."""
-    compute, started = StreamTracker.compute, threading.Barrier(3)
-
-    def at_once(tracker: StreamTracker, work: Work) -> None:
-        if tracker.found:  # not during the warm-up
-            started.wait(timeout=60)
-        compute(tracker, work)
-
-    monkeypatch.setattr(StreamTracker, "compute", at_once)
-    frames = [frame(contact_px=number) for number in range(9)]
-    ended = stream.run(*stream.frames(frames), "--policy", "every", *stream.parallel(3))
-    np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(9) / 4)
-
-
-@pytest.mark.parametrize("failing", [0, 1, 2])
+@pytest.mark.parametrize("failing", [0, 2])
 def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
@@ -258,8 +211,7 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
     return picture
 
 
-@pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
-@pytest.mark.parametrize("parallel", [None, 1])
+@pytest.mark.parametrize(("setting", "parallel"), [("", None), ('threshold = "reference_frame"', 1)])
 def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str, parallel: int | None) -> None:
     """The threshold is measured in the first frame with contact among every fourth frame: 0.4, half of the loss of
     intensity.
@@ -279,16 +231,6 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
     assert ended.summary["threshold"] == event["threshold"]
     assert ended.results.header["threshold"] == "measured"
     assert "frame 4: threshold 0.3995 of the intensity lost" in ended.said
-
-
-def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A threshold below 0, which an engine finds in frames brighter than the empty glass, is refused."""
-    monkeypatch.setattr(NativeEngine, "threshold", lambda *_: np.array([-0.127], np.float32))
-    monkeypatch.setattr("fingerflow.engines.choice.check_engine", lambda *_: None)  # it would refuse this engine
-    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
-    ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
-    assert ended.summary["threshold"] is None
-    np.testing.assert_array_equal(ended.results.records["real_contact_area"], 0)
 
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -347,39 +289,33 @@ def test_a_source_that_fails_is_opened_again(stream: Stream) -> None:
     assert sorted(event["event"] for event in ended.results.events) == ["reconnect", "reconnect", "restart"]
 
 
-def test_a_source_that_stays_away_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_camera_that_stays_away_or_hangs_ends_the_stream(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, hangs: bool
+) -> None:
+    """A camera that cannot be opened again after two frames, or that never returns, ends the stream after a while."""
     monkeypatch.setattr(stream_module, "_STALL_WARNING", 0.1)
-    calls = 0
+    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
+    pictures, released, calls = iter([frame(), frame()]), threading.Event(), 0
+
+    def grab() -> Any:
+        if hangs and not pictures.__length_hint__():
+            released.wait(60)
+        return next(pictures)  # a broken adapter raises StopIteration after two frames
 
     def make() -> Any:
         nonlocal calls
         calls += 1
         if calls > 1:
             raise OSError("no camera")
-        return iter([frame(), frame()]).__next__  # a broken adapter raises StopIteration after two frames
+        return grab
 
-    ended = stream.run(*stream.camera(make), "--policy", "every", "--give-up", "0.5")
-    assert ended.code == 2
-    assert "no frame for" in ended.said
-    assert "OSError: no camera" in ended.said
-    assert len(ended.results.records) == 2
-
-
-def test_a_camera_that_hangs_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "_STALL_WARNING", 0.1)
-    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
-    released = threading.Event()
-    pictures = iter([frame(), frame()])
-
-    def grab() -> Any:
-        return next(pictures, None) if pictures.__length_hint__() else released.wait(60) or None
-
-    ended = stream.run(*stream.camera(lambda: grab), "--policy", "every", "--give-up", "0.4")
+    ended = stream.run(*stream.camera(make), "--policy", "every", "--give-up", "0.4")
     released.set()
     assert ended.code == 2
     assert "no frame for" in ended.said
+    assert ("stall" in [event["event"] for event in ended.results.events]) or "OSError: no camera" in ended.said
     assert len(ended.results.records) == 2
-    assert "stall" in [event["event"] for event in ended.results.events]
 
 
 def test_a_signal_ends_the_stream_with_whole_results(stream: Stream) -> None:
@@ -411,7 +347,7 @@ def test_the_last_record_may_be_cut(stream: Stream) -> None:
     assert len(player.read_results(stream.folder / "results").records) == 0
 
 
-def test_a_table_of_the_scalars(stream: Stream) -> None:
+def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
     stream.run("--source", "synthetic", "--frames", "5")
     table = stream.folder / "table.csv"
     player.write_table(stream.folder / "results", table)
@@ -425,19 +361,9 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
         player.write_table(stream.folder / "results", table)
-
-
-def test_results_are_never_overwritten(stream: Stream) -> None:
-    stream.run("--source", "synthetic", "--frames", "5")
     again = stream.run("--source", "synthetic", "--frames", "2")
-    assert again.code == 2
+    assert (again.code, len(again.results.records)) == (2, 5)
     assert "exists already" in again.said
-    assert len(again.results.records) == 5
-
-
-def test_frames_of_twelve_bits(stream: Stream, tmp_path: Path) -> None:
-    stream.bundle = write_bundle(tmp_path / "deep", bit_depth=12)
-    assert stream.run("--source", "synthetic", "--frames", "5").code == 0
 
 
 def test_latencies_are_kept_in_bins() -> None:

@@ -52,11 +52,7 @@ def test_a_loop_gets_each_frame_and_ends_the_stream(source: dict[str, Any], stre
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        ({"rates": 3}, "unrecognized arguments: --rates 3"),
-        ({"rate": -1}, "argument --rate: -1 is not above"),
-        ({"send": ["udp:1"]}, "is no HOST:PORT"),
-    ],
+    [({"rates": 3}, "unrecognized arguments: --rates 3"), ({"send": ["udp:1"]}, "is no HOST:PORT")],
 )
 def test_wrong_options_are_errors_not_exits(source: dict[str, Any], options: dict[str, Any], said: str) -> None:
     for play in (player.play, lambda **given: list(player.live_frames(**given))):
@@ -77,7 +73,7 @@ def test_the_benchmark_says_a_rate_and_its_latency(stream: Stream, capsys: pytes
     assert shares[0] == pytest.approx(0.9 * float(said[0].split()[4]), rel=0.02)
 
 
-def test_no_frame_of_the_synthetic_source_repeats_another(stream: Stream) -> None:
+def test_no_frame_of_the_synthetic_source_repeats_another() -> None:
     """No two of 520 frames of the synthetic source are equal, on the way back and in the next period, so that a stream
     finds no repeated frame.
     """
@@ -89,5 +85,3 @@ def test_no_frame_of_the_synthetic_source_repeats_another(stream: Stream) -> Non
     assert abs(noise).max() <= 4  # no grey level has wrapped around
     assert noise.std() == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.02)  # variance 1/12 of rounding
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1
-    ended = stream.run("--source", "synthetic", "--frames", "260")
-    assert "repeated" not in ended.summary["not_usable"]

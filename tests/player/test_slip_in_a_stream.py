@@ -63,11 +63,10 @@ def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip
     assert records["slip_flag"][raised:].all()
 
 
-@pytest.mark.parametrize("flicker", [0.0, pytest.param(FLICKER, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", quiet_scenes(60))
+@pytest.mark.parametrize(("name", "flicker"), [("press that shifts", 0.0), ("roll and shear", FLICKER)])
 def test_a_press_or_roll_raises_no_flag(name: str, flicker: float, tmp_path: Path) -> None:
     """The flag is raised in fewer than one in a hundred frames of a press or a roll, also if the light changes by a
-    tenth.
+    tenth; `python -m tests.silent slip_flag` plays more of them.
     """
     records = records_of(quiet_scenes(60)[name], flicker, tmp_path)
     assert np.nanmax(records["slip_residual"]) > 0.004  # the skin has spread by more than noise
@@ -84,14 +83,9 @@ def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[Part
     """
     trial, records = played
     rim, whole = (int(at) for at in np.searchsorted(trial.times, trial.jumps))
-    for frame in range(rim, rim + 5):
+    for frame in (*range(rim, rim + 5), *range(whole, whole + 10)):
         error = _errors(trial, records, frame)
-        assert len(error) > 55, frame
-        assert error.max() < 2, frame
-        assert (error < 0.5).mean() > 0.8, frame
-    for frame in range(whole, whole + 10):
-        error = _errors(trial, records, frame)
-        assert len(error) > 70, frame
+        assert len(error) > (55 if frame < whole else 70), frame
         assert error.max() < 2, frame
         assert (error < 0.5).mean() > 0.8, frame
 

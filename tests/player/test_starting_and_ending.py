@@ -55,10 +55,10 @@ def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(opening, "datetime", Standing)
     monkeypatch.chdir(stream.folder)
-    for count in (3, 4, 5):
+    for count in (3, 4):
         source = stream.frames(frame() for _ in range(count))
         assert player.main([str(stream.bundle), *START, *source, "--policy", "every", "--page", "off"]) == 0
-    for name, count in (("", 3), ("-2", 4), ("-3", 5)):
+    for name, count in (("", 3), ("-2", 4)):
         assert len(player.read_results(Path(f"results-20260102-030405{name}")).records) == count
 
 
@@ -77,16 +77,6 @@ class _Camera:
         return None
 
 
-def test_a_camera_that_never_closes_is_left_behind(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
-    never = threading.Event()
-    ended = stream.run(*stream.camera(lambda: _Camera(never.wait)), "--policy", "every")
-    never.set()
-    assert ended.code == 0
-    assert len(ended.results.records) == 2
-    assert "it is left behind" in ended.said
-
-
 def test_a_camera_that_fails_and_never_closes_is_opened_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_module, "_HANGING", 0.1)
     never, made = threading.Event(), 0
@@ -100,6 +90,7 @@ def test_a_camera_that_fails_and_never_closes_is_opened_again(stream: Stream, mo
     never.set()
     assert (ended.code, made) == (0, 2)
     assert len(ended.results.records) == 4
+    assert "it is left behind" in ended.said
 
 
 def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
@@ -116,9 +107,7 @@ def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
     ("given", "said"),
     [
         (frame().tolist(), "gave a list in place of a frame"),
-        ((True, None), "gave (True, None) in place of a frame"),
         ((frame(), "3"), "gave a frame with the time stamp '3' in place of a frame"),
-        ("frame", "gave a str in place of a frame"),
     ],
 )
 def test_what_is_no_frame_is_refused_in_words(stream: Stream, given: Any, said: str) -> None:

@@ -14,7 +14,7 @@ SHAPE = (192, 240)
 Values = NDArray[np.float64]
 
 
-@pytest.mark.parametrize("progress", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("progress", [0.0, 1.0])
 def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
     """The expected areas and axes are those of the drawn finger; ridges touch in the share of the contact in which a
     cosine is above -0.2, 0.564, to within part of a ridge.
@@ -29,7 +29,7 @@ def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
     assert -1.5 <= 2 * found["ellipse_minor"] / 0.025 - widths[1] < 14
 
 
-@pytest.mark.parametrize(("progress", "tolerance"), [(0.3, 2e-4), (0.6, 2e-4), (0.9, 5e-3)])
+@pytest.mark.parametrize(("progress", "tolerance"), [(0.3, 2e-4), (0.9, 5e-3)])
 def test_the_divergence_is_that_of_the_closed_form(
     progress: float, tolerance: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -42,17 +42,6 @@ def test_the_divergence_is_that_of_the_closed_form(
     monkeypatch.setattr(synthetic_truth, "_MOST_SKIN", 8000)
     fitted = median_divergence(progress, 1.0, SHAPE, 8.0)
     assert fitted == pytest.approx(_closed_form(progress), abs=tolerance)
-
-
-def test_the_true_divergence_is_0_before_the_press() -> None:
-    assert median_divergence(0.0, 0.0, SHAPE, 64.0) == pytest.approx(0, abs=1e-12)
-
-
-def test_a_gauge_length_for_which_it_would_take_long_has_none() -> None:
-    assert np.isnan(median_divergence(0.5, 1.0, (512, 640), 8.0))
-    assert np.isfinite(median_divergence(0.5, 1.0, (512, 640), 64.0))
-    source = Synthetic(side_by_side(64, 80), np.dtype(np.uint8), 8, 0.03)
-    assert "median_divergence" not in source.expected_in(30, 1)
 
 
 def test_divergence_is_expected_only_of_points_chosen_at_the_start() -> None:

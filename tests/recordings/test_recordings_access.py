@@ -47,8 +47,7 @@ def test_no_frame_is_read_before_it_is_asked_for(path, reads):
 
 @pytest.mark.parametrize(
     "key",
-    [slice(None), slice(2, 9, 3), slice(None, None, -1), slice(8, 1, -2), slice(5, 5), slice(-3, None), [3, 1, 2],
-     [-1, 0, 0], [], np.array([4, -2]), range(1, 8, 2)],
+    [slice(2, 9, 3), slice(8, 1, -2), slice(5, 5), slice(-3, None), [-1, 0, 0], [], np.array([4, -2]), range(1, 8, 2)],
     ids=str,
 )  # fmt: skip
 def test_slices_and_lists_choose_as_numpy_does(path, key):
@@ -66,9 +65,7 @@ def test_slices_and_lists_choose_as_numpy_does(path, key):
 @pytest.mark.parametrize(
     ("change", "key", "copies"),
     [
-        (np.ascontiguousarray, slice(2, 9), False),
         (np.ascontiguousarray, slice(2, 9, 3), False),
-        (np.ascontiguousarray, [4], False),
         (np.ascontiguousarray, [4, 5, 7], True),  # uneven steps
         (np.ascontiguousarray, slice(None, None, -1), True),  # tensors have no negative strides
         (np.asfortranarray, slice(2, 9), True),
@@ -85,16 +82,13 @@ def test_frames_that_lie_ready_in_the_file_are_not_copied(tmp_path, reads, chang
     np.testing.assert_array_equal(frames, FRAMES[key])  # also after the recording is closed
 
 
-def test_slices_of_slices(path):
-    recording = open_recording(path)
-    for first in (slice(1, 10), slice(None, None, -1), slice(9, 0, -3)):
-        for second in (slice(None, None, -1), slice(1, None, 2), slice(-1, None), [0, -1]):
-            np.testing.assert_array_equal(recording[first][second].read(), FRAMES[first][second])
-
-
 def test_numbers_of_frames(path):
     recording = open_recording(path)
+    frame = recording[-1]
+    np.testing.assert_array_equal(frame, FRAMES[10])
+    frame[:] = 0  # a copy
     np.testing.assert_array_equal(recording[-1], FRAMES[10])
+    np.testing.assert_array_equal(recording[9:0:-3][[0, -1]].read(), FRAMES[9:0:-3][[0, -1]])
     np.testing.assert_array_equal(recording[np.int64(3)], FRAMES[3])
     for wrong in (11, -12):
         with pytest.raises(IndexError, match="11 frames"):
@@ -118,13 +112,6 @@ def test_batches_cover_everything_once(path):
         next(recording.batches(0))
 
 
-def test_a_frame_is_a_copy(path):
-    recording = open_recording(path)
-    frame = recording[0]
-    frame[:] = 0
-    np.testing.assert_array_equal(recording[0], FRAMES[0])
-
-
 def test_rate_is_never_guessed_and_follows_the_view(path):
     recording = open_recording(path)
     assert recording.frame_rate is None
@@ -139,12 +126,6 @@ def test_rate_is_never_guessed_and_follows_the_view(path):
     assert recording[[1, 1]].frame_rate is None
 
 
-@pytest.mark.parametrize("rate", [0, -300, float("nan"), float("inf")])
-def test_impossible_rates(path, rate):
-    with pytest.raises(FingerflowError, match="frame_rate"):
-        open_recording(path, frame_rate=rate)
-
-
 def test_wrong_paths_name_the_path_and_the_way_out(tmp_path, path):
     with pytest.raises(FingerflowError, match=r"missing\.npy.*no such file"):
         open_recording(tmp_path / "missing.npy")
@@ -155,7 +136,7 @@ def test_wrong_paths_name_the_path_and_the_way_out(tmp_path, path):
         open_recording(f"{path}::/frames")
 
 
-@pytest.mark.parametrize("suffix", ["cine", "cih", "tif", "avi", "mp4", "mkv", "h5", "npy", "png", "jpg"])
+@pytest.mark.parametrize("suffix", ["cine", "cih", "tif", "avi", "mkv", "h5", "npy", "png"])
 def test_a_file_of_another_kind_than_its_suffix_says(tmp_path, suffix):
     for content in (b"", b"this is text and nothing else\n" * 40):
         (tmp_path / f"a.{suffix}").write_bytes(content)

@@ -30,14 +30,14 @@ def opened(folder: Path, content: Cine, **options: Any) -> Recording:
     return open_recording(content.write(folder / "a.cine"), **options)
 
 
-@pytest.mark.parametrize("bits", [8, 12, 14, 16])
-@pytest.mark.parametrize("height", [6, -6])
+@pytest.mark.parametrize(("bits", "height"), [(8, 6), (8, -6), (14, 6), (16, -6)])
 def test_uncompressed_frames_have_the_last_row_first_unless_the_height_is_negative(tmp_path, bits, height):
     frames = frames_of(bits)
     in_file = frames[:, ::-1] if height > 0 else frames
-    recording = opened(tmp_path, cine(in_file, height=height, setup={"RealBPP": bits}))
+    recording = opened(tmp_path, cine(in_file, height=height, setup={"RealBPP": bits, "bFlipV": 1}))
     np.testing.assert_array_equal(recording.read(), frames)
-    assert (recording.dtype, recording.bit_depth, recording.warnings) == (frames.dtype, bits, ())
+    assert (recording.dtype, recording.bit_depth) == (frames.dtype, bits)
+    assert "bFlipV" in recording.warnings[0]  # meant for players, and not applied
 
 
 @pytest.mark.parametrize("height", [6, -6])
@@ -79,12 +79,6 @@ def test_rows_filled_up_to_four_bytes(tmp_path):
     frames = frames_of(8, shape=(4, 6))
     padded = np.pad(frames, ((0, 0), (0, 0), (0, 2)), constant_values=99)
     np.testing.assert_array_equal(opened(tmp_path, cine(padded, width=6, height=-4)).read(), frames)
-
-
-def test_annotations_of_any_size_stand_before_the_pixels(tmp_path):
-    frames = frames_of(12)
-    recording = opened(tmp_path, cine(frames, annotation=b"a note of 21 letters."))
-    np.testing.assert_array_equal(recording.read(), frames)
 
 
 EVEN = (np.arange(5) - 2) / 300
@@ -132,9 +126,7 @@ def test_precise_rate_of_newer_cameras_and_short_setup_of_older_ones(tmp_path):
     assert "black_level" not in old.metadata
 
 
-@pytest.mark.parametrize(
-    ("lost", "annotation", "left"), [(1, 0, 4), (120, 0, 4), (121, 0, 4), (130, 0, 3), (350, 0, 2), (200, 100, 4)]
-)
+@pytest.mark.parametrize(("lost", "annotation", "left"), [(1, 0, 4), (121, 0, 4), (350, 0, 2), (200, 100, 4)])
 def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotation, left):
     frames = frames_of(12)  # 120 bytes each, after 8 bytes or more with an annotation
     whole = cine(frames, annotation=bytes(annotation)).bytes()
@@ -145,7 +137,7 @@ def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotati
     assert len(recording) == len(recording.times) == left
 
 
-@pytest.mark.parametrize("length", [0, 10, 60, 5000, 13570, 13600, 13700])
+@pytest.mark.parametrize("length", [0, 60, 5000, 13600])
 def test_damage_beyond_use_is_refused(tmp_path, length):
     (tmp_path / "cut.cine").write_bytes(cine(frames_of(12)).bytes()[:length])
     with pytest.raises(FingerflowError, match=r"cut\.cine"):
@@ -168,13 +160,6 @@ def test_what_is_not_grey_or_not_known_is_refused_by_name(tmp_path, change, name
         opened(tmp_path, cine(frames_of(12), **change))
 
 
-def test_flips_meant_for_players_are_named_and_not_applied(tmp_path):
-    frames = frames_of(12)
-    recording = opened(tmp_path, cine(frames, setup={"bFlipV": 1}))
-    np.testing.assert_array_equal(recording.read(), frames)
-    assert "bFlipV" in recording.warnings[0]
-
-
 # Real recordings. The sums (first frame, its upper half) are those of the decoded images that the image-correlation
 # program DICe ships for the same files; all pixels of all frames were compared once and are equal.
 @pytest.mark.parametrize(
@@ -182,7 +167,6 @@ def test_flips_meant_for_players_are_named_and_not_applied(tmp_path):
     [
         ("packed_12bpp", np.uint16, 12, 100, 0.606142, 17124325, 8766652),
         ("packed_raw_12bpp", np.uint16, 12, 100, 0.606142, 17124325, 8766652),
-        ("phantom_v12_raw_16bpp", np.uint16, 12, 100, 0.971893, 35108484, 17052471),
         ("phantom_v1610", np.uint8, 8, 100, -0.844701, 3682882, 1793240),
         ("phantom_v9_raw_16bpp", np.uint8, 8, 300, 4.247823, 1595766, 711804),
     ],
@@ -195,13 +179,7 @@ def test_real_recordings(shared_data, name, dtype, bits, rate, start, total, upp
     assert np.diff(recording.times) == pytest.approx(1 / rate, abs=2e-6)
     assert int(recording[0].sum(dtype=np.int64)) == total
     assert int(recording[0][:64].sum(dtype=np.int64)) == upper_half
-
-
-def test_real_files_whose_numbers_and_clock_disagree_say_so(shared_data):
-    recording = open_recording(shared_data / "cine" / "phantom_v9_raw_16bpp.cine")
-    assert "791.463 s by its number 237439" in recording.warnings[0]
-
-
-def test_real_colour_recording_is_refused(shared_data):
+    said = "791.463 s by its number 237439"  # of the clock and the numbers of frames, which disagree
+    assert (said in "".join(recording.warnings)) == (name == "phantom_v9_raw_16bpp")
     with pytest.raises(FingerflowError, match="colour"):
         open_recording(shared_data / "cine" / "invalid_color.cine")

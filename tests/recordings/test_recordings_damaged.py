@@ -29,9 +29,7 @@ GREY16 = RNG.integers(1, 4096, (6, 20, 30)).astype(np.uint16)
 # Special files
 
 
-@pytest.mark.parametrize(
-    "name", ["a.tif", "a.h5", "a.npy", "a.mraw", "a.cine", "a.mkv", "a.png", "a.csv", "a.mat", "take 1.cih"]
-)
+@pytest.mark.parametrize("name", ["a.tif", "a.h5", "a.mkv", "a.png", "a.csv", "a.mat", "take 1.cih"])
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
     write_photron(tmp_path, stored(MRAW_FRAMES), ".other")
     os.mkfifo(tmp_path / name)
@@ -40,22 +38,16 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
         opens(tmp_path / ("take 1.mraw" if name == "take 1.cih" else name))
 
 
-def test_a_device_is_refused():
-    with pytest.raises(FingerflowError, match="/dev/zero: is a device"):
-        open_recording("/dev/zero")
-
-
-@pytest.mark.parametrize("name", ["a.npy", "a.csv"])
-def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch, name):
-    path = tmp_path / name
+def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
     path.write_bytes(b"something")
 
     def refused(self, *arguments, **options):
         raise PermissionError(13, "Permission denied", str(self))
 
     monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(FingerflowError, match=rf"{name}: cannot be opened \(Permission denied\); make it readable"):
-        (open_forces if name == "a.csv" else open_recording)(path)
+    with pytest.raises(FingerflowError, match=r"a.csv: cannot be opened \(Permission denied\); make it readable"):
+        open_forces(path)
 
 
 # Folders of images
@@ -67,8 +59,8 @@ def numbered(folder: Path, numbers, pattern="frame_{:03d}.png") -> Path:
     return folder
 
 
-@pytest.mark.parametrize("step", [1, 10])
-def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path, step):
+def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path):
+    step = 10
     recording = open_recording(numbered(tmp_path, [5, 5 + step, 5 + 3 * step, 5 + 4 * step]), frame_rate=100)
     assert len(recording) == 5
     assert dict(recording.unreadable) == {2: "has no file"}
@@ -80,7 +72,7 @@ def test_a_missing_number_is_a_frame_that_cannot_be_read(tmp_path, step):
     assert dict(recording[[0, 4]].unreadable) == {}
 
 
-@pytest.mark.parametrize("numbers", [[1, 2, 3, 100], [0, 10, 20, 35], range(1, 7), range(0, 60, 10)])
+@pytest.mark.parametrize("numbers", [[0, 10, 20, 35], range(0, 60, 10)])
 def test_numbers_that_tell_no_time_are_said(tmp_path, numbers):
     recording = open_recording(numbered(tmp_path, numbers))
     np.testing.assert_array_equal(recording.read()[:, 0, 0], numbers)
@@ -91,22 +83,36 @@ def test_numbers_that_tell_no_time_are_said(tmp_path, numbers):
         assert "read as consecutive" in recording.warnings[0]
 
 
-def test_equal_numbers_are_refused(tmp_path):
-    numbered(tmp_path, [1, 2])
-    numbered(tmp_path, [2], "frame_{}.png")
-    with pytest.raises(FingerflowError, match="have the same number"):
-        open_recording(tmp_path)
+def damaged_image(folder: Path) -> Path:
+    for number, frame in enumerate(GREY):
+        cv2.imwrite(str(folder / f"{number}.png"), frame)
+    (folder / "3.png").write_bytes((folder / "3.png").read_bytes()[:-40])
+    return folder
 
 
-def test_an_image_that_cannot_be_decoded_is_one_frame_less(tmp_path):
-    numbered(tmp_path, range(4))
-    data = (tmp_path / "frame_002.png").read_bytes()
-    (tmp_path / "frame_002.png").write_bytes(data[:-20])
-    recording = open_recording(tmp_path)
+def damaged_chunk(folder: Path) -> Path:
+    with h5py.File(folder / "a.h5", "w") as file:
+        file.create_dataset("x", data=GREY, chunks=(1, 20, 30), compression="gzip", fletcher32=True)
+        place = file["x"].id.get_chunk_info(3).byte_offset
+    return flipped(folder / "a.h5", place + 30)
+
+
+def damaged_page(folder: Path) -> Path:
+    with tifffile.TiffWriter(folder / "a.tif") as writer:
+        for frame in GREY:
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
+    with tifffile.TiffFile(folder / "a.tif") as file:
+        place = file.pages[3].dataoffsets[0]
+    return flipped(folder / "a.tif", place + 40)
+
+
+@pytest.mark.parametrize("damaged", [damaged_image, damaged_chunk, damaged_page])
+def test_a_damaged_part_is_one_frame_less(tmp_path, damaged):
+    recording = open_recording(damaged(tmp_path))
     assert not recording.unreadable  # no frame has been read yet
-    np.testing.assert_array_equal(recording.read()[:, 0, 0], [0, 1, 0, 3])
-    assert list(recording.unreadable) == [2]
-    assert "should have 31 bytes, and the file has 68" in recording.unreadable[2]
+    frames = recording.read()
+    assert list(recording.unreadable) == [3]
+    np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
 
 
 def huge_png(path: Path, side: int) -> Path:
@@ -163,24 +169,7 @@ def test_frames_that_were_never_written_are_no_frames(tmp_path):
         open_recording(tmp_path / "b.h5")
 
 
-def test_a_damaged_chunk_is_its_frames(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("x", data=GREY, chunks=(1, 20, 30), compression="gzip", fletcher32=True)
-        place = file["x"].id.get_chunk_info(3).byte_offset
-    data = bytearray((tmp_path / "a.h5").read_bytes())
-    data[place + 30] ^= 1
-    (tmp_path / "a.h5").write_bytes(data)
-    recording = open_recording(tmp_path / "a.h5")
-    frames = recording.read()
-    assert list(recording.unreadable) == [3]
-    assert recording.unreadable[3].startswith("cannot be decoded (")
-    np.testing.assert_array_equal(np.delete(frames, 3, 0), np.delete(GREY, 3, 0))
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"compression": "gzip"}, {"fletcher32": True}, {"compression": "gzip", "shuffle": True, "fletcher32": True}],
-)
+@pytest.mark.parametrize("options", [{}, {"compression": "gzip", "shuffle": True, "fletcher32": True}])
 def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
     said = {}
     for done in damaged_indexes(tmp_path / "a.h5", GREY, **options):
@@ -195,8 +184,7 @@ def test_a_damaged_index_of_chunks_gives_no_wrong_frame(tmp_path, options):
     assert "index of /x is damaged: two chunks lie in the same bytes; copy" in said["address of a chunk shifted"]
     assert "chunk (9, 0, 0) is outside its grid" in said["place of a chunk outside the grid"]
     if "fletcher32" in options:  # without the check HDF5 crashes
-        for short in range(4):
-            assert f"chunk (2, 0, 0) of {short} bytes lacks its checksum" in said[f"size of a chunk {short}"]
+        assert "chunk (2, 0, 0) of 3 bytes lacks its checksum" in said["size of a chunk 3"]
 
 
 def test_forces_that_were_never_written_are_refused(tmp_path):
@@ -213,7 +201,7 @@ def test_forces_that_were_never_written_are_refused(tmp_path):
     np.testing.assert_array_equal(open_forces(tmp_path / "a.h5").channels["Fz [raw]"], np.full(40, 2.0))
 
 
-@pytest.mark.parametrize("rate", [-1.0, 0.0, 2.3e-308, 1e300, np.nan, np.inf])
+@pytest.mark.parametrize("rate", [-1.0, 2.3e-308, np.inf])
 def test_a_frame_rate_that_cannot_be_is_none(tmp_path, rate):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["x"] = GREY
@@ -227,24 +215,6 @@ def test_a_frame_rate_that_cannot_be_is_none(tmp_path, rate):
         assert recording.times[-1] == pytest.approx(5 / 300)
     with pytest.raises(FingerflowError, match=rf"a\.h5: frame_rate={re.escape(str(rate))} was given; it must lie"):
         open_recording(tmp_path / "a.h5", frame_rate=rate)
-
-
-def test_floating_frames_that_cannot_be_read_are_nan(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        frames = file.create_dataset("x", (3, 4, 5), "f4", chunks=(1, 4, 5))
-        frames[0] = frames[2] = 1.0
-    recording = open_recording(tmp_path / "a.h5")
-    assert np.isnan(recording[1]).all()
-    assert (recording[2] == 1).all()
-
-
-def test_a_data_set_by_its_path_is_found_every_time(tmp_path):
-    with h5py.File(tmp_path / "rec.h5", "w") as file:
-        file["cam/frames"], file["other"] = GREY, GREY
-        file["link"] = h5py.SoftLink("/cam/frames")
-    for name in ("/cam/frames", "cam/frames", "/cam/frames/", "link"):
-        with open_recording(f"{tmp_path / 'rec.h5'}::{name}") as recording:
-            np.testing.assert_array_equal(recording.read(), GREY)
 
 
 def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path, monkeypatch):
@@ -270,35 +240,6 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
 
 
 # TIFF
-
-
-def test_pages_that_were_appended_are_frames(tmp_path):
-    for frame in GREY16:
-        tifffile.imwrite(tmp_path / "b.tif", frame, append=True)
-    np.testing.assert_array_equal(open_recording(tmp_path / "b.tif")[::-1].read(), GREY16[::-1])
-
-
-def test_latin_1_tags_are_no_matter(tmp_path):
-    description = "ImageJ=1.54\nimages=6\nunit=\xb5m\nfinterval=0.004\n".encode("latin-1")
-    tifffile.imwrite(tmp_path / "a.tif", GREY, metadata=None, description=description, software=b"cam\xe9ra \xff")
-    recording = open_recording(tmp_path / "a.tif")
-    np.testing.assert_array_equal(recording.read(), GREY)
-    assert recording.frame_rate == pytest.approx(250)
-
-
-def test_a_damaged_page_is_one_frame_less(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
-        for frame in GREY:
-            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False, compression="zlib")
-    with tifffile.TiffFile(tmp_path / "a.tif") as file:
-        place = file.pages[2].dataoffsets[0]
-    data = bytearray((tmp_path / "a.tif").read_bytes())
-    data[place + 40 : place + 60] = bytes(20)
-    (tmp_path / "a.tif").write_bytes(data)
-    recording = open_recording(tmp_path / "a.tif")
-    frames = recording.read()
-    assert list(recording.unreadable) == [2]
-    np.testing.assert_array_equal(np.delete(frames, 2, 0), np.delete(GREY, 2, 0))
 
 
 def test_a_header_of_millions_of_tiles_is_no_loop(tmp_path):
@@ -379,33 +320,12 @@ def test_frames_behind_those_of_the_header_are_told(tmp_path, fewer):
     assert re.match(r"the header states 4 frames, and the file holds \d more behind them, which are not read", sentence)
 
 
-def test_a_page_of_fewer_rows_than_are_stored_is_told(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", GREY[0], photometric="minisblack", metadata=None)
-    with tifffile.TiffFile(tmp_path / "a.tif") as file:
-        tag = file.pages[0].tags["ImageLength"]
-    with (tmp_path / "a.tif").open("r+b") as file:
-        file.seek(tag.valueoffset)
-        file.write(struct.pack("<H", 16))
-    recording = open_recording(tmp_path / "a.tif")
-    assert recording.frame_shape == (16, 30)
-    assert "a frame of 16 x 30 uint8 has 480 bytes, and the file states 600" in recording.warnings[0]
-
-
 def test_a_cine_without_its_setup_is_refused(tmp_path):
     data = bytearray(Cine(30, -20, [frame.tobytes() for frame in GREY], 8).bytes())
     struct.pack_into("<I", data, 28, 85)  # OffSetup
     (tmp_path / "a.cine").write_bytes(data)
     with pytest.raises(FingerflowError, match=r"a\.cine: SETUP, with rate and bit depth, is not at byte 85, as"):
         open_recording(tmp_path / "a.cine")
-
-
-def test_a_header_without_its_save_step_says_so(tmp_path):
-    path = write_photron(tmp_path, stored(MRAW_FRAMES))
-    header = path.with_suffix(".cih")
-    header.write_bytes(header.read_bytes().replace(b"Save Step", b"Save_Step"))
-    recording = open_recording(path)
-    assert recording.frame_rate == 3000
-    assert recording.warnings == ("take 1.cih does not state 'Save Step': every recorded frame is taken to be stored",)
 
 
 # Photron
@@ -441,64 +361,33 @@ def flipped(path: Path, place: int) -> Path:
     return path
 
 
-def test_ffv1_frames_with_a_wrong_checksum_are_flagged(tmp_path):
-    frames = frames_of(8)
-    path = write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", g="1")
-    size = path.stat().st_size
-    rng = np.random.default_rng(4)
-    clean = path.read_bytes()
-    for place in rng.integers(size // 10, size * 9 // 10, 12):  # in the body, not in header and index
-        path.write_bytes(clean)
-        recording = open_recording(flipped(path, int(place)))
-        read = recording.read()
-        wrong = [n for n in range(len(recording)) if not np.array_equal(read[n], frames[n])]
-        assert set(wrong) <= set(recording.unreadable), place
-        assert len(recording.unreadable) <= 2  # every frame is a key frame: no other frame depends on it
-    assert recording.lossy is None
-
-
-def test_frames_made_from_a_damaged_one_are_flagged_to_the_next_key_frame(tmp_path):
-    frames = frames_of(8)
-    path = write_video(tmp_path / "a.mp4", frames, "libx264", "yuv420p", g="12", bf="0", qp="10")
-    clean = open_recording(path).read()
-    whole = path.read_bytes()
-    rng, flagged, silent = np.random.default_rng(8), 0, 0
-    for place in rng.integers(200, len(whole) * 8 // 10, 25):
-        path.write_bytes(whole)
-        recording = open_recording(flipped(path, int(place)))
-        read = recording.read()
-        wrong = {n for n in range(COUNT) if not np.array_equal(read[n], clean[n])}
-        if recording.unreadable:
-            flagged += 1
-            first, last = min(recording.unreadable), max(recording.unreadable)
-            assert set(recording.unreadable) == set(range(first, last + 1))
-            assert (last + 1) % 12 == 0  # up to the next key frame
-            assert "is made from frame" in recording.unreadable[last] or first == last
-        silent += bool(wrong - set(recording.unreadable))
-    # H.264 has no checksum. Measured for 60 files: 41 flagged, 11 wrong without a flag.
-    assert flagged >= 12
-    assert silent <= 10
-
-
-def test_frames_in_which_the_decoder_reports_errors_are_doubtful(tmp_path):
-    """Frames with decoder errors are doubtful, in a video whose frames are predicted in both directions."""
-    path = write_video(tmp_path / "a.mov", frames_of(8), "libx264", "yuv420p", g="12", bf="3", qp="10")
-    with open_recording(path) as recording:
-        clean = recording.read()
-        assert dict(recording.doubtful) == {}
-    whole = path.read_bytes()
-    doubtful, silent = 0, 0
-    for place in np.random.default_rng(8).integers(200, len(whole) * 8 // 10, 40):
-        path.write_bytes(whole)
-        with open_recording(flipped(path, int(place))) as recording:
-            read = recording.read()
-            wrong = {n for n in range(COUNT) if not np.array_equal(read[n], clean[n])}
-            doubtful += bool(recording.doubtful)
-            silent += bool(wrong - set(recording.unreadable) - set(recording.doubtful))
-            assert set(recording[5:].doubtful) == {n - 5 for n in recording.doubtful if n >= 5}
-    # The others decode to other pixels without an error.
-    assert doubtful >= 3
-    assert silent <= 9
+def test_frames_of_a_damaged_video_are_flagged(tmp_path):
+    """Every frame of FFV1 has a checksum. H.264 has none: of a flipped bit most videos flag the frames up to the next
+    key frame, or report an error of the decoder; the other frames decode to other pixels without an error.
+    """
+    frames, rng = frames_of(8), np.random.default_rng(8)
+    for name, codec, pixels, options, most in (
+        ("a.mkv", "ffv1", "gray", {"g": "1"}, 0),
+        ("a.mp4", "libx264", "yuv420p", {"g": "12", "bf": "0", "qp": "10"}, 3),
+        ("a.mov", "libx264", "yuv420p", {"g": "12", "bf": "3", "qp": "10"}, 3),
+    ):
+        path = write_video(tmp_path / name, frames, codec, pixels, **options)
+        whole, clean = path.read_bytes(), open_recording(path).read()
+        flagged = silent = 0
+        for place in rng.integers(len(whole) // 10, len(whole) * 8 // 10, 10):
+            path.write_bytes(whole)
+            with open_recording(flipped(path, int(place))) as recording:
+                read = recording.read()
+                bad, doubtful = recording.unreadable, set(recording.doubtful)
+                if bad and codec != "ffv1":
+                    assert set(bad) == set(range(min(bad), max(bad) + 1))
+                    assert (max(bad) + 1) % 12 == 0  # up to the next key frame
+                assert set(recording[5:].doubtful) == {n - 5 for n in doubtful if n >= 5}
+                flagged += bool(bad or doubtful)
+                wrong = {n for n in range(COUNT) if not np.array_equal(read[n], clean[n])}
+                silent += bool(wrong - set(bad) - doubtful)
+        assert flagged >= 5, name
+        assert silent <= most, name
 
 
 @pytest.mark.parametrize(
@@ -509,60 +398,27 @@ def test_frames_in_which_the_decoder_reports_errors_are_doubtful(tmp_path):
         ("a.avi", "mjpeg", "yuvj420p", {}, "mjpeg"),
         ("a.avi", "mpeg4", "yuv420p", {}, "mpeg4"),
         ("a.mkv", "ffv1", "gray", {}, None),
-        ("a.avi", "rawvideo", "gray", {}, None),
-        ("a.mov", "png", "gray", {}, None),
     ],
 )
 def test_lossy_codecs_are_named(tmp_path, name, codec, pixels, options, lossy):
     recording = open_recording(write_video(tmp_path / name, frames_of(8)[:12], codec, pixels, **options))
     assert recording.lossy == lossy == recording[2:5].lossy
     assert sum("is a lossy codec" in sentence for sentence in recording.warnings) == (lossy is not None)
-
-
-def test_jpeg_is_lossy(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), GREY[0])
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((32, 32), np.uint8), compression="jpeg")
     assert open_recording(tmp_path / "a.jpg").lossy == "jpeg"
-    assert open_recording(tmp_path / "a.tif").lossy == "jpeg"
-    cv2.imwrite(str(tmp_path / "a.png"), GREY[0])
-    assert open_recording(tmp_path / "a.png").lossy is None
 
 
-@pytest.mark.parametrize("rate", [300, 1000])
-@pytest.mark.parametrize("share", [0.3, 0.9, 0.97, 0.999])
-def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
-    path = write_video(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray", rate=rate)
+@pytest.mark.parametrize("share", [0.3, 0.999])
+def test_an_mkv_that_was_shortened_says_so(tmp_path, share):
+    path = write_video(tmp_path / "a.mkv", frames_of(8), "ffv1", "gray")
     assert open_recording(path).warnings == ()
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     assert any(sentence.startswith("truncated") for sentence in open_recording(path).warnings)
 
 
-def test_an_interrupted_look_answers_for_no_other_file(tmp_path, monkeypatch):
-    from fingerflow.recordings.guard import child_process
-
-    for name in ("a.h5", "b.h5"):
-        with h5py.File(tmp_path / name, "w") as file:
-            file["x"] = GREY
-    walks = child_process._ChildProcess()
-    assert walks.ask(tmp_path / "a.h5", "hdf5") == ""
-
-    def interrupted(process, line):
-        process.stdin.write(line + "\n")
-        process.stdin.flush()
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(walks, "_answer", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            walks.ask(tmp_path / "a.h5", "hdf5")
-    (tmp_path / "b.h5").write_bytes(b"x")
-    assert "cannot be read" in walks.ask(tmp_path / "b.h5", "MATLAB")  # the answer for this file
-    walks.close()
-
-
-@pytest.mark.parametrize("pages", [3, 130])  # tifffile itself detects cycles among the first hundred pages
-@pytest.mark.parametrize("bigtiff", [False, True])
+# tifffile itself detects cycles among the first hundred pages.
+@pytest.mark.parametrize(("pages", "bigtiff"), [(3, False), (130, True)])
 def test_pages_in_a_circle(tmp_path, pages, bigtiff):
     path = tmp_path / "circle.tif"
     with tifffile.TiffWriter(path, bigtiff=bigtiff) as writer:

@@ -36,39 +36,35 @@ def write(path, frames, attributes=(), **options):
     return path
 
 
-@pytest.mark.parametrize(("frames", "bits"), [(GREY8, 8), (GREY16, 16), (FLOAT, None)], ids=["8", "16", "float"])
 @pytest.mark.parametrize(
-    ("name", "stored", "options"),
+    ("name", "frames", "stored", "options"),
     [
-        ("a.npy", np.ascontiguousarray, {}),
-        ("a.npy", np.asfortranarray, {}),
-        ("a.npy", lambda frames: frames.astype(frames.dtype.newbyteorder(">")), {}),
-        ("a.h5", np.asarray, {"chunks": (3, 20, 30), "compression": "gzip"}),
-        ("a.tif", np.asarray, GREY),
-        ("a.tif", np.asarray, GREY | {"imagej": True, "metadata": {"axes": "TYX"}}),
-        ("a.tif", np.asarray, GREY | {"bigtiff": True}),
-        ("a.tif", np.asarray, GREY | {"compression": "zlib"}),
-        ("a.tif", np.asarray, GREY | {"byteorder": ">"}),
-        ("a.tif", np.asarray, GREY | {"rowsperstrip": 7}),
-        ("a.tif", np.asarray, GREY | {"tile": (16, 16)}),
-        ("a.tiff", np.asarray, PAGES),
-        ("a.tif", np.asarray, GREY | {"contiguous": False}),  # each page is its own series
+        ("a.npy", FLOAT, np.ascontiguousarray, {}),
+        ("a.npy", GREY8, np.asfortranarray, {}),
+        ("a.npy", GREY16, lambda frames: frames.astype(frames.dtype.newbyteorder(">")), {}),
+        ("a.npy", GREY16[:1], lambda frames: frames[0], {}),
+        ("a.h5", GREY16, np.asarray, {"chunks": (3, 20, 30), "compression": "gzip"}),
+        ("a.h5", FLOAT, np.asarray, {}),
+        ("a.tif", FLOAT, np.asarray, GREY),
+        ("a.tif", GREY16, np.asarray, GREY | {"imagej": True, "metadata": {"axes": "TYX"}}),
+        ("a.tif", GREY8, np.asarray, GREY | {"bigtiff": True}),
+        ("a.tif", GREY16, np.asarray, GREY | {"compression": "zlib"}),
+        ("a.tif", GREY16, np.asarray, GREY | {"byteorder": ">"}),
+        ("a.tif", GREY16, np.asarray, GREY | {"rowsperstrip": 7}),
+        ("a.tif", GREY8, np.asarray, GREY | {"tile": (16, 16)}),
+        ("a.tiff", GREY16, np.asarray, PAGES),
+        ("a.tif", GREY8, np.asarray, GREY | {"contiguous": False}),  # each page is its own series
     ],
 )
-def test_frames_are_those_in_the_file(tmp_path, name, stored, options, frames, bits):
+def test_frames_are_those_in_the_file(tmp_path, name, frames, stored, options):
     with open_recording(write(tmp_path / name, stored(frames), **options)) as recording:
         np.testing.assert_array_equal(recording.read(), frames)
         np.testing.assert_array_equal(recording.mapped(), frames)
-        np.testing.assert_array_equal(recording[[5, 0]].read(), frames[[5, 0]])
+        np.testing.assert_array_equal(recording[[-1, 0]].read(), frames[[-1, 0]])
+        bits = None if frames is FLOAT else 8 * frames.itemsize
         assert (recording.dtype, recording.bit_depth, recording.frame_rate) == (frames.dtype, bits, None)
         assert recording[0].dtype.isnative
         assert recording.warnings == ()
-
-
-@pytest.mark.parametrize("name", ["a.npy", "a.tif"])
-@pytest.mark.parametrize("stored", [np.ascontiguousarray, np.asfortranarray])
-def test_one_frame(tmp_path, name, stored):
-    np.testing.assert_array_equal(open_recording(write(tmp_path / name, stored(GREY16[0]))).read(), GREY16[:1])
 
 
 @pytest.mark.parametrize(
@@ -107,7 +103,6 @@ def test_a_file_truncated_beyond_use_is_refused(tmp_path, name, kept, named):
         ("a.npy", np.zeros((2, 3, 4, 3), np.uint8), {}, "Colour"),
         ("a.npy", np.zeros(5, np.uint8), {}, r"\(5,\)"),
         ("a.npy", np.zeros((2, 3, 4), np.int16), {}, "int16"),
-        ("a.npy", np.zeros((2, 3, 4), bool), {}, "bool"),
         ("a.npy", np.zeros((0, 3, 4), np.uint8), {}, "0, 3, 4"),
         ("a.npy", np.array([{}, None], object), {"allow_pickle": True}, "object"),
         ("a.h5", np.zeros(9), {}, r"/trial/frames \(9,\)"),
@@ -163,6 +158,8 @@ def test_hdf5_with_a_choice(tmp_path):
 def test_tiff_interval_of_imagej(tmp_path, unit, seconds):
     metadata = {"axes": "TYX", "finterval": 0.004 / seconds, "tunit": unit, "fps": 10.0}
     tifffile.imwrite(tmp_path / "a.tif", GREY8, imagej=True, metadata=metadata)
+    text = (tmp_path / "a.tif").read_bytes().replace(b"ImageJ=1.11a", b"ImageJ=1.11\xe9")  # Latin-1
+    (tmp_path / "a.tif").write_bytes(text)
     recording = open_recording(tmp_path / "a.tif")
     assert recording.frame_rate == pytest.approx(250)
     assert recording.times[2] == pytest.approx(0.008)
@@ -201,7 +198,7 @@ def _baseline_tiff(width: int, height: int, bits: int, data: bytes) -> bytes:
 # Images
 
 
-@pytest.mark.parametrize(("suffix", "frames"), [("png", GREY8), ("png", GREY16), ("bmp", GREY8), ("tif", GREY16)])
+@pytest.mark.parametrize(("suffix", "frames"), [("png", GREY16), ("bmp", GREY8), ("tif", GREY16)])
 def test_folder_in_natural_order(tmp_path, suffix, frames):
     for number, frame in zip((1, 2, 3, 10, 11, 20, 100), frames, strict=True):
         cv2.imwrite(str(tmp_path / f"frame_{number}.{suffix}"), frame)
@@ -210,20 +207,6 @@ def test_folder_in_natural_order(tmp_path, suffix, frames):
     np.testing.assert_array_equal(recording.read(), frames)
     assert recording.bit_depth == 8 * frames.itemsize
     assert recording.metadata == {"first_file": f"frame_1.{suffix}", "last_file": f"frame_100.{suffix}"}
-
-
-def test_natural_order_of_names_that_mix_words_and_numbers(tmp_path):
-    names = ["a.png", "a1b2.png", "a1b10.png", "a02.png", "a10.png", "b.png", "10.png", "9.png"]
-    for number, name in enumerate(names):
-        cv2.imwrite(str(tmp_path / name), np.full((4, 5), number, np.uint8))
-    order = [names[number] for number in open_recording(tmp_path).read()[:, 0, 0]]
-    for before, after in (
-        ("a1b2.png", "a1b10.png"),
-        ("a02.png", "a10.png"),
-        ("9.png", "10.png"),
-        ("a1b2.png", "b.png"),
-    ):
-        assert order.index(before) < order.index(after)
 
 
 @pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "jpg"])
@@ -271,13 +254,3 @@ def test_image_of_another_size_is_named_when_it_is_read(tmp_path):
     np.testing.assert_array_equal(recording[0], GREY8[0])
     with pytest.raises(FingerflowError, match=r"2\.png: is 10 x 30 uint8.*1\.png, is 20 x 30"):
         recording.read()
-
-
-def test_real_images(shared_data):
-    empty = open_recording(shared_data / "rig" / "empty.jpg")
-    assert (len(empty), empty.frame_shape, empty.bit_depth) == (1, (512, 1280), 8)
-    folder = open_recording(shared_data / "rig")
-    assert len(folder) == 3
-    np.testing.assert_array_equal(folder[0], empty[0])
-    speckle = open_recording(shared_data / "dic" / "sample14" / "reference.tif")
-    assert speckle.read().shape == (1, 589, 2048)

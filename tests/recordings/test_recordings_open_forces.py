@@ -47,14 +47,11 @@ CSV = {
     "tab": HEADING.replace(",", "\t") + rows("\t"),
     "tab and decimal comma": HEADING.replace(",", "\t") + rows("\t", ","),
     "blanks": "time (s) normal (N)  tangential[N] trigger (V)\n" + rows(" "),
-    "comments and blank lines": "# taken 2 May\n\n% second\n" + HEADING + rows(),
     "comments between the samples": HEADING + rows().replace("\n", "\n\n   \n# paused\n", 3) + "// the end\n",
     "milliseconds": "Time [ms],normal (N),tangential [N],trigger (V)\n" + rows(scale=1000),
     "line of units": "t;normal;tangential;trigger\ns;N;N;V\n" + rows(";"),
-    "quotes": '"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),
     "separator at the end": HEADING.replace("\n", ",\n") + rows(end=","),
     "carriage returns": (HEADING + rows()).replace("\n", "\r\n"),
-    "notes": "Force plate 3\nOperator: M. Curie\nDate: 2 May, 2021\n\n" + HEADING + rows(),
     "notes in quotes": '"made by"\n"a program"\n"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),
     "notes as wide as the table": "Rate\t1000\tHz\tof 4\nName\tpress\t3\t-\n" + HEADING.replace(",", "\t") + rows("\t"),
     "notes, heading and units": "Export of DAQ 2.1\nx\n2021-05-02\ntime;normal;tangential;trigger\n[s];[N];[N];[V]\n"
@@ -72,9 +69,8 @@ def test_delimited_text(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"), [("mN", 1e-3), ("kN", 1e3), ("µN", 1e-6), ("uN", 1e-6), ("gf", 9.80665e-3), ("kgf", 9.80665)]
+    ("unit", "factor", "encoding"), [("µN", 1e-6, "utf-8-sig"), ("uN", 1e-6, "latin-1"), ("kgf", 9.80665, "latin-1")]
 )
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
 def test_forces_become_newtons(tmp_path, unit, factor, encoding):
     content = f"time (s),normal ({unit}),tangential [N],trigger (mV)\n" + rows()
     forces = open_forces(text(tmp_path, content, encoding=encoding))
@@ -103,9 +99,7 @@ def test_channels_are_chosen_and_renamed(tmp_path):
         open_forces(path, {"T": "normal, tangential"})
 
 
-@pytest.mark.parametrize(
-    ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", "."), (" ", "."), ("  ", ",")]
-)
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), ("\t", ","), ("  ", ",")])
 def test_without_a_heading_columns_have_numbers(tmp_path, separator, decimal):
     path = text(tmp_path, rows(separator, decimal))
     check(open_forces(path, {"normal": 2, "tangential": 3}, units={2: "N", 3: "N"}, time=1))
@@ -143,19 +137,14 @@ def test_labview_of_several_segments_is_refused(tmp_path):
         open_forces(path)
 
 
-def test_a_sample_rate_replaces_times_of_too_few_digits(tmp_path):
-    rounded = "".join(f"{time:.2f},{force}\n" for time, force in zip(TIMES, NORMAL, strict=True))
-    path = text(tmp_path, "time (s),normal (N)\n" + rounded)
-    with pytest.raises(FingerflowError, match=r"same time.*pass sample_rate="):
-        open_forces(path)
-    forces = open_forces(path, sample_rate=1000)
-    np.testing.assert_allclose(forces.times, TIMES)
-    assert "time" not in forces.channels
-
-
 def test_a_sample_rate_that_the_times_contradict_is_refused(tmp_path):
     path = text(tmp_path, CSV["comma"])
     np.testing.assert_allclose(open_forces(path, sample_rate=1000).times, TIMES)
+    rounded = "".join(f"{time:.2f},{force}\n" for time, force in zip(TIMES, NORMAL, strict=True))
+    few_digits = text(tmp_path, "time (s),normal (N)\n" + rounded, "rounded.csv")
+    with pytest.raises(FingerflowError, match=r"same time.*pass sample_rate="):
+        open_forces(few_digits)
+    np.testing.assert_allclose(open_forces(few_digits, sample_rate=1000).times, TIMES)
     with pytest.raises(FingerflowError, match=r"sample_rate=500 Hz, but its column 'time' in s says 1000 Hz. Leave"):
         open_forces(path, sample_rate=500)
     milliseconds = text(tmp_path, "time,normal (N)\n" + "".join(f"{n},{n}\n" for n in range(9)), "ms.csv")
@@ -192,18 +181,9 @@ def test_a_line_that_is_cut_off_does_not_count(tmp_path):
     (warning,) = forces.warnings
     assert warning.startswith(f"{path}: the last line has no line break, so its last number may be cut off: the line")
     assert "left out" in warning
-
-
-def test_a_last_line_without_line_break_is_read_and_noted(tmp_path):
-    forces = open_forces(text(tmp_path, CSV["comma"].rstrip()))
-    whole = open_forces(text(tmp_path, CSV["comma"]))
-    np.testing.assert_array_equal(forces.times, whole.times)
-    assert forces.channels.keys() == whole.channels.keys()
-    for name, values in whole.channels.items():
-        np.testing.assert_array_equal(forces.channels[name], values)
-    (warning,) = forces.warnings
-    assert "the line is read" in warning
-    assert not whole.warnings
+    whole = open_forces(text(tmp_path, CSV["comma"].rstrip()))
+    np.testing.assert_array_equal(whole.times, TIMES)
+    assert "the line is read" in whole.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -211,21 +191,17 @@ def test_a_last_line_without_line_break_is_read_and_noted(tmp_path):
     [
         (CSV["comma"], {"channels": ["normal", "shear"]}, r"'shear'.*'normal', 'tangential', 'trigger'"),
         (CSV["comma"], {"trigger": "sync"}, r"'sync'.*'trigger'"),
-        (CSV["comma"], {"units": {"shear": "N"}}, "'shear'"),
         (CSV["comma"], {"time": "clock"}, "'clock'"),
         ("time (s),normal (lbf)\n0,1\n1,2\n", {}, r"'normal' is in 'lbf'.*mN"),
         ("time (s),normal\n0,1\n1,2\n", {}, r"'normal' has no unit.*units="),
         ("time (h),normal (N)\n0,1\n1,2\n", {}, r"'h'.*ms"),
         ("a (N),b (N)\n0,1\n1,2\n", {}, "sample_rate="),
         ("time (s),normal (N)\n0,1\n1,2\n1,3\n2,4\n", {}, "sample 2 has the same time"),
-        ("time (s),normal (N)\n0,1\n2,2\n1,3\n", {}, "sample 2 has an earlier time"),
         ("time (s),normal (N)\n0,1\nnan,2\n1,3\n", {}, "time of sample 1 is nan"),
         ("time (s),normal (N)\n0,1\n1,high\n", {}, "high"),
-        ("time (s),normal (N)\n0,1\n1\n", {}, "besides numbers"),
         ("time (s),normal (N)\n", {}, "no sample"),
         ("time (s),normal (N),normal (N)\n0,1,2\n", {}, "'normal' appears twice"),
         ("time (s)\n0\n1\n", {}, "no channel"),
-        ("# nothing\n", {}, "no line"),
         ("", {}, "no line"),
     ],
 )
@@ -285,12 +261,6 @@ def test_matlab_v5(tmp_path):
     content = {"t": TIMES, "normal": NORMAL[:, None], "tangential": TANGENTIAL, "subject": "P01", "age": 30.0}
     scipy.io.savemat(tmp_path / "a.mat", content | {"units": {"normal": "N", "tangential": "N"}})
     check(open_forces(tmp_path / "a.mat"))
-
-
-def test_matlab_struct_with_a_rate(tmp_path):
-    data = {"normal": NORMAL, "tangential": TANGENTIAL, "fs": 1000.0, "units": {"normal": "N", "tangential": "N"}}
-    scipy.io.savemat(tmp_path / "a.mat", {"trial": data}, do_compression=True)
-    check(open_forces(tmp_path / "a.mat"), "trial.normal", "trial.tangential")
 
 
 def test_matlab_v73(tmp_path):

@@ -23,12 +23,10 @@ def frames_of(bits: int) -> np.ndarray:
 LOSSLESS = [
     ("a.avi", "rawvideo", "gray", 8),
     ("a.avi", "ffv1", "gray", 8),
-    ("a.mkv", "ffv1", "gray10le", 10),
     ("a.mkv", "ffv1", "gray12le", 12),
     ("a.mkv", "ffv1", "gray16le", 16),
     ("a.avi", "rawvideo", "bgr24", 8),
     ("a.mov", "png", "gray", 8),
-    ("a.mkv", "ffv1", "yuv420p", 8),
     ("a.mkv", "ffv1", "yuv420p10le", 10),
 ]
 
@@ -48,7 +46,6 @@ def test_lossless_formats_come_back_bit_for_bit(tmp_path, name, codec, pixel_for
 
 
 INTER_CODED = [
-    ("a.mp4", "libx264", {"bf": "3", "g": "12", "qp": "10"}),
     ("a.mov", "libx264", {"bf": "3", "g": "1000", "qp": "10"}),
     ("a.mkv", "libx264", {"bf": "3", "g": "7", "qp": "10", "x264-params": "open-gop=1"}),
     ("a.avi", "libx264", {"bf": "3", "g": "12", "qp": "10"}),
@@ -98,21 +95,6 @@ def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path
     assert len(small._cache) <= 5
 
 
-def test_high_rates_in_a_container_that_counts_milliseconds(tmp_path):
-    # At 2000 frames/s MKV gives every second frame the time stamp of the previous frame.
-    frames = frames_of(8)
-    recording = open_recording(write_video(tmp_path / "a.mkv", frames, "ffv1", "gray", rate=2000))
-    order = [40, 3, 4, 59, 0]
-    np.testing.assert_array_equal(recording[order].read(), frames[order])
-
-
-def test_a_given_rate_replaces_the_rate_of_playback(tmp_path):
-    path = write_video(tmp_path / "a.avi", frames_of(8), "rawvideo", "gray", rate=25)
-    recording = open_recording(path, frame_rate=1000)
-    assert recording.frame_rate == 1000
-    np.testing.assert_allclose(recording.times, np.arange(COUNT) / 1000)
-
-
 @pytest.mark.parametrize(("name", "codec"), [("a.avi", "rawvideo"), ("a.mkv", "ffv1")])
 def test_truncated(tmp_path, name, codec):
     frames = frames_of(8)
@@ -147,14 +129,3 @@ def test_unknown_pixel_format_is_named(tmp_path):
     path = write_video(tmp_path / "a.mkv", frames_of(16), "ffv1", "gbrp16le")
     with pytest.raises(FingerflowError, match="gbrp16le"):
         open_recording(path)
-
-
-def test_sound_alone_is_no_recording(tmp_path):
-    with av.open(str(tmp_path / "a.mkv"), "w") as container:
-        stream = container.add_stream("pcm_s16le", rate=8000)
-        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
-        sound.sample_rate = 8000
-        for packet in [*stream.encode(sound), *stream.encode(None)]:
-            container.mux(packet)
-    with pytest.raises(FingerflowError, match="no video"):
-        open_recording(tmp_path / "a.mkv")

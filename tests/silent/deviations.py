@@ -5,8 +5,6 @@ where errors are normal. A row is a quantity, recorded (`process` with default s
 the native engine), on all scenes of a kind. Truth follows from the formulas of the scene.
 """
 
-import contextlib
-import io
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from bench.contact_grid import energies, energy_since_onset, skin_in_contact
 from bench.recordings import write_quietly
 from bench.suites.prints import FINGERS
-from fingerflow import player, process
+from fingerflow import process
 from fingerflow.export.recipe import Recipe, ViewRecipe
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -30,7 +28,7 @@ from fingerflow.ops.fields.triangles import triangle_gradients
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import PartialSlip, Press
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.silent.case import Case
+from tests.silent.case import Case, records_of
 from tests.silent.deviation_scenes import scenes
 from tests.small_trials import write_library_bundle
 
@@ -234,14 +232,7 @@ def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
     """Return errors and stated deviations of the records of a stream, by quantity."""
     rows, columns = scene.views["topography"].shape
     bundle = write_library_bundle(recording / "bundle", Recipe(views=ViewRecipe(height=rows, width=columns)))
-    text = (recording / "scene.toml").read_text(encoding="utf-8")
-    live = recording / "live"
-    text = text.replace("[stream]", f'[stream]\noutput = "{live.as_posix()}"')
-    (recording / "live.toml").write_text(text, encoding="utf-8")
-    options = ["--scene", str(recording / "live.toml"), "--page", "off", "--threads", "1"]
-    with contextlib.redirect_stdout(io.StringIO()):
-        assert player.main([str(bundle), *options]) == 0
-    return compared_live(np.array(player.read_results(live).records), scene)
+    return compared_live(records_of(bundle, recording / "scene.toml"), scene)
 
 
 def compared_live(records: Array, scene: SyntheticScene) -> Errors:

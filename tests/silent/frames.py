@@ -8,20 +8,19 @@ position is excluded together with its original, as neither is recognised as the
 no frame may be excluded.
 """
 
-import contextlib
-import io
 import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.suites.prints import DPI, FINGERS
-from fingerflow import load_scene, player, process
+from fingerflow import load_scene, process
 from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
@@ -30,7 +29,7 @@ from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_copies import copies, key_of
 from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_returns import jumps_and_returns
-from tests.silent.case import Case
+from tests.silent.case import Case, records_of
 from tests.small_trials import (
     SPOILED,
     dim_contact,
@@ -106,16 +105,18 @@ def _faults() -> Iterator[Fault]:
                 yield Fault(f"from {when}{said}", count, _of(later, noise))
         yield Fault(f"the last ones from 40 frames earlier{said}", 3, _of(-40, noise), (297,))
     yield Fault("the first one from 60 frames later, not a copy", 1, _of(60, True), (0,), live=False)
+    for count in (1, 2, 3):
+        yield Fault("repeats of the one before", count, _repeat)
 
 
-def cases() -> Iterator[Case]:
-    """Yield the cases."""
+def cases(few: bool = False) -> Iterator[Case]:
+    """Yield the cases, or every sixth fault and hardly a recording without one."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        yield from recorded(folder)
+        folder, step = Path(name), 6 if few else 1
+        yield from recorded(folder, step)
         if is_present():
-            yield from live(folder)
-        yield from without_fault(folder)
+            yield from live(folder, step)
+        yield from without_fault(folder, few)
 
 
 def spoiled(frames: Frames, fault: Fault) -> tuple[Frames, list[int]]:
@@ -127,28 +128,19 @@ def spoiled(frames: Frames, fault: Fault) -> tuple[Frames, list[int]]:
     return result, bad
 
 
-def repeated(frames: Frames, count: int) -> tuple[Frames, list[int]]:
-    """Return frames in which single frames are repeated `count` times, and the numbers of the repetitions."""
-    result = frames.copy()
-    bad = [place + k for place in PLACES for k in range(count)]
-    for place in PLACES:
-        result[place : place + count] = frames[place - 1]
-    return result, bad
+def _repeat(frames: Frames, k: int) -> Array:
+    """Return the frame before the run of bad frames that frame k is in."""
+    result: Array = frames[max(place for place in PLACES if place <= k) - 1]
+    return result
 
 
-def _all_faults(frames: Frames) -> Iterator[tuple[Fault, Frames, list[int]]]:
-    for fault in _faults():
-        yield fault, *spoiled(frames, fault)
-    for count in (1, 2, 3):
-        yield Fault("repeats of the one before", count, _of(0)), *repeated(frames, count)
-
-
-def recorded(folder: Path) -> Iterator[Case]:
-    """Yield the faults in a recording with default settings."""
+def recorded(folder: Path, step: int) -> Iterator[Case]:
+    """Yield every fault, or one of `step`, in a recording with default settings."""
     write_recording(folder / "slide", SLIDE)
     frames = np.load(folder / "slide" / "frames.npy")
     clean = process(load_scene(folder / "slide" / "scene.toml"))
-    for fault, bad_frames, bad in _all_faults(frames):
+    for fault in islice(_faults(), 0, None, step):
+        bad_frames, bad = spoiled(frames, fault)
         found = process(scene_beside(folder / "slide", folder, frames=bad_frames))
         off = np.zeros(len(frames))
         for name in ("strain_energy", "median_divergence"):
@@ -161,7 +153,7 @@ def recorded(folder: Path) -> Iterator[Case]:
         yield _judged("recorded", fault, bad, bad_frames, found["frame_status"].values, off, warnings_of(found))
 
 
-def live(folder: Path) -> Iterator[Case]:
+def live(folder: Path, step: int) -> Iterator[Case]:
     """Yield the faults in a stream."""
     scene = write_scene_of_bundle(folder / "live", SLIDE)
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
@@ -169,16 +161,13 @@ def live(folder: Path) -> Iterator[Case]:
 
     def play(played: Frames) -> Array:
         np.save(folder / "played.npy", played)
-        shutil.rmtree(folder / "out", ignore_errors=True)
-        options = ["--scene", str(scene), "--source", str(folder / "played.npy"), "--output", str(folder / "out")]
-        with contextlib.redirect_stdout(io.StringIO()):
-            assert player.main([str(bundle), *options, "--page", "off", "--threads", "1"]) == 0
-        return np.array(player.read_results(folder / "out").records)
+        return records_of(bundle, scene, "--source", str(folder / "played.npy"))
 
     clean = play(frames)
     deviation = process(scene, ["median_divergence_std"])["median_divergence_std"].values  # a stream states none
-    for fault, bad_frames, bad in _all_faults(frames):
+    for fault in islice(_faults(), 0, None, step):
         if fault.live:
+            bad_frames, bad = spoiled(frames, fault)
             found = play(bad_frames)
             off = np.abs(found["median_divergence"] - clean["median_divergence"]) / deviation
             moved = np.abs(found["position_px"] - clean["position_px"]).max(2)
@@ -213,25 +202,24 @@ def _judged(kind: str, fault: Fault, bad: list[int], frames: Frames, status: Arr
 KNOWN = {"grasp_bag_of_peanuts.avi": [0, 32]}
 
 
-def without_fault(folder: Path) -> Iterator[Case]:
-    """Yield recordings without a fault, of which no frame may be excluded."""
-    trials: dict[str, SyntheticScene] = {"press": Press(), "slide": Slide(), "partial slip": PartialSlip()}
-    for path in sorted(FINGERS.glob("*.tif")):
-        for kind in (Press, Slide):
+def without_fault(folder: Path, few: bool) -> Iterator[Case]:
+    """Yield recordings without a fault, of which no frame may be excluded: drawn ones, and unless `few` real clips."""
+    trials: dict[str, SyntheticScene] = {"slide": Slide()}
+    clips = []
+    if not few:
+        trials |= {"press": Press(), "partial slip": PartialSlip()}
+        for path, kind in product(sorted(FINGERS.glob("*.tif")), (Press, Slide)):
             trials[f"{kind.__name__.lower()} of {path.stem}"] = replace(scene_of_print(kind, path, DPI), **_SMALL)
+        patterns = ("cine/*raw*.cine", "mraw/*.cih", "tactile/*.avi")
+        clips = [path for pattern in patterns for path in sorted(FINGERS.parent.glob(pattern))]
     for name, trial in trials.items():
-        write_recording(folder / f"clean {name}", trial)
-        frames = np.load(folder / f"clean {name}" / "frames.npy")
-        yield _clean(name, *np.split(frames, 2, axis=2))
-        shutil.rmtree(folder / f"clean {name}")
-    clips: dict[str, Path] = {}
-    data = FINGERS.parent
-    for pattern in ("cine/*raw*.cine", "mraw/*.cih", "tactile/*.avi"):
-        clips |= {path.name: path for path in sorted(data.glob(pattern))}
-    for name, path in clips.items():
+        write_recording(folder / "clean", trial)
+        yield _clean(name, *np.split(np.load(folder / "clean" / "frames.npy"), 2, axis=2))
+        shutil.rmtree(folder / "clean")
+    for path in clips:
         with open_recording(path) as recording:
             frames = recording.read()
-        yield _clean(name, frames[..., 1] if frames.ndim == 4 else frames)
+        yield _clean(path.name, frames[..., 1] if frames.ndim == 4 else frames)
 
 
 def _clean(name: str, *views: Frames) -> Case:

@@ -175,7 +175,7 @@ MISTAKES = (
 )  # fmt: skip
 
 
-def cases() -> Iterator[Case]:
+def cases(few: bool = False) -> Iterator[Case]:
     """Yield the mistakes with what is said of each; the number counts words that the message lacks."""
     for mistake, said in messages():
         lacking = sum(word not in said for word in mistake.words)
@@ -190,13 +190,6 @@ def messages() -> Iterator[tuple[Mistake, str]]:
         write_press(press)
         assert message_of(Mistake("scene", "none", PROCESS, ()), press) == ""
         yield from ((mistake, message_of(mistake, press)) for mistake in MISTAKES)
-
-
-def row_of(mistake: Mistake, said: str) -> str:
-    """Return the row of a mistake in the table of docs/troubleshooting.md: its message, cut after the remedy."""
-    end = max([160, *(said.find(word) + len(word) for word in mistake.words)])
-    whole = end >= len(said) or " " not in said[end:]
-    return f"| {mistake.what} | ``{said if whole else said[: said.index(' ', end)] + ' ...'}`` |"
 
 
 def write_press(folder: Path) -> None:

@@ -13,22 +13,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 import xarray as xr
 
 from bench.recordings import write_quietly
 from bench.suites.prints import DPI, FINGERS
-from fingerflow import load_scene, player, process
-from fingerflow.kernels.library import is_present
+from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, Slide, SyntheticScene, scene_of_print
 from fingerflow.synthetic.texture import RidgeTexture
 from tests.recordings.camera_files import write_video
-from tests.silent.case import Case
+from tests.silent.case import Case, without_fault
 from tests.silent.contact import PRESS
-from tests.silent.settings import KNOWN
-from tests.small_trials import recipe_of_trials, scene_beside, warnings_of, write_library_bundle
+from tests.small_trials import scene_beside, warnings_of
 
 Array = np.ndarray[Any, Any]
 
@@ -38,24 +35,27 @@ WRONG_PX, DEVIATIONS, MOST_WRONG = 0.5, 4.0, 1e-3
 _LOOKS = 24  # frames
 _DARK, _RADII = 0.5, (1.5, 3.0)  # share of the light, and px: specks as in the suite `flow_outliers`
 _AWAY = 90  # px, distance of each of two touches from the middle
-# Where the border runs along a valley between ridges, 0.5 mm apart, a picture does not show it to less than half of
-# that: of the 600 to 700 points of a print, three may be missed at more than 0.2 mm inside.
-_DEEP_MM, _DEEP_POINTS = 0.2, 3
 
 
-def cases() -> Iterator[Case]:
-    """Yield dust, defective pixels and touches, then recordings without a fault."""
-    press = replace(Press(), n_frames=100, frame_rate=100.0, frames_before_trigger=4)
-    slide = replace(Slide(), n_frames=100, frame_rate=100.0, frames_before_trigger=4)
-    for name, trial in {"press": press, "slide": slide}.items():
+def cases(few: bool = False) -> Iterator[Case]:
+    """Yield dust, defective pixels and touches, then recordings without a fault, of real prints too unless `few`."""
+    size: dict[str, Any] = {"n_frames": 100, "frame_rate": 100.0, "frames_before_trigger": 4}
+    trials: dict[str, SyntheticScene] = {"press": Press(**size), "slide": Slide(**size)}
+    for name, trial in trials.items():
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "clean"
             write_quietly(recording, trial)
             yield from _spoiled(name, trial, recording)
     yield second_touch()
-    if FINGERS.is_dir():
-        yield from _prints()
-    yield from _without_faults()
+    if not few:
+        trials = {"press": Press(), "slide": Slide()}
+        for path in sorted(FINGERS.glob("*.tif")):
+            press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
+            trials[f"press of {path.stem}"] = press
+    for name, trial in trials.items():
+        with tempfile.TemporaryDirectory() as folder:
+            write_quietly(Path(folder) / "trial", trial)
+            yield without_fault(name, process(Path(folder) / "trial" / "scene.toml"))
 
 
 class Spoiled(NamedTuple):
@@ -166,70 +166,3 @@ def second_touch() -> Case:
     true = 1e3 * others.truth.medians(59).divergence
     verdict = "right" if abs(found - true) < 2 * deviation else "wrong in silence"
     return Case("second touch at another place", f"{found:.1f}", f"{true:.1f}", f"{deviation:.1f}", verdict)
-
-
-def _prints() -> Iterator[Case]:
-    """Yield presses of real prints: points at the rim that are never in contact, and a stream without a region."""
-    for path in sorted(FINGERS.glob("*.tif")):
-        press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
-        with tempfile.TemporaryDirectory() as folder:
-            write_quietly(Path(folder) / "press", press)
-            result = process(Path(folder) / "press" / "scene.toml")
-            yield _at_the_rim(path.stem, press, result)
-            yield without_fault(f"press of {path.stem}", result)
-            if path.stem == "101_1" and is_present():
-                yield _stream_without_region(press, Path(folder))
-
-
-def _at_the_rim(name: str, press: Press, result: xr.Dataset) -> Case:
-    """Judge the points that are never in contact but lie in the true contact, by more than the error of its border."""
-    onset, last = result["onset_frame"].values, press.n_frames - 1
-    ellipse = press.truth.ellipse(last)
-    assert ellipse is not None
-    depth = ellipse.distance(*torch.from_numpy(result["position"].values[-1]).double().unbind(-1)).numpy()
-    missed = (onset < 0) & (depth > 0)
-    deep = int((missed & (depth > _DEEP_MM)).sum())
-    farthest = float(np.max(depth[missed], initial=0))
-    number = f"{int(missed.sum())} missed, {deep} by more than {_DEEP_MM} mm"
-    verdict = "right" if deep <= _DEEP_POINTS else "wrong"
-    return Case(f"onset at the rim: {name}", number, "0", f"up to {farthest:.2f} mm", verdict)
-
-
-def _stream_without_region(press: Press, folder: Path) -> Case:
-    """Judge a stream without a seeding region, with too few points for the whole view."""
-    text = (folder / "press" / "scene.toml").read_text(encoding="utf-8")
-    scene = folder / "press" / "whole.toml"
-    scene.write_text(text[: text.index("[stream]")] + f'[stream]\noutput = "{(folder / "live").as_posix()}"\n')
-    recipe = recipe_of_trials()
-    tracking = recipe.tracking.model_copy(update={"points": 300})
-    views = recipe.views.model_copy(update={"height": 512, "width": 640})
-    bundle = write_library_bundle(folder / "bundle", recipe.model_copy(update={"tracking": tracking, "views": views}))
-    assert player.main([str(bundle), "--scene", str(scene), "--page", "off", "--threads", "1"]) == 0
-    records = np.array(player.read_results(folder / "live").records)
-    found, gross = 1e3 * records["median_divergence"], records["gross_contact_area"]
-    true = np.array([1e3 * press.truth.medians(frame).divergence for frame in range(press.n_frames)])
-    covered = (gross > 20) & (gross < 50)
-    known = float(np.isfinite(found[covered]).mean())
-    off = np.abs(found - true)[covered]
-    deviation = 1e3 * records["median_divergence_std"][covered]
-    beyond = int((off > DEVIATIONS * deviation).sum())  # 0 where no deviation is stated
-    verdict = "right" if known > 0.9 and not beyond else "wrong"
-    number = f"median divergence known in {known:.0%} of frames, up to {np.nanmax(off):.1f} um/mm off"
-    stated = f"{int(records['restart'][-1])} seedings, a deviation in {np.isfinite(deviation).mean():.0%}"
-    return Case("stream without region, 300 points", number, "100 %, 0", stated, verdict)
-
-
-def _without_faults() -> Iterator[Case]:
-    for name, trial in {"press": Press(), "slide": Slide()}.items():
-        with tempfile.TemporaryDirectory() as folder:
-            write_quietly(Path(folder) / "trial", trial)
-            yield without_fault(name, process(Path(folder) / "trial" / "scene.toml"))
-
-
-def without_fault(name: str, result: xr.Dataset) -> Case:
-    """Judge warnings and dropped points of a trial without a fault."""
-    said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
-    held = int((result["status"].values == TrackStatus.DUST_IN_WINDOW).sum())
-    number = f"{len(said)} warnings, {held} of {result['status'].size} positions dropped"
-    verdict = "false alarm" if said or held else "right"
-    return Case(f"no fault: {name}", number, "0, 0", (said or ["nothing"])[0][:90], verdict)

@@ -5,7 +5,6 @@ The number is the peak gross area, force or energy, or the variable that the mis
 the truth needs no warning; any other result must name the cause.
 """
 
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from bench.suites.prints import DPI, FINGERS, PRINTS
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording
-from tests.silent.case import Case
+from fingerflow.synthetic import Press, Slide, write_recording
+from tests.silent.case import Case, without_fault
 from tests.small_trials import scene_beside, warnings_of
 
 Frames = np.ndarray[Any, Any]
@@ -80,7 +78,7 @@ MISTAKES = (
 )  # fmt: skip
 
 
-def cases() -> Iterator[Case]:
+def cases(few: bool = False) -> Iterator[Case]:
     """Yield the mistakes, and recordings without one, which must give no new warning."""
     with tempfile.TemporaryDirectory() as folder:
         press = Path(folder) / "press"
@@ -89,8 +87,10 @@ def cases() -> Iterator[Case]:
         right = process(press / "scene.toml")
         for mistake in MISTAKES:
             yield try_mistake(mistake, press, frames, right)
-        yield without_mistake("press", right)
-    yield from _without_mistakes()
+        yield without_fault("press", right)
+        if not few:
+            write_recording(Path(folder) / "slide", Slide())
+            yield without_fault("slide", process(Path(folder) / "slide" / "scene.toml"))
 
 
 def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset) -> Case:
@@ -138,32 +138,3 @@ def _peak(result: xr.Dataset, variable: str) -> str:
     if variable == "onset_frame":
         return f"{variable} {np.mean(values[values >= 0]):.1f}"
     return f"{variable} {np.nanmax(values):.4g}" if np.isfinite(values).any() else f"{variable} nan"
-
-
-#: Warnings that recordings without a mistake also give.
-KNOWN = (
-    "the forces do not cover",
-    "is never below 1.99 N",
-    "points were found: the region of",
-    "a colour video",
-    "mjpeg is a lossy codec",
-    "the markers are 1.8 mm apart",
-)
-
-
-def without_mistake(name: str, result: xr.Dataset) -> Case:
-    """Judge the warnings of a result without a mistake."""
-    said = [one for one in warnings_of(result).splitlines() if not any(known in one for known in KNOWN)]
-    verdict = "false alarm" if said else "right"
-    return Case(f"no mistake: {name}", f"{len(said)} new warnings", "0", (said or ["nothing"])[0][:90], verdict)
-
-
-def _without_mistakes() -> Iterator[Case]:
-    trials = [("slide", Slide())]
-    if FINGERS.is_dir():
-        trials += [(name, scene_of_print(Press, FINGERS / f"{name}.tif", DPI)) for name in PRINTS]
-    with tempfile.TemporaryDirectory() as folder:
-        for name, trial in trials:
-            write_recording(Path(folder) / name, trial)
-            yield without_mistake(name, process(Path(folder) / name / "scene.toml"))
-            shutil.rmtree(Path(folder) / name)
