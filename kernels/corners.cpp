@@ -10,19 +10,13 @@
 // response in the upper half and row * width + column in the lower: ascending keys are descending responses. Keys of a
 // piece of kRows rows lie where its pixels would.
 #include <math.h>
-#include <algorithm>
 #include <cstdint>
 #include <cstring>
-#include <limits>
-#include <memory>
-#include <vector>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -234,6 +228,14 @@ void corner_rows(const CornerFrame& frame, std::int64_t top, std::int64_t bottom
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(corner_rows)
