@@ -9,20 +9,15 @@
 // that they stay in a cache.
 #include <math.h>
 #include <string.h>
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <limits>
-#include <vector>
+#include <initializer_list>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "shared_limits.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -393,6 +388,14 @@ RowMoments row_moments(const float* coverage, std::int64_t width) {
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(count_cells)

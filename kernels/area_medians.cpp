@@ -9,18 +9,12 @@
 // block with its own copy of the points within a radius. Sensitivities of a point are kAreaShares floats, two components
 // a field.
 #include <math.h>
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
-#include <limits>
-#include <vector>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -249,6 +243,14 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(fit_area)

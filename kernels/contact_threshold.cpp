@@ -8,16 +8,11 @@
 // both choose the same of several almost equal levels.
 #include <float.h>
 #include <math.h>
-#include <algorithm>
-#include <cmath>
-#include <limits>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -95,6 +90,13 @@ void levels_of_line(const Frames& frames, std::int64_t y, const float* light, co
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(levels_of_line)

@@ -8,20 +8,14 @@
 // Layout: points are their own queries, in blocks of kFitBlock, one a lane; `Columns` transposes [point][component] to
 // [component][point] and back. `second_` is (frames, points, 4 gradient components, 2 directions).
 #include <math.h>
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
-#include <limits>
-#include <vector>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
 #include "local_fit_block.h"
 #include "local_fit_cloud.h"
-#include "parallel.h"
 #include "shared_limits.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -155,6 +149,14 @@ void correct_block(const fingerflow_deformation& given, const float* second, con
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(correct_block)

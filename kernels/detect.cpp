@@ -10,19 +10,13 @@
 // with a border of zeros around the part, products in a ring of five rows; corners sorted by response in linked lists of
 // cells of kCell px.
 #include <math.h>
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <limits>
-#include <vector>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -159,6 +153,14 @@ void detect_rows(const DetectPart& part, float* memory, unsigned char* peaks) {
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(detect_rows)

@@ -6,7 +6,6 @@
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
-#include "parallel.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -38,6 +37,8 @@ void distances_of_pair(const float* now, const float* before, std::int64_t lines
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include "parallel.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(distances_of_pair)

@@ -6,7 +6,6 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
 
 namespace fingerflow {
@@ -40,6 +39,8 @@ void halve_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std:
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include "parallel.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(halve_rows)

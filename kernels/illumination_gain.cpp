@@ -7,21 +7,14 @@
 // is one piece for a thread.
 #include <float.h>
 #include <math.h>
-#include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <functional>
-#include <limits>
-#include <vector>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
 #include "shared_limits.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -102,6 +95,15 @@ float mean_within(const float* numbers, std::int64_t count, float middle, float 
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(add_lit_line)

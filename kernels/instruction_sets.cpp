@@ -37,8 +37,8 @@ InstructionSet widest() {
 #define FINGERFLOW_HAS(feature) __builtin_cpu_supports(#feature)
 #endif
 #ifdef FINGERFLOW_X86
-    if (FINGERFLOW_AVX512(FINGERFLOW_HAS)) return kAvx512;
-    return FINGERFLOW_AVX2(FINGERFLOW_HAS) ? kAvx2 : kBaseline;
+    if (FINGERFLOW_SETS > 2 && FINGERFLOW_AVX512(FINGERFLOW_HAS)) return kAvx512;
+    return FINGERFLOW_SETS > 1 && FINGERFLOW_AVX2(FINGERFLOW_HAS) ? kAvx2 : kBaseline;
 #endif
 }
 

@@ -7,17 +7,14 @@
 // Layout: one tile a lane. Lines of the frame, of 8 or 16 bit, are padded by half a window and, for tiles of two columns,
 // split into even and odd columns. Workspace: rings of kept rows, scratch slots, one line, the prepared lines. A band and
 // its kept planes fit into a second-level cache, and its rows are a multiple of 8.
-#include <algorithm>
 #include <cstdint>
 #include <cstring>
-#include <stdexcept>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
+#include "pixel_lanes.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -186,9 +183,14 @@ void pad_line(const Pixel* row, long width, long half, long count, Pixel* line) 
     for (long x = half + width; x < count; ++x) line[x] = row[width - 1];
 }
 
-// Calls run(n, lines, slots, tiles) for each row of tiles n of each strip; `slots` begins with the kept rows.
-template <class Pixel, class Run>
-void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace, Run run) {
+// Runs a network over a row of tiles, which is the nth of its strip; `slots` begins with the kept rows.
+template <class Pixel>
+using Run = void(const Table* table, long n, const Pixel* const* lines, Pixel* slots, long tiles);
+
+// Calls `run` for each row of tiles of each strip.
+template <class Pixel>
+void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace,
+            Run<Pixel>* run, const Table* table) {
     const long rows = shape.rows, columns = shape.columns, width = band.width;
     const long stride = shape.stride<Pixel>(), pitch = shape.pitch<Pixel>(width);
     const long tiles = (width + columns - 1) / columns;
@@ -220,7 +222,7 @@ void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const Median
                 const long at = n * rows * columns + l;
                 lines[l] = prepared + (at < 0 ? 0 : at) * pitch + left;
             }
-            run(n, lines, slots, count);
+            run(table, n, lines, slots, count);
             for (long r = 0; n >= 0 && r < rows && band.top + n * rows + r < band.bottom; ++r) {
                 const std::uint16_t* const outputs = shape.outputs + r * columns;
                 const Pixel* const even = scratch + outputs[0] * stride;
@@ -233,35 +235,27 @@ void filter(const Shape& shape, const Pixel* frame, Pixel* medians, const Median
 }
 
 template <class Pixel, class Network>
-void filter_by_network(const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace) {
+void run_network(const Table*, long n, const Pixel* const* lines, Pixel* slots, long tiles) {
     constexpr long ages = Network::kAges, ring_size = Network::kRingSlots * Network::kStride;
-    filter(compiled_shape<Pixel, Network>(), frame, medians, band, workspace,
-           [=](long n, const Pixel* const* lines, Pixel* slots, long tiles) {
-               Pixel* ring[ages];
-               for (long age = 0; age < ages; ++age)
-                   ring[age] = slots + (n + Network::kWarmUp + ages - age) % ages * ring_size;
-               Network::run(lines, ring, slots + ages * ring_size, tiles, n < 0);
-           });
+    Pixel* ring[ages];
+    for (long age = 0; age < ages; ++age) ring[age] = slots + (n + Network::kWarmUp + ages - age) % ages * ring_size;
+    Network::run(lines, ring, slots + ages * ring_size, tiles, n < 0);
 }
 
 template <class Pixel>
-void filter_by_table(const Table& table, const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace) {
-    const Shape& shape = table.shape;
+void run_table(const Table* table, long n, const Pixel* const* lines, Pixel* slots, long tiles) {
+    const Shape& shape = table->shape;
     const long stride = shape.stride<Pixel>();
     Pixel* planes[kMostPlanes];
-    filter(shape, frame, medians, band, workspace,
-           [&](long n, const Pixel* const* lines, Pixel* slots, long tiles) {
-               Pixel** plane = planes;
-               for (long l = 0; l < shape.lines * shape.columns; ++l) *plane++ = const_cast<Pixel*>(lines[l]);
-               for (long p = 0; p < table.kept_planes; ++p) {
-                   const long depth = table.kept_rows[p];
-                   for (long age = 0; age < depth; ++age)
-                       *plane++ = slots + (n + shape.warm_up + depth - age) % depth * stride;
-                   slots += depth * stride;
-               }
-               for (long slot = 0; slot < shape.scratch_slots; ++slot) *plane++ = slots + slot * stride;
-               run_steps(table.steps, n < 0 ? table.ahead : table.count, planes, tiles + shape.reach);
-           });
+    Pixel** plane = planes;
+    for (long l = 0; l < shape.lines * shape.columns; ++l) *plane++ = const_cast<Pixel*>(lines[l]);
+    for (long p = 0; p < table->kept_planes; ++p) {
+        const long depth = table->kept_rows[p];
+        for (long age = 0; age < depth; ++age) *plane++ = slots + (n + shape.warm_up + depth - age) % depth * stride;
+        slots += depth * stride;
+    }
+    for (long slot = 0; slot < shape.scratch_slots; ++slot) *plane++ = slots + slot * stride;
+    run_steps(table->steps, n < 0 ? table->ahead : table->count, planes, tiles + shape.reach);
 }
 
 // Calls use(pixel, network) with the pixel type and the compiled network of a size; false if there is none.
@@ -304,8 +298,9 @@ std::int64_t median_workspace_bytes(const MedianKind& kind, std::int64_t rows, s
 void median_band(const MedianKind& kind, const void* frame, void* medians, const MedianBand& band, void* workspace) {
     const auto by_table = [&](auto pixel) {
         using Pixel = decltype(pixel);
-        filter_by_table(read_table<Pixel>(kind.table, kind.size, band.width), static_cast<const Pixel*>(frame),
-                        static_cast<Pixel*>(medians), band, static_cast<Pixel*>(workspace));
+        const Table table = read_table<Pixel>(kind.table, kind.size, band.width);
+        filter(table.shape, static_cast<const Pixel*>(frame), static_cast<Pixel*>(medians), band,
+               static_cast<Pixel*>(workspace), run_table<Pixel>, &table);
     };
     if (kind.table != nullptr) {
         if (kind.pixel_bytes == 1) by_table(std::uint8_t{});
@@ -314,8 +309,9 @@ void median_band(const MedianKind& kind, const void* frame, void* medians, const
     }
     with_network(kind.pixel_bytes, kind.size, [&](auto pixel, auto network) {
         using Pixel = decltype(pixel);
-        filter_by_network<Pixel, decltype(network)>(static_cast<const Pixel*>(frame), static_cast<Pixel*>(medians), band,
-                                                    static_cast<Pixel*>(workspace));
+        using Network = decltype(network);
+        filter(compiled_shape<Pixel, Network>(), static_cast<const Pixel*>(frame), static_cast<Pixel*>(medians), band,
+               static_cast<Pixel*>(workspace), run_network<Pixel, Network>, nullptr);
     });
 }
 
@@ -323,6 +319,12 @@ void median_band(const MedianKind& kind, const void* frame, void* medians, const
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(median_workspace_bytes)

@@ -6,15 +6,11 @@
 // Layout: pieces of 32 read rows; sums and counts of pieces are added in order, so that threads do not change the result.
 // `line` holds the vertical responses of one row; 32 lanes of short sums, added to 8 doubles before they overflow.
 #include <math.h>
-#include <algorithm>
-#include <vector>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -126,6 +122,12 @@ void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std:
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(noise_rows)

@@ -8,12 +8,10 @@
 // stride). Pieces of eight blocks of kJudged points, one a lane.
 #include <math.h>
 #include <cstdint>
-#include <vector>
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 
 namespace fingerflow {
 
@@ -217,6 +215,10 @@ void judge_points(const fingerflow_outliers& given, std::int64_t frame, const Ou
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <vector>
+
+#include "parallel.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(read_displacements)

@@ -42,14 +42,14 @@ void fail_if_asked(std::int64_t piece, Thread thread) {
 
 // The work of one call of parallel_for. It lies on the caller's stack: the caller returns last.
 struct Job {
-    Job(std::int64_t count, int helpers, const std::function<void(std::int64_t)>& what)
-        : work(what), pieces(count), places(helpers) {}
+    Job(std::int64_t count, int helpers, void (*each)(const void*, std::int64_t), const void* what)
+        : call(each), work(what), pieces(count), places(helpers) {}
 
     void take(Thread thread) {
         for (std::int64_t piece = next.fetch_add(1); piece < pieces; piece = next.fetch_add(1)) {
             try {
                 fail_if_asked(piece, thread);
-                work(piece);
+                call(work, piece);
             } catch (...) {
                 if (!failed.exchange(true)) failure = std::current_exception();
                 next.store(pieces);
@@ -60,7 +60,8 @@ struct Job {
 
     bool has_room() const { return places > 0 && next.load(std::memory_order_relaxed) < pieces; }
 
-    const std::function<void(std::int64_t)>& work;
+    void (*const call)(const void* work, std::int64_t piece);
+    const void* const work;
     const std::int64_t pieces;
     std::atomic<std::int64_t> next{0};
     std::atomic<bool> failed{false};
@@ -171,9 +172,9 @@ void inject_fault(Fault fault, std::int64_t piece, Thread thread) {
     fault_to_inject.store(fault);
 }
 
-void parallel_for(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work) {
+void run_pieces(std::int64_t pieces, int threads, void (*call)(const void*, std::int64_t), const void* work) {
     if (threads > pieces) threads = static_cast<int>(pieces);
-    Job job(pieces, threads > 1 ? threads - 1 : 0, work);
+    Job job(pieces, threads > 1 ? threads - 1 : 0, call, work);
     if (threads <= 1)
         job.take(Thread::kCaller);
     else

@@ -1,17 +1,21 @@
 // Parallel loops over pieces of work, on the calling thread and a pool.
 #pragma once
 
-#include <algorithm>
 #include <cstdint>
-#include <functional>
 
 namespace fingerflow {
+
+// Calls call(work, piece), see parallel_for.
+void run_pieces(std::int64_t pieces, int threads, void (*call)(const void* work, std::int64_t piece), const void* work);
 
 // Calls work(piece) once for each piece = 0 ... pieces - 1, on up to `threads` threads (or as many as the system can
 // start), and returns when all are done. If a piece throws, no further piece begins, and the first exception is
 // rethrown here once every thread has finished. May be called from several threads at once, from within a piece, and
 // after a fork.
-void parallel_for(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work);
+template <class Work>
+void parallel_for(std::int64_t pieces, int threads, const Work& work) {
+    run_pieces(pieces, threads, [](const void* of, std::int64_t piece) { (*static_cast<const Work*>(of))(piece); }, &work);
+}
 
 // Calls work(frame, top, bottom) for pieces of up to `rows` rows of each frame.
 template <class Work>
@@ -19,7 +23,7 @@ void for_bands(std::int64_t batch, std::int64_t height, std::int64_t rows, int t
     const std::int64_t pieces = (height + rows - 1) / rows;
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t top = piece % pieces * rows;
-        work(piece / pieces, top, std::min(height, top + rows));
+        work(piece / pieces, top, top + rows < height ? top + rows : height);
     });
 }
 
@@ -27,7 +31,8 @@ void for_bands(std::int64_t batch, std::int64_t height, std::int64_t rows, int t
 template <class Work>
 void for_ranges(std::int64_t count, std::int64_t at_a_time, int threads, const Work& work) {
     parallel_for((count + at_a_time - 1) / at_a_time, threads, [&](std::int64_t piece) {
-        work(piece * at_a_time, std::min(count, (piece + 1) * at_a_time));
+        const std::int64_t end = (piece + 1) * at_a_time;
+        work(piece * at_a_time, end < count ? end : count);
     });
 }
 

@@ -6,15 +6,15 @@
 // add the line below and subtract the line above the window, and a byte holds 15 x 15. With AVX-512, uint8 frames and 3 x 3
 // windows, a pixel is one bit and 64 are counted at a time by full adders.
 #include <string.h>
-#include <algorithm>
 #include <cstddef>
+#if defined(__AVX512BW__)
+#include <immintrin.h>
+#endif
 
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -239,6 +239,11 @@ void real_contact_mask_rows(const fingerflow_lit_frames& lit, std::int64_t top, 
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(real_contact_mask_rows)

@@ -7,16 +7,12 @@
 // patch P, less their means, are rows of whole vectors followed by zeros; a lane holds one column of the template, and
 // kRows displacements down share each load of the patch.
 #include <math.h>
-#include <cmath>
 #include <cstddef>
-#include <vector>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
-#include "parallel.h"
 #include "shared_limits.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -237,6 +233,12 @@ void search_points(const fingerflow_search& search, std::int64_t first, std::int
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <cmath>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(search_workspace_bytes)

@@ -6,9 +6,7 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -45,6 +43,9 @@ void spline_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(spline_rows)

@@ -5,6 +5,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
 
 #include "floats.h"
 #include "patches.h"
@@ -12,6 +15,20 @@
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
+
+#if defined(__AVX2__) && (defined(__GNUC__) || defined(__clang__))
+#define FINGERFLOW_LOOKUP
+// Elements at `index` of the concatenation of two vectors.
+inline Floats looked_up(Floats low, Floats high, Integers index) {
+#if defined(__AVX512F__)
+    return (Floats)_mm512_permutex2var_ps((__m512)low, (__m512i)index, (__m512)high);
+#else
+    const __m256 of_low = _mm256_permutevar8x32_ps((__m256)low, (__m256i)index);
+    const __m256 of_high = _mm256_permutevar8x32_ps((__m256)high, (__m256i)index);
+    return (Floats)_mm256_blendv_ps(of_low, of_high, (__m256)_mm256_slli_epi32((__m256i)index, 28));  // bit 3 selects the vector
+#endif
+}
+#endif
 
 struct Vector {
     float x, y;

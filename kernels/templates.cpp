@@ -8,22 +8,17 @@
 // in bands of kBandPx rows, then by column, since windows of neighbours overlap and share cache lines. Sums run in another
 // order than in the portable form, so results differ by rounding.
 #include <math.h>
-#include <algorithm>
 #include <cstddef>
 #include <cstring>
-#include <utility>
-#include <vector>
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "patches.h"
 #include "pixels.h"
 #include "shared_limits.h"
 #include "template_windows.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -597,6 +592,13 @@ void find_pairs(const fingerflow_prepared_templates& ones, const fingerflow_foun
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(templates_workspace_bytes)

@@ -13,8 +13,6 @@
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
-#include "workspace.h"
 
 namespace fingerflow {
 
@@ -189,6 +187,9 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(strain_of_frame)

@@ -7,14 +7,15 @@
 #include <math.h>
 #include <cstddef>
 #include <cstring>
+#if defined(__AVX2__)
+#include <smmintrin.h>
+#endif
 
 #include "floats.h"
 #include "instruction_sets.h"
 #include "interface.h"
 #include "lanes.h"
-#include "parallel.h"
 #include "pixels.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -148,6 +149,9 @@ void sample_windows(const fingerflow_sampled_windows& windows, std::int64_t firs
 }  // namespace fingerflow
 
 #if FINGERFLOW_ONCE
+
+#include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 FINGERFLOW_OTHER_SETS(windows_workspace_bytes)

@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 
 namespace fingerflow {
 
@@ -13,15 +12,22 @@ enum class Keeper : int { kPiece, kCaller, kSums };
 // At least `bytes` bytes, aligned to 64, of any content; valid until the thread's next request for the same keeper.
 template <Keeper keeper = Keeper::kPiece>
 inline void* workspace(std::size_t bytes) {
-    static thread_local std::unique_ptr<unsigned char[]> memory;
-    static thread_local std::size_t size = 0;
-    if (size < bytes) {
-        memory.reset();
-        size = 0;
-        memory.reset(new unsigned char[bytes + 63]());
-        size = bytes;
+    static thread_local struct Memory {
+        unsigned char* begin = nullptr;
+        std::size_t size = 0;
+        void free() {
+            delete[] begin;
+            begin = nullptr;
+            size = 0;
+        }
+        ~Memory() { free(); }
+    } memory;
+    if (memory.size < bytes) {
+        memory.free();
+        memory.begin = new unsigned char[bytes + 63]();
+        memory.size = bytes;
     }
-    return reinterpret_cast<void*>((reinterpret_cast<std::uintptr_t>(memory.get()) + 63) / 64 * 64);
+    return reinterpret_cast<void*>((reinterpret_cast<std::uintptr_t>(memory.begin) + 63) / 64 * 64);
 }
 
 }  // namespace fingerflow
