@@ -8,6 +8,7 @@ import hashlib
 import json
 import re
 import shutil
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 
@@ -23,10 +24,10 @@ from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.graph_verification import Difference, verify
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
+from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")
@@ -92,7 +93,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     facts = {
         "version": __version__,
         "graph": name,
-        "recipe": recipe.model_dump_json(),
+        "recipe": json.dumps(asdict(recipe)),
         "units": json.dumps({one: UNITS[one] for one in (*graph.inputs, *graph.outputs)}),
         "coordinates": COORDINATES,
         "hash": digest,
@@ -108,14 +109,14 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which
     describes the graphs by `models`.
     """
-    engine = TorchEngine(bundle_settings(recipe.model_dump()), torch.device("cpu"))
+    engine = TorchEngine(bundle_settings(asdict(recipe)), torch.device("cpu"))
     views = recipe.views
     with torch.inference_mode(), Portable():
         expected = expected_of(engine, views.height, views.width, views.bit_depth, recipe.tracking.points)
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
-        "recipe": recipe.model_dump(),
+        "recipe": asdict(recipe),
         "graphs": models,
         "expected": expected,
     }

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from fingerflow.engines.check import built_in
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
-from fingerflow.export.recipe import GRAPHS, load_recipe
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
+from fingerflow.schema.recipe import GRAPHS, load_recipe
 from fingerflow.schema.variables import VARIABLES
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
@@ -141,7 +142,7 @@ def test_other_recipes_export(settings: dict[str, str | int], graphs: str, tmp_p
 
 def test_a_graph_that_differs_is_refused(bundle_of_trials: Path) -> None:
     recipe = load_recipe(beside(bundle_of_trials)[0])
-    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_length_mm": 1.4})})
+    other = replace(recipe, fields=replace(recipe.fields, gauge_length_mm=1.4))
     with pytest.raises(FingerflowError, match="divergence"):
         verify(other, bundle_of_trials)
 

@@ -14,7 +14,7 @@ from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.tracking.search import search_windows
-from fingerflow.schema.scene_keys import SCENE
+from fingerflow.schema.scene_tables import SCENE
 from tests.kernels import hostile_calls
 from tests.silent.case import Case
 

@@ -201,9 +201,8 @@ def _stream_without_region(press: Press, folder: Path) -> Case:
     scene = folder / "press" / "whole.toml"
     scene.write_text(text[: text.index("[stream]")] + f'[stream]\noutput = "{(folder / "live").as_posix()}"\n')
     recipe = recipe_of_trials()
-    tracking = recipe.tracking.model_copy(update={"points": 300})
-    views = recipe.views.model_copy(update={"height": 512, "width": 640})
-    bundle = write_library_bundle(folder / "bundle", recipe.model_copy(update={"tracking": tracking, "views": views}))
+    tracking, views = replace(recipe.tracking, points=300), replace(recipe.views, height=512, width=640)
+    bundle = write_library_bundle(folder / "bundle", replace(recipe, tracking=tracking, views=views))
     assert player.main([str(bundle), "--scene", str(scene), "--page", "off", "--threads", "1"]) == 0
     records = np.array(player.read_results(folder / "live").records)
     found, gross = 1e3 * records["median_divergence"], records["gross_contact_area"]
