@@ -27,10 +27,10 @@ from playwright.sync_api import sync_playwright
 import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
-from fingerflow.export.recipe import Recipe, TrackingRecipe, ViewRecipe
 from fingerflow.player import live_frames, page_token
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result
+from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
 from tests.own_press import press_of, write_raw_press
@@ -102,7 +102,7 @@ def draw_result(browser: Any, path: Path) -> None:
 
 def draw_live(browser: Any, folder: Path) -> None:
     """Draw the live page of the synthetic source, after two seconds."""
-    recipe = Recipe(views=ViewRecipe(height=192, width=240), tracking=TrackingRecipe(points=150, window_px=15))
+    recipe = Recipe(views=ViewRecipe(height=192, width=240), tracking=PointSettings(points=150, window_px=15))
     bundle = write_library_bundle(folder / "bundle", recipe)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

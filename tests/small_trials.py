@@ -4,6 +4,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ import pytest
 import xarray as xr
 
 from fingerflow import __version__, load_scene
-from fingerflow.engines.bundle import GRAPHS, bundle_settings
+from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.recipe import Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
+from fingerflow.schema.recipe import GRAPHS, Recipe, recipe_of
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene
@@ -125,7 +126,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
         data = f"no graph, {name}".encode()
         (folder / f"{name}.onnx").write_bytes(data)
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
-    settings = recipe.model_dump()
+    settings = asdict(recipe)
     size: dict[str, int] = {one: settings["views"][one] for one in ("height", "width", "bit_depth")}
     expected = expected_of(NativeEngine(bundle_settings(settings)), **size, points=recipe.tracking.points)
     facts = {
@@ -141,7 +142,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 
 def recipe_of_trials() -> Recipe:
     """Return the recipe of a bundle that plays these trials."""
-    return Recipe(views=ViewRecipe(height=HEIGHT, width=WIDTH), **tomllib.loads(_SHARED))
+    return recipe_of({"views": {"height": HEIGHT, "width": WIDTH}, **tomllib.loads(_SHARED)})
 
 
 def edit_scene(folder: Path, replaced: dict[str, str], name: str = "scene.toml", stream: bool = True) -> Path:

@@ -5,6 +5,7 @@ A new module needs inputs in tests/embedded.py.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,9 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
-from fingerflow.engines.bundle import GRAPHS
 from fingerflow.export.build import graphs_of
-from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.ops.tracking.outliers import find_neighbours
+from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES
 
 pytestmark = pytest.mark.long
@@ -106,10 +106,12 @@ def steps() -> dict[str, Step]:
 
 
 def small(recipe: Recipe) -> Recipe:
-    views = recipe.views.model_copy(update={"height": HEIGHT, "width": WIDTH})
-    tracking = recipe.tracking.model_copy(update={"points": POINTS, "window_px": 11})
-    every = recipe.export.model_copy(update={"graphs": GRAPHS})
-    return recipe.model_copy(update={"views": views, "tracking": tracking, "export": every})
+    return replace(
+        recipe,
+        views=replace(recipe.views, height=HEIGHT, width=WIDTH),
+        tracking=replace(recipe.tracking, points=POINTS, window_px=11),
+        export=replace(recipe.export, graphs=GRAPHS),
+    )
 
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:

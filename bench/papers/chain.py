@@ -128,4 +128,5 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def _touching(presses: SimulatedPresses) -> NDArray[np.bool_]:
-    return presses.chain.normal_force.numpy()[-1] > CONTACT_N
+    touching: NDArray[np.bool_] = presses.chain.normal_force.numpy()[-1] > CONTACT_N
+    return touching

@@ -15,7 +15,7 @@ from scipy import stats
 from bench.papers.chain import HIGH
 from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
 from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded, within
-from fingerflow.models.observer import Correlation, auc, pearson, printed_observer, repeated_anova, spearman
+from fingerflow.models.observer import Estimate, auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
 from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
@@ -33,7 +33,7 @@ def _mean(values: Values) -> tuple[float, float, Interval]:
     return mean, deviation, likely(mean, deviation / math.sqrt(known.size))
 
 
-def _with_limits(found: Correlation) -> str:
+def _with_limits(found: Estimate) -> str:
     low, high = found.interval
     return f"{found.value:.2f} ({low:.2f} to {high:.2f})"
 
@@ -396,7 +396,10 @@ def _ranking(study: PressStudy) -> Obtained:
     alone = {name: found[name]["auc"]["value"] for name in OBSERVED if name in found}
     answer, who = study.sample.trials.answer, study.sample.trials.participant
     pairs = {name: study.column_of_sample(name + DIFFERENCE) for name in OBSERVED}
-    differences = {name: auc(one[answer], one[~answer], (who[answer], who[~answer]), resamples=100).value for name, one in pairs.items()}
+    differences = {
+        name: auc(one[answer], one[~answer], (who[answer], who[~answer]), resamples=100).value
+        for name, one in pairs.items()
+    }
     return Obtained(
         f"areas under the ROC, of differences between the two presses: {_ordered(differences)}; of the comparison "
         f"alone: {_ordered(alone)}",

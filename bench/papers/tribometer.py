@@ -67,11 +67,16 @@ def simulate_trace(path: Path, friction: Callable[[Values], Values], largest_um:
         write_atomically(path, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
     lengths = [signal for signal, unit in SIGNALS.items() if unit == "m"]
     forces = open_forces(path, channels={signal: signal for signal in SIGNALS}, lengths=lengths)
-    signals = [np.array(one) for one in (forces.times, *(forces.channels[signal] for signal in SIGNALS))]
-    low, high = signals[-1].min(), np.nextafter(signals[-1].max(), np.inf)
-    edges = torch.linspace(low, high, _BINS + 1, dtype=torch.float64)
-    epochs = friction_epochs(*map(torch.from_numpy, signals), edges, modulation_hz=MODULATION_HZ)
-    return TribometerTrace(*signals, epochs)
+    time = np.array(forces.times)
+    normal, tangential, position, amplitude = (np.array(forces.channels[signal]) for signal in SIGNALS)
+    edges = torch.linspace(amplitude.min(), np.nextafter(amplitude.max(), np.inf), _BINS + 1, dtype=torch.float64)
+    of_time, of_normal, of_tangential, of_position, of_amplitude = map(
+        torch.from_numpy, (time, normal, tangential, position, amplitude)
+    )
+    epochs = friction_epochs(
+        of_time, of_normal, of_tangential, of_position, of_amplitude, edges, modulation_hz=MODULATION_HZ
+    )
+    return TribometerTrace(time, normal, tangential, position, amplitude, epochs)
 
 
 def draw_trace(axes: Sequence[Axes], trace: TribometerTrace) -> None:

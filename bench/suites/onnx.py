@@ -34,11 +34,10 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
-from fingerflow.engines.bundle import GRAPHS, GraphName
 from fingerflow.export.build import graphs_of
-from fingerflow.export.recipe import Recipe
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.tracking.corners import detect_corners
+from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe, recipe_of
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press
@@ -94,7 +93,7 @@ def _row(graph: str, settings: dict[str, Any], nodes: int, cells: dict[str, floa
 
 
 def _recipe(**tables: dict[str, Any]) -> Recipe:
-    return Recipe.model_validate({"views": {"height": 512, "width": 640}, "export": {"graphs": GRAPHS}, **tables})
+    return recipe_of({"views": {"height": 512, "width": 640}, "export": {"graphs": GRAPHS}, **tables})
 
 
 def _inputs(scene: Press) -> dict[str, Tensor]:

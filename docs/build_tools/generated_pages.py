@@ -88,7 +88,7 @@ def keys_page() -> str:
         "",
         "`fingerflow init scene.toml` writes a commented file, and `fingerflow keys` prints this list. Both readers of "
         "scenes, `process` and the player of a stream, refuse what is not listed here, in the same words. This page is "
-        "written from `fingerflow/schema/scene_keys.py` when the site is built. `kind` names the kind of scene: "
+        "written from `fingerflow/schema/scene_tables.py` when the site is built. `kind` names the kind of scene: "
         + ", ".join(f"`{kind}`" for kind in KINDS)
         + ".",
         "",

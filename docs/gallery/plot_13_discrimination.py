@@ -19,7 +19,8 @@ felt, missed = divergence[answers], divergence[~answers]
 area = draw.normal(20, 6, 400)  # a measure that nobody feels
 
 # %%
-# Intervals of 95 %, participants as units. That of the felt measure excludes chance (0 and 0.5), that of the other does not.
+# Intervals of 95 %, participants as units. That of the felt measure excludes chance (0 and 0.5), that of the other does
+# not.
 
 for name, metric in (("divergence", divergence), ("contact area", area)):
     trials = metric[answers], metric[~answers], (participant[answers], participant[~answers])

@@ -7,36 +7,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.errors import PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
-
-GraphName = Literal[
-    "light",
-    "contact",
-    "threshold",
-    "noise",
-    "detect",
-    "spline",
-    "prepare",
-    "renew",
-    "track",
-    "track_few",
-    "support",
-    "correct",
-    "outliers",
-    "search",
-    "windows",
-    "fields",
-    "fields_entered",
-    "fit",
-]
-#: Graphs of a bundle, in an order in which an engine can run them.
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
+from fingerflow.schema.keys import keys_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,5 +102,4 @@ def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
     The strain measure is the default.
     """
     stated = {**recipe["contact"], **recipe["tracking"], **recipe["fields"]}
-    names = {one.name for one in dataclasses.fields(EngineSettings)} - {"strain"}
-    return EngineSettings(**{name: stated[name] for name in names})
+    return EngineSettings(**{name: stated[name] for name in keys_of(EngineSettings)})

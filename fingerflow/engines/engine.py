@@ -8,6 +8,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.schema.recipe import ContactCells
+from fingerflow.schema.scene_tables import FieldSettings, GaugeSettings, PointSettings
+
 Array = NDArray[Any]
 
 # Batch size of the graphs that process a subset of the points, and largest number of points that a stream searches for
@@ -18,30 +21,12 @@ Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a lengt
 
 
 @dataclass(frozen=True)
-class EngineSettings:
-    """Settings of an engine, read from a scene file of a recording or a recipe of a bundle.
-
-    Attributes:
-        median_px, gross_radius_px, cell_px, stride_px: sizes for the contact (`graphs.ContactGraph`).
-        window_px, gain_offset: side of a template window; whether gain and offset of its grey levels are free.
-        forward_backward_limit_px: largest forward-backward distance of a tracked point.
-        search_px: distance from its prediction within which a lost point is searched for; 0 for no search.
-        min_distance_px: between seeded points.
-        gauge_length_mm: gauge length (virtual strain gauge) of the fields.
-        strain: strain measure, one of `kernels.field_limits.STRAIN_MEASURES`.
+class EngineSettings(ContactCells, PointSettings, GaugeSettings):
+    """Settings of an engine: those of a scene file that a recipe of a bundle may state too, by the same names, the
+    cells of the contact, and the strain measure.
     """
 
-    median_px: int = 3
-    gross_radius_px: int = 8
-    cell_px: int | None = None
-    stride_px: int = 1
-    window_px: int = 25
-    gain_offset: bool = True
-    forward_backward_limit_px: float = 1.0
-    search_px: int = 8
-    min_distance_px: float = 6.0
-    gauge_length_mm: float = 1.6
-    strain: str = "green_lagrange"
+    strain: str = FieldSettings.strain
 
 
 class GlassLight(NamedTuple):

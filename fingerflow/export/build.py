@@ -1,15 +1,14 @@
 """Torch modules for the graphs of an engine, with the names and units of all inputs and outputs."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor, nn
 
-from fingerflow.engines.bundle import GRAPHS, GraphName, bundle_settings
+from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import Recipe
 from fingerflow.graphs import (
     Contact,
     ContactGraph,
@@ -31,6 +30,7 @@ from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
+from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")
@@ -89,7 +89,7 @@ class _Call(nn.Module):
 
 def graphs_of(recipe: Recipe) -> dict[GraphName, Graph]:
     """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported."""
-    settings = bundle_settings(recipe.model_dump())
+    settings = bundle_settings(asdict(recipe))
     return build(settings, recipe.tracking.points, recipe.contact.real_contact_mask)
 
 

@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.engines.bundle import GraphName, bundle_settings
+from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import Difference, built_in, check_engine, expected_of, numbers_of
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.sessions import open_sessions
@@ -27,9 +28,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, graphs_of
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.portable import Portable, PortableSession
-from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
+from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")
@@ -58,7 +59,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     part = unfinished(folder)
     try:
         part.mkdir(parents=True)
-        views, settings = recipe.views, bundle_settings(recipe.model_dump())
+        views, settings = recipe.views, bundle_settings(asdict(recipe))
         size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
         sessions = {name: PortableSession(graph) for name, graph in graphs_of(recipe).items()}
         numbers_of(OnnxEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
@@ -89,7 +90,7 @@ def verify(
     """
     files = {str(name): folder / f"{name}.onnx" for name in recipe.export.graphs}
     opened: dict[Any, Any] = {**sessions, **open_sessions(files)}
-    return check_engine(OnnxEngine(opened, bundle_settings(recipe.model_dump()), recipe.tracking.points), expected)
+    return check_engine(OnnxEngine(opened, bundle_settings(asdict(recipe)), recipe.tracking.points), expected)
 
 
 def as_text(rows: list[Difference]) -> str:
@@ -114,7 +115,7 @@ def write_graph(
     facts = {
         "version": __version__,
         "graph": name,
-        "recipe": recipe.model_dump_json(),
+        "recipe": json.dumps(asdict(recipe)),
         "units": json.dumps({one: UNITS[one] for one in (*graph.inputs, *graph.outputs)}),
         "coordinates": COORDINATES,
         "hash": digest,
@@ -133,7 +134,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], expected: M
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": __version__,
-        "recipe": recipe.model_dump(),
+        "recipe": asdict(recipe),
         "graphs": models,
         "expected": expected,
     }

@@ -53,9 +53,8 @@ def dahl_friction(
     limit = (last + steep * np.maximum(-old[:, 1], 0)) / 2
     active = np.flatnonzero((limit > 0) & (place[:, 1] < 0))
     force, along, above = np.zeros((3, len(place)))
-    rubbing = _on_plate(
-        *(values[active] for values in (before, place[:, 0] - old[:, 0], limit, last, steep)), stiffness, exponent
-    )
+    slid = place[active, 0] - old[active, 0]
+    rubbing = _on_plate(before[active], slid, limit[active], last[active], steep[active], stiffness, exponent)
     force[active], along[active], above[active] = rubbing
     return Friction(force, along, above)
 

@@ -12,7 +12,8 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.stream_scene import StreamScene
+from fingerflow.player.stream_scene import topography_of
+from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.frame_tracker import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
@@ -149,7 +150,7 @@ class Slot(Frame):
         super().__init__({name: np.zeros(shape, bundle.dtype) for name in (CONTACT_VIEW, TOPOGRAPHY_VIEW)})
         self.arrival = self.time = 0.0
 
-    def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
+    def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
         """Crop both views, as the scene places them, from a camera frame into the buffer; raise PlayerError with the
         source's name if the frame is too small, or has not the bundle's pixel type and bit depth.
         """
@@ -171,10 +172,10 @@ class Slot(Frame):
                     f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
                     "bundle; export one with the camera's bit_depth"
                 )
-        if scene.bright_contact:
+        if scene.contact.appears == "bright":
             seen = self.views[CONTACT_VIEW]
             np.copyto(seen, negative(seen, bundle.bit_depth))
 
 
-def _views(scene: StreamScene) -> dict[str, View]:
-    return {CONTACT_VIEW: scene.contact, TOPOGRAPHY_VIEW: scene.topography}
+def _views(scene: Scene) -> dict[str, View]:
+    return {CONTACT_VIEW: scene.views.contact, TOPOGRAPHY_VIEW: topography_of(scene)}

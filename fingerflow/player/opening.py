@@ -26,7 +26,7 @@ from fingerflow.player.played import choose_input
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination
 from fingerflow.player.stream_player import Player, Settings
-from fingerflow.player.stream_scene import contradictions, stream_settings
+from fingerflow.player.stream_scene import contradictions, stated_threshold, stream_settings
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.tracker.frame_tracker import StreamTracker
@@ -72,14 +72,14 @@ def open_player(
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
-    named = options.output or scene.output
+    named = options.output or scene.stream.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
     every = options.policy == "every" if options.policy else not live
     settings = Settings(
         every=every,
         queue=options.queue if every else 1,
-        rate=options.rate or (None if live else scene.frame_rate),
+        rate=options.rate or (None if live else scene.recording.frame_rate),
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
         parallel=parallel,
@@ -94,9 +94,9 @@ def open_player(
         "engine": engine.described,
         "source": name,
         "policy": "every" if every else "latest",
-        "mm_per_px": scene.mm_per_px,
-        "topography_to_contact": scene.topography_to_contact.tolist(),
-        "threshold": "measured" if tracker.measures else scene.given_threshold,
+        "mm_per_px": scene.calibration.mm_per_px,
+        "topography_to_contact": scene.calibration.topography_to_contact,
+        "threshold": "measured" if tracker.measures else stated_threshold(scene),
         "coordinates": COORDINATES,
         "warnings": warnings,
     }

@@ -17,7 +17,8 @@ from fingerflow.player.sources import open_source
 from fingerflow.player.sources.camera_source import open_camera
 from fingerflow.player.sources.source import OpenSource
 from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
-from fingerflow.player.stream_scene import StreamScene, check_scene, load_scene
+from fingerflow.player.stream_scene import check_scene, load_scene
+from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 
 _STILLS = 64  # number of averaged frames of the empty glass: the noise is an eighth of that of one frame
@@ -30,7 +31,7 @@ class StreamInput(NamedTuple):
     known. ``forces_in`` is the scene file that names the forces of these frames.
     """
 
-    scene: StreamScene
+    scene: Scene
     name: str
     open_source: OpenSource
     glass: Array
@@ -57,17 +58,19 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
         gauge = bundle.engine_settings.gauge_length_mm if path is None else None
-        scene = replace(scene, bright_contact=False)  # it draws dark contact
+        scene = replace(scene, contact=replace(scene.contact, appears="dark"))  # it draws dark contact
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
-        glass = scene.contact.crop(drawn.background)
+        glass = scene.views.contact.crop(drawn.background)
         # The true values hold for the scene of the synthetic source only, not for the views of a scene file.
         known = drawn.expected_in if path is None else None
         return StreamInput(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
-    if scene.background is None:
+    recorded, pictures, bright = scene.recording, scene.background, scene.contact.appears == "bright"
+    if pictures.frames is None:
         raise PlayerError(
             f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
         )
-    for key, picture in (("frames", scene.background), ("dark", scene.dark)):
+    black_level = None if bright else pictures.dark  # in the difference of two negatives the dark level cancels
+    for key, picture in (("frames", pictures.frames), ("dark", black_level)):
         if picture is not None and not picture.exists():
             raise PlayerError(
                 f"{path}: {key} of [background] is {picture}, which is not there; record the glass "
@@ -75,25 +78,25 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
                 "the file that you have"
             )
     glass, dark = (
-        black if file is None else mean_view(file, scene.contact, bundle, shape, options.dtype)
-        for file in (scene.background, scene.dark)
+        black if file is None else mean_view(file, scene.views.contact, bundle, shape, options.dtype)
+        for file in (pictures.frames, black_level)
     )
-    if scene.bright_contact:
+    if bright:
         glass = negative(glass, bundle.bit_depth)
     if options.camera:
         camera = options.camera
         name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")
         return StreamInput(scene, name, lambda _: open_camera(camera), glass, dark)
-    file = Path(options.source) if options.source else scene.frames
+    file = Path(options.source) if options.source else recorded.frames
     if file is None:
         raise PlayerError(
             "no source: give --source synthetic, --source FILE or --camera ADDRESS, or state recording.frames "
             f"in {path}"
         )
     first, frames, forces_in = 0, None, None
-    if file.resolve() == scene.frames:  # range of frames and forces belong to the scene's own recording
-        first, forces_in = scene.first_frame, path if scene.has_forces else None
-        frames = None if scene.last_frame is None else scene.last_frame + 1 - first
+    if file.resolve() == recorded.frames:  # range of frames and forces belong to the scene's own recording
+        first, forces_in = recorded.first_frame, path if scene.forces is not None else None
+        frames = None if recorded.last_frame is None else recorded.last_frame + 1 - first
     return StreamInput(
         *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
         *(first, frames, None, forces_in),

@@ -137,8 +137,9 @@ class Player:
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
         # px² of the contact view per px² of the topography view.
-        areas = abs(np.linalg.det(self.scene.topography_to_contact[:, :2]))
-        self._topography_mm_per_px = self.scene.mm_per_px * math.sqrt(areas)
+        calibration = self.scene.calibration
+        areas = abs(np.linalg.det(np.array(calibration.topography_to_contact)[:, :2]))
+        self._topography_mm_per_px = calibration.mm_per_px * math.sqrt(areas)
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -232,7 +233,7 @@ class Player:
         return {
             "bundle": self.bundle.folder.resolve().name,
             "computed_by": self.computed_by,
-            "mm_per_px": self.scene.mm_per_px,
+            "mm_per_px": self.scene.calibration.mm_per_px,
             "topography_mm_per_px": self._topography_mm_per_px,
             "state": "running" if self._state == "waiting" and self.processed else self._state,
             "said": self._said,

@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.schema.scene_keys import REGION, SCENE, Choice, SceneKey, SceneTable, words_of
+from fingerflow.schema.key_types import Choice
+from fingerflow.schema.keys import SceneKey, SceneTable, keys_of, words_of
+from fingerflow.schema.scene_tables import SCENE
+from fingerflow.schema.views import Region
 
 
 def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
@@ -43,7 +46,7 @@ def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above:
     for name, value in values.items():
         if value is None or name == "topography_to_contact":  # `transform_rows` shows the transform
             continue
-        key = keys.get(name, REGION.keys.get(name))
+        key = keys.get(name, keys_of(Region).get(name))
         words, unit = words_of(name, key) if key else (name.replace("_", " "), "")
         if isinstance(value, Mapping):
             sides = ("rows", "columns")

@@ -1,33 +1,17 @@
 """Validation of the content of a scene file: each key, and rules between several keys."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fingerflow.errors import FingerflowError
 from fingerflow.schema.calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
-from fingerflow.schema.scene_keys import (
-    RENAMED,
-    RULES,
-    SCENE,
-    File,
-    FitsTheViews,
-    InPlaceOf,
-    Inside,
-    NotBefore,
-    NotBoth,
-    OneEach,
-    OneOf,
-    Reader,
-    Rule,
-    SceneKey,
-    SceneTable,
-    Together,
-    views_of,
-)
+from fingerflow.schema.key_types import File, Reader, WrongValue, either
+from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS, default_kind
-from fingerflow.schema.scene_values import WrongValue, either, value_of
+from fingerflow.schema.scene_tables import SCENE, views_of
 
 Keys = tuple[str, ...]
 MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
@@ -43,288 +27,264 @@ class Problem:
     said: str
 
 
-@dataclass(frozen=True)
-class Checked:
-    """Validated content of a scene file.
+class TableCheck:
+    """Validation of the tables of one file, which collects at most one problem for each key.
 
     Attributes:
-        kind: one of KINDS.
         values: by table and key, with defaults; paths are absolute, ranges and matrices are tuples. A key that is left
-            out and has no default is None, as is a table that is left out where one of its keys is needed.
-        given: dotted keys that the scene file, or the calibration file that it names, sets.
+            out and has no default is None, as is an optional table that is left out.
+        given: dotted keys that the file, or the calibration file that it names, sets.
     """
 
-    kind: str
-    values: Mapping[str, Any]
-    given: frozenset[str]
-
-
-def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tuple[Checked, list[Problem]]:
-    """Validate the parsed content of a scene file; return it with defaults filled in, and all problems found.
-
-    Args:
-        written: tables and keys as parsed from TOML.
-        folder: the folder of the file, to which paths are relative.
-        reader: the reader whose needs are checked.
-
-    Returns:
-        The checked content, which is valid only if there are no problems; and the problems as they were found.
-    """
-    check = _Check(written, folder, reader)
-    check.all()
-    return Checked(check.kind, check.values, frozenset(check.given)), check.problems()
-
-
-class _Check:
-    """Validation of one scene file, which collects at most one problem for each key."""
+    missing = MISSING
 
     def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
-        self._written, self._folder, self._reader = written, folder, reader
-        self._said: dict[Keys, str] = {}
+        """Prepare the check of tables and keys as parsed from TOML, for the needs of a reader; paths are relative to
+        `folder`, that of the file.
+        """
+        self.written, self._folder, self._reader = written, folder, reader
+        self.said: dict[Keys, str] = {}
         self._missing: set[Keys] = set()
         self._meant: set[Keys] = set()  # likely intended keys of misspelt ones, which are not reported missing
-        self._calibration: CalibrationFile | None = None
-        self.kind = ""
+        self.calibration: CalibrationFile | None = None
         self.values: dict[str, Any] = {}
         self.given: set[str] = set()
 
-    def all(self) -> None:
-        """Check all keys of the scene file one by one, then all rules between several keys."""
-        stated, self.kind = self._written.get("kind"), default_kind(self._written)
-        if isinstance(stated, str) and stated in KINDS:
-            self.kind = stated
-        elif "kind" in self._written:
-            self._refuse(("kind",), f"is {stated!r}: it should be {either(KINDS)}")
-        kind = KINDS[self.kind]
-        tables = {"recording": SCENE["recording"], "views": views_of(kind), **SCENE}
-        rest = {name: value for name, value in self._written.items() if name != "kind"}
-        self.values = self._table((), SceneTable(tables), rest, ("kind",))
-        for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
-            self.values["views"][role] = self._value_at(f"views.{view}")
-        for rule in RULES:
-            self._rule(rule)
-
     def problems(self) -> list[Problem]:
-        return [Problem(keys, said) for keys, said in self._said.items() if keys not in self._missing & self._meant]
+        """Return all problems found, without missing keys that a misspelt one was meant to be."""
+        return [Problem(keys, said) for keys, said in self.said.items() if keys not in self._missing & self._meant]
 
-    def _refuse(self, keys: Keys, said: str) -> None:
-        self._said.setdefault(keys, said)
+    def raise_problems(self, place_of: Callable[[Keys], str]) -> None:
+        """Raise FingerflowError with one line for each problem, if there are any; `place_of` returns the place of a key
+        in the file.
+        """
+        lines = [f"{place_of(one.keys)}: {'.'.join(one.keys)} {one.said}" for one in self.problems()]
+        if lines:
+            raise FingerflowError("\n".join(lines))
 
-    def _table(self, place: Keys, table: SceneTable, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
+    def refuse(self, keys: Keys, said: str) -> None:
+        """Record a problem of a key, unless it has one."""
+        self.said.setdefault(keys, said)
+
+    def table(self, place: Keys, table: SceneTable, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
+        """Return the validated values of a table at a place in the file, given what is written there."""
         found: dict[str, Any] = {}
         for name, key in table.keys.items():
             keys = (*place, name)
             if name not in written:
-                found[name] = self._left_out(keys, key)
+                if self._reader in key.needed_by:
+                    self.lacks(keys)
+                found[name] = key.left_out()
                 continue
             self.given.add(".".join(keys))
             value = written[name]
             if isinstance(key, SceneKey):
-                found[name] = self._value(keys, key, value)
+                found[name] = self.value(keys, key, value)
             elif isinstance(value, dict):
-                found[name] = self._table(keys, key, value)
+                found[name] = self.table(keys, key, value)
             else:
-                self._refuse(keys, f"is {value!r}: it should be a table")
+                self.refuse(keys, f"is {value!r}: it should be a table")
         for name in written:
             if name not in table.keys:
-                self._unknown((*place, name), sorted((*table.keys, *besides)))
+                self._unknown((*place, name), table, besides)
         return found
 
-    def _left_out(self, keys: Keys, key: SceneKey | SceneTable) -> Any:
-        if self._reader in key.needed_by:
-            self._lacks(keys)
-        if isinstance(key, SceneKey):
-            return key.default
-        needed = any(self._reader in one.needed_by for one in key.keys.values())
-        return None if needed else self._table(keys, key, {})
-
-    def _lacks(self, keys: Keys) -> None:
+    def lacks(self, keys: Keys) -> None:
+        """Record that a key is missing."""
         self._missing.add(keys)
-        self._refuse(keys, MISSING)
+        self.refuse(keys, self.missing)
 
-    def _value(self, keys: Keys, key: SceneKey, value: Any) -> Any:
+    def value(self, keys: Keys, key: SceneKey, value: Any) -> Any:
+        """Return the validated value of a key; record a problem and return None if it is wrong."""
         try:
-            return self._path(key.type, value) if isinstance(key.type, File) else value_of(key.type, value)
-        except WrongValue as wrong:
-            self._refuse(keys, f"{_shown(value)}: {wrong}")
+            if not isinstance(key.type, File):
+                return key.type.convert(value)
+            path = key.type.path(value, self._folder, self._reader)
+            if key.type.calibration:
+                self.calibration = read_calibration(path)
+            return path
+        except (WrongValue, CalibrationError) as wrong:
+            self.refuse(keys, f"{_shown(value)}: {wrong}")
             return None
 
-    def _path(self, file: File, value: Any) -> Path:
-        if not isinstance(value, str):
-            raise WrongValue("that is no path of a file; it should be in quotes, relative to the scene file")
-        if not value.isprintable():
-            raise WrongValue(r"that is no path: it has control characters, which TOML makes of \ and a letter; write /")
-        try:
-            path = (self._folder / value).resolve()
-            there = Path(str(path).split("::")[0]).exists()
-        except (OSError, ValueError) as error:  # an invalid file name, or a folder without permission
-            raise WrongValue(f"that is no path that can be looked up ({error}); correct it") from None
-        if self._reader in file.there_for and not there:
-            raise WrongValue(f"{path} does not exist; paths are relative to the folder of the scene file")
-        if file.calibration:
-            try:
-                self._calibration = read_calibration(path)
-            except CalibrationError as error:
-                raise WrongValue(str(error)) from None
-        return path
-
-    def _unknown(self, keys: Keys, known: list[str]) -> None:
-        if now := RENAMED.get(".".join(keys)):
-            self._refuse(keys, f"is no longer a key: it is called {now!r} now")
-            return
+    def _unknown(self, keys: Keys, table: SceneTable, besides: Keys) -> None:
+        for now, key in table.keys.items():
+            if isinstance(key, SceneKey) and key.formerly == keys[-1]:
+                self.refuse(keys, f"is no longer a key: it is called {now!r} now")
+                return
+        known = sorted((*table.keys, *besides))
         close = difflib.get_close_matches(keys[-1], known, n=1)
         self._meant |= {(*keys[:-1], key) for key in close}
         hint = f"did you mean {close[0]!r}? " if close else ""
-        self._refuse(keys, f"is not a key; {hint}known here: {', '.join(known)}")
+        self.refuse(keys, f"is not a key; {hint}known here: {', '.join(known)}")
 
-    # Checks of the rules.
-
-    def _rule(self, rule: Rule) -> None:
-        match rule:
-            case NotBefore():
-                self._not_before(rule)
-            case Together():
-                if rule.key in self.given and rule.other not in self.given:
-                    self._record_conflict(rule.key, f"{rule.why}; {rule.remedy}")
-            case NotBoth():
-                if rule.key in self.given and rule.other in self.given:
-                    self._record_conflict(
-                        rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}"
-                    )
-            case OneEach():
-                self._one_each(rule)
-            case InPlaceOf():
-                self._in_place_of(rule)
-            case Inside():
-                self._inside(rule)
-            case OneOf():
-                self._one_of(rule)
-            case FitsTheViews():
-                self._fits_the_views(rule)
-
-    def _record_conflict(self, key: str, said: str) -> None:
+    def record_conflict(self, key: str, said: str) -> None:
         """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
-        value: Any = self._written
+        value: Any = self.written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
-        self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
+        value = self.value_at(key) if value is None else value
+        self.refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
-    def _value_at(self, key: str) -> Any:
+    def value_at(self, key: str) -> Any:
         """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
             value = None if value is None else value.get(name)
         return value
 
-    def _not_before(self, rule: NotBefore) -> None:
-        last, first = self._value_at(rule.key), self._value_at(rule.first)
+
+class SceneCheck(TableCheck):
+    """Validation of one scene file: each key, and rules between several keys. The values are valid only if there are no
+    problems. ``kind`` is one of KINDS.
+    """
+
+    def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
+        super().__init__(written, folder, reader)
+        stated, self.kind = self.written.get("kind"), default_kind(self.written)
+        if isinstance(stated, str) and stated in KINDS:
+            self.kind = stated
+        elif "kind" in self.written:
+            self.refuse(("kind",), f"is {stated!r}: it should be {either(KINDS)}")
+        tables = {"recording": SCENE["recording"], "views": views_of(KINDS[self.kind]), **SCENE}
+        rest = {name: value for name, value in self.written.items() if name != "kind"}
+        self.values = self.table((), SceneTable(keys=tables), rest, ("kind",))
+        for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
+            self.values["views"][role] = self.value_at(f"views.{view}")
+        self._check_rules()
+
+    # Rules between keys, which are named by their dotted paths. An error is reported for the first key of a rule.
+
+    def _check_rules(self) -> None:
+        self._not_before("recording.last_frame", "recording.first_frame")
+        together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
+        for one, other, remedy in (
+            ("trigger", "trigger_level", "add trigger_level = 2.5 in the channel's unit"),
+            ("trigger_level", "trigger", "add trigger = with the channel's name"),
+        ):
+            if f"forces.{one}" in self.given and f"forces.{other}" not in self.given:
+                self.record_conflict(f"forces.{one}", f"{together}; {remedy}")
+        self._not_both("forces.tare", "forces.offset", "both say what the sensor reads without a load")
+        for name in ("gain", "sign", "offset"):
+            self._one_each(f"forces.{name}")
+        self._read_calibration()
+        self._inside("stream.region", "views.topography")
+        for view in KINDS[self.kind].all_views:
+            self._one_shape(f"views.{view}.region")
+            if view != "contact":
+                self._not_both("stream.region", f"views.{view}.region", "both say where points are chosen")
+        self._fits_the_views()
+
+    def _not_before(self, key: str, before: str) -> None:
+        last, first = self.value_at(key), self.value_at(before)
         if last is not None and first is not None and last < first:
-            ours, other = (key.rpartition(".")[2] for key in (rule.key, rule.first))
-            self._record_conflict(
-                rule.key,
+            ours, other = _name(key), _name(before)
+            self.record_conflict(
+                key,
                 f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
             )
 
-    def _one_each(self, rule: OneEach) -> None:
-        given, named = self._value_at(rule.key), [self._value_at(force) for force in rule.forces]
-        if not isinstance(given, tuple) or named[0] is None:
-            return
-        count = sum(len(one) if isinstance(one, tuple) else one is not None for one in named)
-        if len(given) != count:
-            self._record_conflict(
-                rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first"
-            )
+    def _not_both(self, key: str, other: str, why: str) -> None:
+        if key in self.given and other in self.given:
+            self.record_conflict(key, f"it and {_name(other)} exclude each other: {why}")
 
-    def _in_place_of(self, rule: InPlaceOf) -> None:
-        """Apply a rule `InPlaceOf`: take scale and transform from the calibration file, and record conflicts."""
-        place, _, name = rule.key.rpartition(".")
-        if rule.key not in self.given:
-            if place in self.given and rule.needed not in self.given:
-                self._lacks(tuple(rule.needed.split(".")))
+    def _one_each(self, key: str) -> None:
+        """Record a problem unless a list in `key` has one number for each force channel."""
+        value = self.value_at(key)
+        normal, tangential = self.value_at("forces.normal"), self.value_at("forces.tangential")
+        if not isinstance(value, tuple) or normal is None:
             return
-        others = [one.rpartition(".")[2] for one in (rule.needed, rule.transform) if one in self.given]
+        count = 1 + (len(tangential) if isinstance(tangential, tuple) else tangential is not None)
+        if len(value) != count:
+            self.record_conflict(key, f"it has {len(value)} numbers for {count} forces; give one a force, normal first")
+
+    def _read_calibration(self) -> None:
+        """Take scale and transform from the calibration file in place of their keys, and record conflicts."""
+        key, scale, transform = "calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"
+        if key not in self.given:
+            if "calibration" in self.given and scale not in self.given:
+                self.lacks(("calibration", "mm_per_px"))
+            return
+        others = [_name(one) for one in (scale, transform) if one in self.given]
         if others:
             # The conflict replaces other problems of this key, as the user may remove it.
-            self._said.pop(tuple(rule.key.split(".")), None)
-            self._record_conflict(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
+            self.said.pop(("calibration", "file"), None)
+            self.record_conflict(key, f"a file and {', '.join(others)} exclude each other; keep one of them")
             return
-        found, table = self._calibration, SCENE[place]
-        if found is None or not isinstance(table, SceneTable):
+        found = self.calibration
+        if found is None:
             return
-        said = {rule.needed: found.mm_per_px, **({rule.transform: found.matrix()} if found.affine else {})}
-        for other, value in said.items():
-            name = other.rpartition(".")[2]
+        values = {scale: found.mm_per_px, **({transform: found.matrix()} if found.affine else {})}
+        for other, value in values.items():
             self.given.add(other)
-            key = table.keys[name]
-            assert isinstance(key, SceneKey)
-            self.values[place][name] = self._value(tuple(other.split(".")), key, value)
+            entry = SCENE["calibration"].keys[_name(other)]
+            assert isinstance(entry, SceneKey)
+            self.values["calibration"][_name(other)] = self.value(("calibration", _name(other)), entry, value)
 
-    def _inside(self, rule: Inside) -> None:
-        region, view = self._rectangle(rule.key), self._rectangle(rule.view)
-        if region is None or view is None:
+    def _inside(self, key: str, view: str) -> None:
+        region, around = self._rectangle(key), self._rectangle(view)
+        if region is None or around is None:
             return
-        height, width = (end - first for first, end in view)
+        height, width = (end - first for first, end in around)
         if region[0][1] > height or region[1][1] > width:
-            name = rule.view.rpartition(".")[2]
-            self._record_conflict(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
+            self.record_conflict(key, f"it ends beyond the {_name(view)} view of {height} x {width} px; give less")
 
-    def _one_of(self, rule: OneOf) -> None:
-        """Apply a rule `OneOf`: record a problem unless the table that the rule names has exactly one of its possible
-        keys.
-        """
-        place, _, name = rule.key.rpartition(".")
-        table, around = self._value_at(rule.key), self._value_at(place)
-        if not table or place not in self.given:  # a role has the region of its view
+    def _one_shape(self, key: str) -> None:
+        """Record a problem unless a region that is stated has exactly one of its possible keys."""
+        shapes = self.value_at(key)
+        wrong = any(".".join(keys).startswith(f"{key}.") for keys in self.said)
+        if key not in self.given or not shapes or wrong:
             return
-        given = [key for key in table if f"{rule.key}.{key}" in self.given]
-        wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
-        if rule.key in self.given and len(given) != 1 and not wrong:
-            self._record_conflict(
-                rule.key, f"one of {either(table)} is needed, and there are {' and '.join(given) or 'none'}"
+        stated = [shape for shape in shapes if f"{key}.{shape}" in self.given]
+        if len(stated) != 1:
+            self.record_conflict(
+                key, f"one of {either(shapes)} is needed, and there are {' and '.join(stated) or 'none'}"
             )
-        if rule.key not in self.given:
-            around[name] = None
 
-    def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Apply a rule `FitsTheViews`: record a problem unless the calibration has a transform between the views and
-        was made with the views of this scene.
+    def _fits_the_views(self) -> None:
+        """Record a problem unless the calibration has a transform between the views and was made with the views of this
+        scene.
         """
-        from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
-        if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
+        key, scale, transform = "calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"
+        views = {name: self._rectangle(f"views.{name}") for name in ("topography", "contact")}
+        from_view, into_view = views.values()
+        if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self.said):
             return
         # Without a second view to map, the scale suffices: it holds for any part of the frame.
-        if from_view == into_view and rule.transform not in self.given:
+        if from_view == into_view and transform not in self.given:
             return
-        name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))
-        if rule.transform not in self.given:
-            if self._calibration is None:
-                self._record_conflict(
-                    rule.scale,
-                    f"the scene has a {name} view, and nothing says where its pixels are in the {into} view; add "
-                    "topography_to_contact = [[a, b, x], [c, d, y]], or use a file of `fingerflow calibrate --target`",
-                )
-            else:
-                self._record_conflict(
-                    rule.key,
-                    f"the scene has a {name} view, and this calibration is the scale alone; write one that holds the "
-                    f"transform between the views too, with `fingerflow calibrate --target`, or remove [{rule.view}]",
-                )
-            return
-        for one, view in ((name, from_view), (into, into_view)) if self._calibration is not None else ():
-            made_with = self._calibration.views.get(one) if self._calibration is not None else None
-            if made_with != view:
-                self._record_conflict(
-                    rule.key,
-                    f"it was made with the {one} view {_ranges(made_with)}, and the scene has {_ranges(view)}: the "
-                    "transform holds for the same pixels only. Calibrate with the views of this scene, "
-                    f"`fingerflow calibrate --{name} {_option(from_view)} --{into} {_option(into_view)}`, or use the "
-                    "views of the calibration",
-                )
+        if transform not in self.given and self.calibration is None:
+            self.record_conflict(
+                scale,
+                "the scene has a topography view, and nothing says where its pixels are in the contact view; add "
+                "topography_to_contact = [[a, b, x], [c, d, y]], or use a file of `fingerflow calibrate --target`",
+            )
+        elif transform not in self.given:
+            self.record_conflict(
+                key,
+                "the scene has a topography view, and this calibration is the scale alone; write one that holds the "
+                "transform between the views too, with `fingerflow calibrate --target`, or remove [views.topography]",
+            )
+        elif self.calibration is not None:
+            for name, view in views.items():
+                made_with = self.calibration.views.get(name)
+                if made_with != view:
+                    self.record_conflict(
+                        key,
+                        f"it was made with the {name} view {_ranges(made_with)}, and the scene has {_ranges(view)}: "
+                        "the transform holds for the same pixels only. Calibrate with the views of this scene, "
+                        f"`fingerflow calibrate --topography {_option(from_view)} --contact {_option(into_view)}`, or "
+                        "use the views of the calibration",
+                    )
 
     def _rectangle(self, key: str) -> tuple[Pixels, Pixels] | None:
-        found = self._value_at(key)
+        found = self.value_at(key)
         rows, columns = (None, None) if found is None else (found.get("rows"), found.get("columns"))
         return None if rows is None or columns is None else (rows, columns)
+
+
+def _name(key: str) -> str:
+    return key.rpartition(".")[2]
 
 
 def _shown(value: Any) -> str:

@@ -22,6 +22,11 @@ class Kind:
     roles: Mapping[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()
 
+    @property
+    def all_views(self) -> tuple[str, ...]:
+        """Return the names of all views that a scene of this kind must or may have."""
+        return self.views + self.optional_views
+
     def computes(self, stage: str) -> bool:
         """Return whether scenes of this kind run a given stage by default."""
         return stage not in self.without

@@ -1,12 +1,14 @@
-"""Generation of the text of new, commented scene files from the key definitions in `schema.scene_keys`."""
+"""Generation of the text of new, commented scene files from the key definitions in `schema.scene_tables`."""
 
 import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fingerflow.schema.scene_keys import SCENE, Choice, Moment, SceneKey, SceneTable, views_of
+from fingerflow.schema.key_types import Choice, Moment
+from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.scene_tables import SCENE, views_of
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.views import View
 
@@ -41,14 +43,12 @@ def scene_text(
     ``calibration`` is the content of the table [calibration] in TOML. ``region`` is the part of the topography view
     where points are seeded. With ``slip`` the scene is a trial of tangential loading.
     """
-    rules = SCENE["forces"]
-    assert isinstance(rules, SceneTable)
     values: dict[str, dict[str, Any]] = {name: {} for name in _ALWAYS}
     values["recording"] = {"frames": frames, "frame_rate": frame_rate, "trigger_frame": trigger_frame}
     values["background"] = {"frames": background, "dark": dark}
     values["calibration"] = tomllib.loads(calibration)
     if forces:
-        values["forces"] = {"file": forces, **{name: _sample(rules.keys[name]) for name in _OF_FORCES}}
+        values["forces"] = {"file": forces, **{name: _sample(SCENE["forces"].keys[name]) for name in _OF_FORCES}}
     if slip:
         values["slip"] = {}
     if region:
@@ -88,7 +88,7 @@ def _help(entry: SceneKey | SceneTable) -> str:
     if isinstance(entry, SceneTable):
         return entry.help
     if isinstance(entry.type, Choice | Moment):
-        words = ", ".join(map(toml_value, entry.type.words))
+        words = ", ".join(map(toml_value, entry.type.choices))
         number = " or a number" if isinstance(entry.type, Choice) and entry.type.number else ""
         return f"{words}{number}: {entry.help}"
     return f"{entry.unit}, {entry.help}" if entry.unit not in ("", "px", "mm/px") else entry.help

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import pixel_range
+from fingerflow.schema.calibration_file import Pixels, pixel_range
+from fingerflow.schema.key_types import BOTH, PROCESS, CornersType, File, NumberType, Pair, PixelRange
+from fingerflow.schema.keys import key, table
 
 
 def negative(counts: Any, bit_depth: int | None) -> Any:
@@ -22,40 +24,19 @@ def negative(counts: Any, bit_depth: int | None) -> Any:
     return (2**bit_depth - 1) - counts
 
 
+# fmt: off
 @dataclass(frozen=True)
-class DrawnEllipse:
-    """Ellipse that a scene file gives as a region, in px of the view.
-
-    `angle`, in rad from x towards y, is the direction of the first semi-axis.
-    """
-
-    center: tuple[float, float]
-    semi_axes: tuple[float, float]
-    angle: float
-
-
-@dataclass(frozen=True)
-class Region:
-    """Region of interest of a view, given as a polygon, an ellipse or a mask file, in px of the view."""
-
-    polygon: tuple[tuple[float, float], ...] | None
-    ellipse: DrawnEllipse | None
-    mask: Path | None
-
-
-@dataclass(frozen=True)
-class View:
-    """View of the finger: a rectangle of the camera frame, given as half-open ranges of `rows` and `columns`.
-
-    `region` is the region of interest of the view.
+class Rectangle:
+    """Rectangle of a picture, given as half-open ranges of `rows` and `columns`.
 
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """
 
-    rows: tuple[int, int]
-    columns: tuple[int, int]
-    region: Region | None = None
+    rows: Pixels = key("rows of the frame that it covers, [first, last + 1)", type=PixelRange(), needed_by=BOTH,
+        unit="px")
+    columns: Pixels = key("columns of the frame that it covers", type=PixelRange(), needed_by=BOTH, unit="px")
 
+# fmt: on
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
             try:
@@ -80,3 +61,38 @@ class View:
                 f"{height} rows and {width} columns: ranges are half-open, their ends are at most {height} and {width}"
             )
         return frame[..., self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
+
+
+# fmt: off
+@dataclass(frozen=True)
+class DrawnEllipse:
+    """Ellipse that a scene file gives as a region, in px of the view.
+
+    `angle`, in rad from x towards y, is the direction of the first semi-axis.
+    """
+
+    center: tuple[float, float] = key("centre [x, y]", type=Pair(), needed_by=BOTH, unit="px")
+    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=Pair(NumberType(above=0)), needed_by=BOTH, unit="px")
+    angle: float = key("of the axis a, from x towards y", 0.0, unit="rad")
+
+
+@dataclass(frozen=True)
+class Region:
+    """Region of interest of a view, given by exactly one of these keys, in px of the view; integers are pixel
+    centres.
+    """
+
+    polygon: tuple[tuple[float, float], ...] | None = key("corners [[x, y], ...]", type=CornersType(), unit="px")
+    ellipse: DrawnEllipse | None = table("ellipse in the view", default=None)
+    mask: Path | None = key("image of the size of the view; where it is not black is inside",
+        type=File(there_for=PROCESS))
+
+
+@dataclass(frozen=True)
+class View(Rectangle):
+    """View of the finger: a rectangle of the camera frame. `region` is the region of interest of the view."""
+
+    region: Region | None = table("where skin may touch (contact view) or points are seeded (topography view): "
+        "{ellipse = {...}}, or {polygon = [[x, y], ...]}, or {mask = \"mask.png\"}, where it is not black; px of the "
+        "view", sample={"ellipse": {"center": [320, 256], "semi_axes": [200, 150]}}, default=None)
+# fmt: on

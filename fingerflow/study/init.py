@@ -12,7 +12,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import READER_OF
 from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
+from fingerflow.schema.key_types import File
+from fingerflow.schema.keys import SceneKey
+from fingerflow.schema.scene_tables import entry_at
 from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.toml_value import toml_value
@@ -101,7 +103,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
         written = tomllib.loads(file.read_text(encoding="utf-8-sig"))
         values = dict(flattened(written))
         for name, value in values.items():
-            if isinstance(_type_of(name), File):
+            if isinstance(key := entry_at(name), SceneKey) and isinstance(key.type, File):
                 values[name] = relative(file.parent / value, folder)
         flat.append(values)
         rows.append(_guessed(file.parent.relative_to(folder) if file.stem == "scene" else file.relative_to(folder)))
@@ -161,14 +163,6 @@ def _guessed(place: Path) -> dict[str, str]:
         if matches:
             found[name] = re.sub("[,p]", ".", matches[-1])
     return found
-
-
-def _type_of(dotted: str) -> Any:
-    """Return the type of a scene key given with dots, such as `tracking.points`; None if there is no such key."""
-    found: SceneKey | SceneTable | None = SceneTable(SCENE)
-    for part in dotted.split("."):
-        found = found.keys.get(part) if isinstance(found, SceneTable) else None
-    return found.type if isinstance(found, SceneKey) else None
 
 
 def _manifest_text(shared: Mapping[str, Any]) -> str:

@@ -13,8 +13,9 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
+from fingerflow.schema.keys import SceneTable
 from fingerflow.schema.scene import Scene, scene_from
-from fingerflow.schema.scene_keys import SCENE, SceneTable
+from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.trial_columns import OF_RESULTS
 from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 from fingerflow.study.dotted_keys import nested

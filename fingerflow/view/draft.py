@@ -11,11 +11,10 @@ from tomlkit.items import Table as TomlTable
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording
 from fingerflow.results.atomic_write import spare, write_atomically
-from fingerflow.schema.scene import Scene, scene_of_text
-from fingerflow.schema.scene_check import MISSING, check_scene
-from fingerflow.schema.scene_file import toml_remedy
-from fingerflow.schema.scene_keys import SCENE
+from fingerflow.schema.scene import Scene, scene_of_text, toml_remedy
+from fingerflow.schema.scene_check import MISSING, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
+from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.scene_template import scene_text
 from fingerflow.view.key_forms import field_name, in_words_of_page
 
@@ -93,7 +92,7 @@ class Draft:
         """Return the draft's validation problems: key, name of its field on the page, and a message that continues a
         sentence after that name.
         """
-        _, problems = check_scene(self.values(), self.path.parent, "process")
+        problems = SceneCheck(self.values(), self.path.parent, "process").problems()
         found = [(".".join(one.keys), one.said) for one in problems]
         # The remedy of a missing key addresses those who edit the file by hand.
         said = [_NEEDED.get(key, "is needed") if said == MISSING else in_words_of_page(said) for key, said in found]

@@ -5,22 +5,8 @@ validation.
 import re
 from typing import Any
 
-from fingerflow.schema.scene_keys import (
-    SCENE,
-    VIEW_HELP,
-    Choice,
-    Column,
-    Each,
-    File,
-    NumberType,
-    SceneKey,
-    SceneTable,
-    Switch,
-    Text,
-    Type,
-    Whole,
-    words_of,
-)
+from fingerflow.schema.keys import SceneKey, words_of
+from fingerflow.schema.scene_tables import SCENE, VIEW_HELP, entry_at
 
 
 def forms() -> dict[str, dict[str, Any]]:
@@ -36,7 +22,6 @@ def forms() -> dict[str, dict[str, Any]]:
             "keys": [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)],
         }
         for name, table in SCENE.items()
-        if isinstance(table, SceneTable)
     }
 
 
@@ -49,11 +34,10 @@ def field_name(key: str) -> str:
         return "the views"
     if table == "views" and (view := name.partition(".")[0]) in VIEW_HELP:
         return f"the {view} view"
-    found = SCENE.get(table)
-    if not isinstance(found, SceneTable):
+    if table not in SCENE:
         return key
-    field = found.keys.get(name)
-    if isinstance(field, SceneKey):
+    field = entry_at(key)
+    if isinstance(field, SceneKey) and "." not in name:
         return f"{table.capitalize()}: {words_of(name, field)[0]}"
     return key if name else table.capitalize()
 
@@ -89,34 +73,5 @@ def _form(name: str, key: SceneKey) -> dict[str, Any]:
         "help": key.help,
         "default": key.default,
         "needed": "process" in key.needed_by,
-        **_input(key.type),
-    }
-
-
-def _input(kind: Type) -> dict[str, Any]:
-    match kind:
-        case Whole():
-            return {"input": "whole", **_limits(kind), "odd": kind.odd}
-        case NumberType():
-            return {"input": "number", **_limits(kind)}
-        case Choice():
-            return {"input": "choice", "words": kind.words, "number": kind.number and _limits(kind.number)}
-        case Switch():
-            return {"input": "switch"}
-        case File():
-            return {"input": "file"}
-        case Text():
-            return {"input": "text"}
-        case Column():
-            return {"input": "column", "several": kind.several}
-        case Each(among=(1, -1)):
-            return {"input": "signs"}
-        case _:
-            return {"input": "toml"}  # a matrix or polygon is entered as TOML text
-
-
-def _limits(number: NumberType) -> dict[str, float | None]:
-    return {
-        "least": number.above if number.least is None else number.least,
-        "most": number.below if number.most is None else number.most,
+        **key.type.form(),
     }

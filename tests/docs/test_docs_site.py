@@ -12,7 +12,7 @@ import pytest
 
 import fingerflow
 from fingerflow.pipeline.dictionary import dictionary
-from fingerflow.schema.scene_keys import SCENE
+from fingerflow.schema.scene_tables import SCENE
 
 pytestmark = pytest.mark.long
 

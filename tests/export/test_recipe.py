@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fingerflow.engines.bundle import GRAPHS
 from fingerflow.errors import FingerflowError
-from fingerflow.export.recipe import load_recipe
+from fingerflow.schema.recipe import GRAPHS, load_recipe
 
 RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.export.recipe import ContactRecipe, FieldsRecipe, Recipe, TrackingRecipe, ViewRecipe
+from fingerflow.schema.recipe import ContactRecipe, GaugeSettings, PointSettings, Recipe, ViewRecipe
 from tests.small_trials import write_library_bundle
 
 HEIGHT, WIDTH, POINTS = 64, 96, 10
@@ -26,8 +26,8 @@ def recipe_of(bit_depth: int = 8) -> Recipe:
     return Recipe(
         views=ViewRecipe(height=HEIGHT, width=WIDTH, bit_depth=bit_depth),
         contact=ContactRecipe(median_px=1, gross_radius_px=4),
-        tracking=TrackingRecipe(points=POINTS, window_px=9, search_px=4),
-        fields=FieldsRecipe(gauge_length_mm=24.0),
+        tracking=PointSettings(points=POINTS, window_px=9, search_px=4),
+        fields=GaugeSettings(gauge_length_mm=24.0),
     )
 
 

@@ -72,7 +72,7 @@ region = {rows = [100, 400], columns = [100, 540]}
 update_share = 0.8
 update_frames = 300
 """
-_CALIBRATION = RIGHT[RIGHT.index("mm_per_px") : RIGHT.index("\n\n[contact]")]
+CALIBRATION = RIGHT[RIGHT.index("mm_per_px") : RIGHT.index("\n\n[contact]")]
 MATRIX = "[[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]"
 _VIEWS = {"topography": View((0, 500), (0, 640)), "contact": View((0, 512), (640, 1280))}
 
@@ -122,13 +122,12 @@ def _number(key: str, value: str, said: str, wrong: str) -> WrongScene:
 
 def _calibrated(name: str, said: str) -> WrongScene:
     file = f'file = "{name}.toml"'
-    return WrongScene(_CALIBRATION, file, file, f"calibration.file is '{name}.toml': {said}")
+    return WrongScene(CALIBRATION, file, file, f"calibration.file is '{name}.toml': {said}")
 
 
 WRONG = (
     # Missing and unknown keys.
     WrongScene("[recording]", "[recordings]", "[recordings]", "recordings is not a key; did you mean 'recording'?"),
-    WrongScene("[contact]", "[contakt]", "[contakt]", "contakt is not a key; did you mean 'contact'? known here: "),
     WrongScene("median_px", "median_pix", "median_pix", "contact.median_pix is not a key; did you mean 'median_px'?"),
     WrongScene("[tracking]", "[tracking]\nturbo = 9", "turbo", "tracking.turbo is not a key; known here: direction,"),
     WrongScene("[tracking]", "[tracking.gpu]\n[tracking]", "[tracking.gpu]", "tracking.gpu is not a key; "),
@@ -138,10 +137,8 @@ WRONG = (
         "[forces]", "[views.markers]\n[forces]", "[views.markers]", "views.markers is not a key; known here: co"
     ),
     WrongScene("rows = [0, 512]\n", "", "[views.contact]", "views.contact.rows is missing; add it"),
-    WrongScene('frames = "empty.npy"\n', "", "[background]", "background.frames is missing; add it"),
-    WrongScene('normal = "normal_force"\n', "", "[forces]", "forces.normal is missing; add it"),
     WrongScene("mm_per_px = 0.0325\n", "", "[calibration]", "calibration.mm_per_px is missing; add it"),
-    WrongScene(f"[calibration]\n{_CALIBRATION}", "", "[recording]", "calibration is missing; add it"),
+    WrongScene(f"[calibration]\n{CALIBRATION}", "", "[recording]", "calibration is missing; add it"),
     WrongScene(", columns = [100, 540]}", "}", "region", "stream.region.columns is missing; add it"),
     # Kinds.
     WrongScene(
@@ -150,7 +147,6 @@ WRONG = (
         "kind",
         "kind is 'poke': it should be 'press', 'slip'",
     ),
-    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press', 'slip'"),
     # Types.
     WrongScene("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
     WrongScene(
@@ -158,10 +154,6 @@ WRONG = (
     ),
     WrongScene("{rows = [100, 400], columns = [100, 540]}", "7", "region", "stream.region is 7: it should be a table"),
     WrongScene('frames = "frames.npy"', "frames = 3", "frames = 3", "recording.frames is 3: that is no path of a file"),
-    WrongScene('frames = "empty.npy"', "frames = true", "frames = true", "background.frames is True: that is no path"),
-    WrongScene('dark = "dark.npy"', "dark = []", "dark", "background.dark is []: that is no path of a file; it should"),
-    WrongScene('file = "forces.csv"', "file = 1.5", "file", "forces.file is 1.5: that is no path of a file"),
-    WrongScene('output = "results"', "output = 5", "output", "stream.output is 5: that is no path of a file"),
     WrongScene('normal = "normal_force"', "normal = 0", "normal", "forces.normal is 0: it should be the name of"),
     _number("points", "700", "tracking.points is '700': it should be a whole number", '"700"'),
     _number("points", "700", "tracking.points is True: it should be a whole number", "true"),
@@ -169,40 +161,20 @@ WRONG = (
     WrongScene("update_frames = 300", "rekey_frames = 300", "rekey_frames", "it is called 'update_frames' now"),
     _number("update_frames", "300", "stream.update_frames is 2.5: it should be a whole number", "2.5"),
     _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is True: it should be a number", "true"),
-    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is nan: it should be a finite number", "nan"),
     _number("depth_mm", "2.0", "fields.depth_mm is inf: it should be a finite number", "inf"),
     _number("mm_per_px", "0.0325", "calibration.mm_per_px is '0.0325': it should be a number", '"0.0325"'),
-    _number("frame_rate", "300.0", "recording.frame_rate is [300]: it should be a number", "[300]"),
     _number("gain_offset", "true", "tracking.gain_offset is 0: it should be true or false", "0"),
     # Ranges.
     _number("points", "700", "tracking.points is 2: it should be at least 3", "2"),
-    _number("window_px", "25", "tracking.window_px is 3: it should be at least 5", "3"),
     _number("window_px", "25", "tracking.window_px is 257: it should be at most 255", "257"),
     _number("window_px", "25", "tracking.window_px is 24: 24 is even; the middle pixel needs an odd side", "24"),
-    _number("median_px", "3", "contact.median_px is 4: 4 is even; the middle pixel needs an odd side, such as 5", "4"),
-    _number("median_px", "3", "contact.median_px is 17: it should be at most 15", "17"),
-    _number("gross_radius_px", "8", "contact.gross_radius_px is 0: it should be at least 1", "0"),
-    _number("gross_radius_px", "8", "contact.gross_radius_px is 256: it should be at most 255", "256"),
-    _number("min_distance_px", "6.0", "tracking.min_distance_px is 0: it should be above 0", "0"),
-    _number("search_px", "8", "tracking.search_px is -1: it should be at least 0", "-1"),
-    _number("mm_per_px", "0.0325", "calibration.mm_per_px is -1: it should be above 0", "-1"),
     _number("mm_per_px", "0.0325", "calibration.mm_per_px is 32.5: it should be at most 1", "32.5"),
-    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is 101: it should be at most 100", "101"),
     _number("poisson_ratio", "0.4", "fields.poisson_ratio is 0.5: it should be below 0.5", "0.5"),
     _number("poisson_ratio", "0.4", "fields.poisson_ratio is -1.0: it should be above -1", "-1.0"),
-    _number("young_modulus_mpa", "1.0", "fields.young_modulus_mpa is -1.0: it should be above 0", "-1.0"),
-    _number("rate_window_s", "0.05", "fields.rate_window_s is 0: it should be above 0", "0"),
-    _number("update_share", "0.8", "stream.update_share is 2.0: it should be at most 1", "2.0"),
-    _number("update_frames", "300", "stream.update_frames is 0: it should be at least 1", "0"),
-    _number("frame_rate", "300.0", "recording.frame_rate is 0.0: it should be above 1e-06", "0.0"),
     _number("frame_rate", "300.0", "recording.frame_rate is 3.001e-318: it should be above 1e-06", "300.1e-320"),
-    _number("sample_rate", "1000.0", "forces.sample_rate is -1: it should be above 0", "-1"),
-    _number("first_frame", "2", "recording.first_frame is -1: it should be at least 0", "-1"),
     # Enumerations.
     _number("direction", '"forward"', "tracking.direction is 'up': it should be 'forward' or 'backward'", '"up"'),
-    _number("template", '"keyframe"', "tracking.template is 1: it should be 'keyframe' or 'previous'", "1"),
     _number("strain", '"green_lagrange"', "'as_printed' or 'infinitesimal'", '"hencky"'),
-    _number("threshold", '"reference_frame"', "contact.threshold is 1.0: it should be 'reference_frame' or", "1.0"),
     _number("threshold", '"reference_frame"', "'per_frame', or it should be below 1", "35"),
     _number("threshold", '"reference_frame"', "'per_frame', or it should be above 0", "0"),
     _number("threshold", '"reference_frame"', "contact.threshold is 'auto': it should be 'refer", '"auto"'),
@@ -212,9 +184,7 @@ WRONG = (
         "reference",
         "fields.reference is 'contact': it should be 'onset'",
     ),
-    WrongScene("[fields]", "[fields]\nreference = -1", "reference", "fields.reference is -1: it should be 'onset'"),
     WrongScene("[fields]", "[fields]\nreference = 0.25", "reference", 'in quotes and with its unit, "0.25 s"'),
-    WrongScene("[fields]", "[fields]\nreference = true", "reference", "fields.reference is True: it should be"),
     # Pixels.
     _number("rows", "[0, 512]", "views.contact.rows is 512: it should be a list of two whole numbers", "512"),
     _number(
@@ -223,7 +193,6 @@ WRONG = (
     _number("rows", "[0, 512]", "views.contact.rows is [512]: it should have at least 2 items, not 1", "[512]"),
     _number("rows", "[0, 512]", "views.contact.rows is [0, True]: item 2 should be a whole number", "[0, true]"),
     _number("rows", "[0, 500]", "views.topography.rows is [0.0, 5]: item 1 should be a whole number", "[0.0, 5]"),
-    _number("columns", "[640, 1280]", "views.contact.columns is [1280, 640]: two whole numbers", "[1280, 640]"),
     _number("columns", "[640, 1280]", "with 0 <= first < end are needed", "[-1, 1280]"),
     _number("columns", "[0, 640]", "views.topography.columns is [3, 3]: two whole numbers [first, end)", "[3, 3]"),
     # Transforms.
@@ -247,7 +216,7 @@ WRONG = (
         "[calibration]", '[calibration]\nfile = "rig.toml"', 'file = "rig', "a file and mm_per_px, topography_to_cont"
     ),
     WrongScene(
-        _CALIBRATION, 'file = "rig.toml"\nmm_per_px = 1', 'file = "rig', "a file and mm_per_px exclude each other"
+        CALIBRATION, 'file = "rig.toml"\nmm_per_px = 1', 'file = "rig', "a file and mm_per_px exclude each other"
     ),
     # Keys of force sensors.
     WrongScene('normal = "normal_force"', 'normal = ["a", "b"]', "normal", "forces.normal is ['a', 'b']: it should be"),
@@ -265,7 +234,6 @@ WRONG = (
     ),
     _forces("offset = inf", "forces.offset is inf: it should be a finite number"),
     _forces("tare = [0.2, 0.1]", "forces.tare is [0.2, 0.1]: two times in s from the trigger are needed, the earlier"),
-    _forces("tare = 0.2", "forces.tare is 0.2: two times in s"),
     _forces("tare = [0.0, 0.1]\noffset = 1.0", "forces.tare is [0.0, 0.1]: it and offset exclude each other"),
     # Calibrations.
     _calibrated("nothing", ""),
@@ -285,30 +253,27 @@ WRONG = (
             ("circle = 3", "is not a key; known here: ellipse, mask, polygon"),
         )
     ),
-    WrongScene(_CALIBRATION, "file = 3", "file = 3", "calibration.file is 3: that is no path of a file"),
     _calibrated("other_rig", "it was made with the contact view rows [0, 512], columns [650, 1280], and the scene has"),
     _calibrated(
         "other_topography", "it was made with the topography view rows [1, 501], columns [0, 640], and the sce"
     ),
     _calibrated("ring_alone", "the scene has a topography view, and this calibration is the scale alone; write one"),
-    WrongScene(_CALIBRATION, 'file = "coarse.toml"', "[calibration]", "calibration.mm_per_px is 3.25: it should be at"),
+    WrongScene(CALIBRATION, 'file = "coarse.toml"', "[calibration]", "calibration.mm_per_px is 3.25: it should be at"),
     WrongScene(
-        _CALIBRATION,
+        CALIBRATION,
         'file = "negative.toml"',
         'file = "negative',
         "mm_per_px is -0.0325; it must be above 0. Write it a",
     ),
     WrongScene(
-        _CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it again"
+        CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it again"
     ),
     WrongScene(
-        _CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it again"
+        CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it again"
     ),
+    WrongScene(CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "),
     WrongScene(
-        _CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "
-    ),
-    WrongScene(
-        _CALIBRATION,
+        CALIBRATION,
         'file = "of_words.toml"',
         'file = "of_words',
         "an entry of this calibration is wrong: 'small' is n",

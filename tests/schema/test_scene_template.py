@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 
 from fingerflow.schema.key_list import key_list
-from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable, views_of
+from fingerflow.schema.key_types import File
+from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.scene_tables import SCENE, views_of
 from fingerflow.schema.scene_template import scene_text
-from fingerflow.schema.scene_values import value_of
 from fingerflow.schema.views import View
 from fingerflow.view.key_forms import forms
 
@@ -45,7 +46,7 @@ def test_every_key_says_what_it_means_and_shows_a_value_that_is_accepted(name: s
         if part not in shown and name.startswith(("views", "calibration.topo")):
             return  # a region is shown by one of its three keys
         shown = shown[part]
-    assert isinstance(shown, str) if isinstance(key.type, File) else value_of(key.type, shown) is not None
+    assert isinstance(shown, str) if isinstance(key.type, File) else key.type.convert(shown) is not None
 
 
 def test_keys_with_a_default_are_written_with_it() -> None:

@@ -19,7 +19,7 @@ from unittest import mock
 import numpy as np
 
 from fingerflow import cli, process
-from fingerflow.export.recipe import Recipe, TrackingRecipe, ViewRecipe
+from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.study.init import init_study
 from fingerflow.synthetic import write_recording
 from fingerflow.view.draft import Draft
@@ -201,7 +201,7 @@ def write_press(folder: Path) -> None:
     shutil.copytree(folder, trial, ignore=shutil.ignore_patterns("study", "result.h5"))
     (folder / "study" / "answers.csv").write_text("participant,trial,condition,answer\n01,1,0,1\n")
     init_study(folder / "study", folder / "study" / "answers.csv")
-    recipe = Recipe(views=ViewRecipe(height=96, width=120), tracking=TrackingRecipe(points=40, window_px=15))
+    recipe = Recipe(views=ViewRecipe(height=96, width=120), tracking=PointSettings(points=40, window_px=15))
     write_library_bundle(folder / "bundle", recipe)
 
 

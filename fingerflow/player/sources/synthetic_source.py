@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
-from fingerflow.player.stream_scene import StreamScene
-from fingerflow.schema.views import View
+from fingerflow.player.stream_scene import topography_of
+from fingerflow.schema.scene import Scene, scene_from
 
 # Number of different sections of the noise, and step between those of two consecutive frames; both are primes.
 _NOISES, _NOISE_STEP = 4099, 1009
 
 
-def side_by_side(height: int, width: int) -> StreamScene:
+def side_by_side(height: int, width: int) -> Scene:
     """Return the scene of the synthetic source, with two views of height x width px: topography on the left, contact on
     the right.
     """
-    return StreamScene(
-        contact=View((0, height), (width, 2 * width)),
-        topography=View((0, height), (0, width)),
-        mm_per_px=0.025,
-        topography_to_contact=np.array([[1.0, 0, 0], [0, 1, 0]]),
-        threshold=0.35,
-    )
+    topography, contact = ({"rows": [0, height], "columns": [first, first + width]} for first in (0, width))
+    settings = {
+        "views": {"topography": topography, "contact": contact},
+        "calibration": {"mm_per_px": 0.025, "topography_to_contact": [[1, 0, 0], [0, 1, 0]]},
+        "contact": {"threshold": 0.35},
+    }
+    return scene_from(settings, Path("synthetic"), "synthetic source", "stream")
 
 
 class Synthetic:
@@ -44,13 +45,14 @@ class Synthetic:
     live, stamp = False, math.nan
     half_period = 60  # frames
 
-    def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
+    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
         """Draw and store the frames of half a press period, from least to most contact, with the views of a scene.
 
         `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
         """
         self._next = 0
-        views = (scene.topography, scene.contact)
+        topography, contact = views = topography_of(scene), scene.views.contact
+        scale = scene.calibration.mm_per_px
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
         self._ring = np.zeros((self.half_period, *shape), dtype)
         gain = 2.0 ** (bit_depth - 8)
@@ -63,14 +65,14 @@ class Synthetic:
         self._grown: list[float] = []
         for number, frame in enumerate(self._ring):
             progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
-            skin, _ = _draw_finger(scene.topography.shape, progress)
-            scene.topography.crop(frame)[...] = (90 + 70 * skin) * gain
-            _, lost = _draw_finger(scene.contact.shape, progress)
-            scene.contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
+            skin, _ = _draw_finger(topography.shape, progress)
+            topography.crop(frame)[...] = (90 + 70 * skin) * gain
+            _, lost = _draw_finger(contact.shape, progress)
+            contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
             touching = int((lost > 0.5).sum())
-            self._expected.append(expected(progress, scene.contact.shape, scene.mm_per_px, touching))
+            self._expected.append(expected(progress, contact.shape, scale, touching))
             if gauge_mm is not None:
-                gauge, seen = gauge_mm / scene.mm_per_px, scene.topography.shape
+                gauge, seen = gauge_mm / scale, topography.shape
                 self._growing.append(median_divergence(progress, progress, seen, gauge))
                 self._grown.append(median_divergence(progress, 1, seen, gauge))
         self.background = np.full(shape, 200 * gain, dtype)

@@ -15,6 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import frame_asked
 from fingerflow.recordings import Recording, open_recording
+from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.points import RECORDING, Knowledge
@@ -215,18 +216,9 @@ def _engine(name: str, scene: Scene, device: torch.device) -> Engine:
 
 
 def _engine_settings(scene: Scene) -> EngineSettings:
-    contact, tracking, fields = scene.contact, scene.tracking, scene.fields
-    return EngineSettings(
-        median_px=contact.median_px,
-        gross_radius_px=contact.gross_radius_px,
-        window_px=tracking.window_px,
-        gain_offset=tracking.gain_offset,
-        forward_backward_limit_px=tracking.forward_backward_limit_px,
-        search_px=tracking.search_px,
-        min_distance_px=tracking.min_distance_px,
-        gauge_length_mm=fields.gauge_length_mm,
-        strain=fields.strain,
-    )
+    stated = {**vars(scene.contact), **vars(scene.tracking), **vars(scene.fields)}
+    shared = keys_of(EngineSettings).keys() & stated.keys()
+    return EngineSettings(strain=scene.fields.strain, **{name: stated[name] for name in shared})
 
 
 def _device(name: str) -> torch.device:

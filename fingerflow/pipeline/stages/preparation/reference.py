@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.key_types import seconds_of
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.scene_values import seconds_of
 from fingerflow.schema.variables import FRAME_STATUS
 
 _ONSET = (
