@@ -8,7 +8,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +31,6 @@ SHOWN = {
 
 # Function from the numbers of a frame and of the restart to the true values by name.
 Expected = Callable[[int, int], Mapping[str, float]]
-
-
-class LiveViews(NamedTuple):
-    """Data for the image of the live page: a frame buffer, and the contact mask (H, W) if the recipe exports it."""
-
-    slot: Slot
-    real_contact_mask: Array | None
 
 
 class LiveData:
@@ -77,16 +70,16 @@ class LiveData:
         self._drawn = now
         return True
 
-    def show(self, record: Array, views: LiveViews) -> None:
+    def show(self, record: Array, slot: Slot, mask: Array | None) -> None:
         """Store the downsampled 8-bit views of a frame and the results in its record as the latest image of the live
-        page.
+        page; `mask` is that of real contact (H, W), if the recipe exports it.
         """
         arrays = {
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
-            for name, view in views.slot.views.items()
+            for name, view in slot.views.items()
         }
-        if views.real_contact_mask is not None:
-            arrays["real_contact_mask"] = views.real_contact_mask[:: self._every, :: self._every].astype(np.uint8)
+        if mask is not None:
+            arrays["real_contact_mask"] = mask[:: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
         arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}

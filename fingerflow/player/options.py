@@ -9,7 +9,7 @@ from typing import Any
 
 from fingerflow.engines.choice import STREAM_ENGINES
 from fingerflow.player.addresses import forms
-from fingerflow.player.sources import kinds
+from fingerflow.player.sources import KINDS
 from fingerflow.player.stream_player import Settings
 
 _LEAST = 1e-6  # frames/s (as in scenes) or s; below it the interval to the next frame exceeds the range of the clock
@@ -28,7 +28,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
         default=here,
         help="folder of the exported bundle; default: the player's own",
     )
-    add("--source", help=f"{kinds()}, or `synthetic`; default: recording.frames of the scene")
+    add("--source", help=f"{KINDS}, or `synthetic`; default: recording.frames of the scene")
     add(
         "--camera",
         metavar="ADDRESS",

@@ -8,7 +8,6 @@ and the duration of a request are limited.
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 import socket
@@ -31,8 +30,6 @@ _TIMEOUT = 5.0  # s to wait for data from a client, or for a client to accept a 
 _REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come
 _LINGER, _MOST_BODY = 0.5, 1 << 20  # limits of the body of a refused request that is read: s without data, and bytes
 _CLIENTS = 16  # largest number of simultaneous clients
-_NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_WAIT = 0.2  # s to wait when no descriptor is free
 # s for which the server outlives the stream: a page polls 15 times a second, or once a second in the background.
 _LAST_LOOK = 1.2
 _FILES = {
@@ -114,7 +111,6 @@ class PageServer(ThreadingHTTPServer):
         self.host = address[0]
         # Sockets of clients with an incomplete request, and the time when it began.
         self.asking: dict[socket.socket, float] = {}
-        self._said = False
         super().__init__(address, handler)
         host, port = self.server_address[:2]
         self.token = PageToken(int(port))
@@ -126,21 +122,6 @@ class PageServer(ThreadingHTTPServer):
             time.sleep(_LAST_LOOK)
         self.shutdown()
         self.server_close()
-
-    def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept the connection of a client, and return its socket and address.
-
-        Raises OSError where no client can be accepted; it waits first if all descriptors are in use.
-        """
-        try:
-            return super().get_request()
-        except OSError as error:
-            if error.errno in _NO_DESCRIPTORS:
-                if not self._said:
-                    log.warning("live page: %s; it answers nobody until others are closed", error.strerror)
-                self._said = True
-                time.sleep(_WAIT)  # without a pause this loop would occupy a core, since the client keeps waiting
-            raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a client in its own thread; close the connection at once if there are too many clients."""

@@ -21,7 +21,7 @@ from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.keeping_up import KeepingUp
 from fingerflow.player.latency import Latencies
-from fingerflow.player.live_data import LiveData, LiveViews
+from fingerflow.player.live_data import LiveData
 from fingerflow.player.live_forces import FrameForces
 from fingerflow.player.live_values import LiveValues
 from fingerflow.player.outputs.output import FrameStamp
@@ -90,9 +90,9 @@ class Player:
         sink: Sink,
         layout: RecordLayout,
         settings: Settings,
-        forces: FrameForces | None = None,
-        values: LiveValues | None = None,
-        destinations: Sequence[Destination] = (),
+        forces: FrameForces | None,
+        values: LiveValues,
+        destinations: Sequence[Destination],
     ) -> None:
         self.bundle, self.scene, self.settings = bundle, played.scene, settings
         self.computed_by, self.source_name = computed_by, played.name
@@ -105,7 +105,7 @@ class Player:
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
-        self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
+        self._records: Channel[tuple[int, Slot | None, Array | None]] = Channel(_RECORDS_WAITING)
         # Two more records than are queued: one is being filled, one written.
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
         # Views of the fields, looked up only once.
@@ -115,7 +115,7 @@ class Player:
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
-        self._forces, self._values = forces, values or LiveValues(layout)
+        self._forces, self._values = forces, values
         can_wait = settings.every and settings.rate is None and not source.live
         self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
         self._senders = [Sender(one, can_wait, self._record_trigger) for one in destinations]
@@ -488,14 +488,12 @@ class Player:
         self._recent.add(latency)
         self.processed += 1
         self._measured = slot.number, slot.arrival
-        drawn = None
-        if results is not None and not self._drawing and self.live.is_due():
-            self._drawing = True
-            mask = None if outcome.work.contact is None else outcome.work.contact.real_contact_mask
-            drawn = LiveViews(slot, None if mask is None else mask[0, 0].copy())
-        else:
+        if results is None or self._drawing or not self.live.is_due():
             self._free.put(slot)
-        return self._records.put((place, drawn))
+            return self._records.put((place, None, None))
+        self._drawing = True
+        mask = None if outcome.work.contact is None else outcome.work.contact.real_contact_mask
+        return self._records.put((place, slot, None if mask is None else mask[0, 0].copy()))
 
     # Storing thread: from records to the disk and the page.
 
@@ -503,11 +501,11 @@ class Player:
         as_bytes = self._room.view(np.uint8).reshape(len(self._room), -1)
         traced = -math.inf
         while (item := self._records.get()) is not None:
-            place, views = item
+            place, slot, mask = item
             record = self._room[place]
-            if views is not None:
-                self.live.show(record, views)
-                self._free.put(views.slot)
+            if slot is not None:
+                self.live.show(record, slot, mask)
+                self._free.put(slot)
                 self._drawing = False
             if record["time"] - traced >= _TRACE_INTERVAL:
                 traced = float(record["time"])

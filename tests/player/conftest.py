@@ -8,8 +8,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
-from tiny_bundle import write_bundle, write_scene
+from tiny_bundle import frame, write_bundle, write_scene
 
 from fingerflow import player
 from fingerflow.engines.bundle import Bundle
@@ -57,6 +58,11 @@ class Stream:
         module.make = make  # type: ignore[attr-defined]
         self._monkeypatch.setitem(sys.modules, module.__name__, module)
         return "--camera", f"{module.__name__}:make"
+
+    def recorded(self, count: int) -> tuple[str, str]:
+        """Return the arguments for a file of `count` frames, of which frame k has 10 k pixels in contact."""
+        np.save(self.folder / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(count)]))
+        return "--source", str(self.folder / "frames.npy")
 
     def frames(self, frames: Iterable[Any]) -> tuple[str, str]:
         """Return the arguments for a camera that gives these frames; an exception among them is raised."""

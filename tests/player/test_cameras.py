@@ -161,12 +161,3 @@ def test_opencv_gives_grey_frames_and_times(tmp_path: Path, monkeypatch: pytest.
     camera.close()
     with pytest.raises(PlayerError, match="OpenCV finds no camera '97'"):
         open_camera("opencv:97")
-
-
-def test_a_package_that_a_camera_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("harvesters.core", "cv2"):
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(PlayerError, match="needs the package harvesters: `pip install harvesters`"):
-        open_camera(f"genicam:{tmp_path / 'a.cti'}")
-    with pytest.raises(PlayerError, match="needs the package opencv-python-headless"):
-        open_camera("opencv:0")

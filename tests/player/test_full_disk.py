@@ -2,7 +2,6 @@
 
 import errno
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +30,6 @@ class Disk:
         patch.setattr(patient_file.os, "write", self._take)
         patch.setattr(patient_file.time, "monotonic", lambda: self.now)
         patch.setattr(patient_file.time, "sleep", self._sleep)
-        self.asleep: Callable[[], None] = lambda: None
 
     def _take(self, file: int, data: bytes) -> int:
         if not self.left:
@@ -43,45 +41,11 @@ class Disk:
     def _sleep(self, seconds: float) -> None:
         self.now += seconds
         self.slept += seconds
-        self.asleep()
 
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return Disk(monkeypatch)
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    (tmp_path / "file").touch()
-    return tmp_path / "file"
-
-
-def test_a_file_waits_for_disk_space_at_its_end_and_when_memory_is_full(
-    path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = PatientFile(path)
-    monkeypatch.setattr(patient_file, "_MOST", 10)
-
-    def make_room() -> None:
-        assert not file._lock.locked()  # other threads may write while it waits
-        if disk.slept >= 3:
-            disk.left = 100
-
-    disk.asleep = make_room
-    disk.left = 0
-    file.write(b"0123456789")
-    file.flush()
-    assert disk.slept == 0
-    disk.now += 1
-    file.write(b"a")
-    file.flush()
-    assert disk.slept == 3
-    disk.left, disk.slept = 0, 0.0
-    file.write(b"b")
-    file.flush(wait=True)
-    assert disk.slept == 3
-    assert path.read_bytes() == b"0123456789ab"
 
 
 def test_results_go_on_where_there_is_room_again(tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +90,7 @@ def test_a_disk_that_stays_full_ends_the_stream(stream: Stream, monkeypatch: pyt
 
     monkeypatch.setattr(patient_file, "_PATIENCE", 0.5)
     monkeypatch.setattr(Sink, "open", open_full)
-    ended = stream.run("--source", "synthetic", "--frames", "300")
+    ended = stream.run(*stream.recorded(100))
     assert ended.code == 2
     assert "No space left on device" in ended.said
     assert "records are kept in memory" in ended.said

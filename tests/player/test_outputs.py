@@ -253,18 +253,6 @@ def test_the_newest_frame_waits_for_an_output_that_is_busy(sent_within: float, m
     assert (sender.sent, sender.overtaken, sender.failed) == (len(expected), 7 - len(expected), 1)
 
 
-def test_an_output_that_hangs_is_left_behind_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fingerflow.player.sending._CLOSING", 0.05)
-    slow = Slow()
-    sender = Sender(Destination("slow", slow, ("area",)))
-    sender.offer(_message(0))
-    assert slow.taken.get() == 0
-    sender.offer(_message(1))
-    sender.close()
-    assert (sender.sent, sender.failed) == (0, 2)
-    slow.go.set()
-
-
 VALUES = {one: VARIABLES[one] for one in ("real_contact_area", "gross_contact_area", "median_divergence", "slip_flag")}
 VALUES |= {one: VARIABLES[one] for one in ("slip_residual", "normal_force", "ellipse_angle")}
 
@@ -337,7 +325,7 @@ def test_a_condition_rises_once_and_beyond_its_margin_again(text: str, given: li
     ],
 )
 def test_wrong_outputs_are_named(stream: Stream, arguments: tuple[str, ...], said: str) -> None:
-    assert said in stream.refused("--source", "synthetic", "--scene", str(stream.scene), *arguments)
+    assert said in stream.refused(*stream.recorded(1), *arguments)
 
 
 @pytest.mark.parametrize(("kind", "package"), [("zeromq:tcp://127.0.0.1:9", "pyzmq"), ("lsl:a", "pylsl")])
@@ -346,5 +334,5 @@ def test_a_package_that_is_not_there_is_named(
 ) -> None:
     for name in ("zmq", "pylsl"):
         monkeypatch.setitem(sys.modules, name, None)
-    said = stream.refused("--source", "synthetic", "--scene", str(stream.scene), "--send", kind)
+    said = stream.refused(*stream.recorded(1), "--send", kind)
     assert f"needs the package {package}: `pip install {package}`" in said

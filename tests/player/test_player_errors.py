@@ -13,7 +13,6 @@ from tiny_bundle import HEIGHT, WIDTH, frame
 
 from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.player.played import mean_view
 from fingerflow.schema.views import View
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
@@ -83,17 +82,6 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     picture[5, WIDTH:] = 100
     [event] = stream.run(*stream.frames([picture])).results.records["real_contact_area"]
     assert event == WIDTH / 4
-    mean = mean_view(
-        stream.bundle / "empty.npy",
-        View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
-        load_bundle(stream.bundle),
-        None,
-        "",
-    )
-    assert mean.dtype == np.float32
-    expected = np.full((HEIGHT, WIDTH), 200.0)
-    expected[5] += 0.25
-    np.testing.assert_array_equal(mean, expected)
 
 
 @pytest.mark.parametrize(
@@ -152,11 +140,6 @@ strain = "as_printed"
     assert ended.code == 0
     assert ended.results.header["warnings"] == said
     assert all(sentence in ended.said for sentence in said)
-    stream.scene.write_text(text.replace("threshold = 0.5", "") + "[fields]\ngauge_length_mm = 4.1\n")
-    (stream.folder / "results").rename(stream.folder / "first")
-    assert stream.run(*stream.frames([frame()])).results.header["warnings"] == [
-        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 24.0",
-    ]
 
 
 def _rewritten(folder: Path, **changes: Any) -> None:
@@ -169,7 +152,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     whole = file.read_bytes()
 
     def said(*arguments: str) -> str:
-        return stream.refused("--source", "synthetic", *arguments)
+        return stream.refused(*stream.recorded(1), *arguments)
 
     file.write_bytes(whole[:-3])
     assert "track.onnx: its SHA-256 is" in said()
@@ -177,8 +160,6 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     facts["graphs"]["track"]["sha256"] = hashlib.sha256(whole[:-3]).hexdigest()
     _rewritten(stream.bundle, graphs=facts["graphs"])
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
-    file.unlink()
-    assert "track.onnx: cannot be read" in said()
     _rewritten(stream.bundle, graphs={})
     assert "without the graphs light, contact, threshold," in said("--engine", "onnx")
     assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
@@ -186,8 +167,6 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     assert "has no proper entry 'sha256'" in said()
     _rewritten(stream.bundle, format=1)
     assert "its format is 1, this player reads 7; use the player of the same bundle, or export it again" in said()
-    (stream.bundle / "bundle.json").write_text("{")
-    assert "is no JSON" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 
@@ -199,14 +178,14 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
     expected = json.loads((stream.bundle / "bundle.json").read_text())["expected"]
     expected["numbers"]["real_area_px"] *= 1.01
     _rewritten(stream.bundle, expected=expected)
-    said = stream.refused("--source", "synthetic", "--engine", "native")
+    said = stream.refused(*stream.recorded(1), "--engine", "native")
     assert "its numbers of the built-in frame are not the expected ones (real_area_px is off by 0.0099" in said
     monkeypatch.setattr("fingerflow.engines.choice.is_present", lambda: False)
-    said = stream.refused("--source", "synthetic", "--engine", "native")
+    said = stream.refused(*stream.recorded(1), "--engine", "native")
     assert "--engine native: the compiled library is not there, is turned off, or is of another version" in said
-    assert "onnxruntime cannot load it" in stream.refused("--source", "synthetic")
+    assert "onnxruntime cannot load it" in stream.refused(*stream.recorded(1))
     monkeypatch.setitem(sys.modules, "fingerflow.engines.onnx", None)
-    said = stream.refused("--source", "synthetic")
+    said = stream.refused(*stream.recorded(1))
     assert "no engine serves here: native does not (the compiled library is not there" in said
     assert "pip install onnxruntime" in said
 
@@ -230,19 +209,20 @@ def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, sai
     [
         (("--source", "nothing.npy"), "nothing.npy: is no file"),
         ((), "no source: give --source"),
-        (("--source", "synthetic", "--camera", "a:b"), "exclude each other"),
+        (("--source", "FRAMES", "--camera", "a:b"), "exclude each other"),
         (("--camera", "no_such_module:make"), "no_such_module"),
         (("--camera", "time:time"), "gave float; it must return a callable"),
-        (("--source", "synthetic", "--engine", "onnx", "--provider", "tensorrt"), "'tensorrt' is not installed here; "),
-        (("--source", "synthetic", "--frames", "1", "--page", "999.1.1.1:80"), "cannot be served"),
+        (("--source", "FRAMES", "--engine", "onnx", "--provider", "tensorrt"), "'tensorrt' is not installed here; "),
+        (("--source", "FRAMES", "--frames", "1", "--page", "999.1.1.1:80"), "cannot be served"),
         *(
-            (("--source", "synthetic", "--engine", "native", *option), "--parallel-frames and --provider are of ONNX")
+            (("--source", "FRAMES", "--engine", "native", *option), "--parallel-frames and --provider are of ONNX")
             for option in (("--parallel-frames", "2"), ("--provider", "cpu"))
         ),
     ],
 )
 def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], said: str) -> None:
-    assert said in stream.refused(*arguments)
+    _, frames = stream.recorded(1)
+    assert said in stream.refused(*(frames if one == "FRAMES" else one for one in arguments))
 
 
 def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:

@@ -15,15 +15,12 @@ from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_scene
 from fingerflow import player
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
-from fingerflow.player.latency import Latencies
 from fingerflow.tracker.frame_tracker import StreamTracker, Work
 from fingerflow.tracker.upkeep import Upkeep
 
 
 def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
-    frames = np.stack([frame(contact_px=10 * number) for number in range(40)])
-    np.save(stream.folder / "frames.npy", frames)
-    ended = stream.run("--source", str(stream.folder / "frames.npy"), "--json", str(stream.folder / "summary.json"))
+    ended = stream.run(*stream.recorded(40), "--json", str(stream.folder / "summary.json"))
     assert ended.code == 0
     assert (ended.summary["frames_in"], ended.summary["processed"], ended.summary["dropped"]) == (40, 40, 0)
     assert json.loads((stream.folder / "summary.json").read_text()) == ended.summary
@@ -93,8 +90,7 @@ def test_a_policy_loses_nothing_or_takes_the_newest_frame(stream: Stream, policy
     """A paced source twice as fast as the engine: with `every` the source waits, and the waits are counted as overruns;
     with `latest` frames are dropped, and the newest one is computed.
     """
-    arguments = ("--source", "synthetic", "--rate", "500", "--frames", "60", "--queue", "4", "--policy", policy)
-    ended = stream.run(*arguments)
+    ended = stream.run(*stream.recorded(60), "--rate", "500", "--queue", "4", "--policy", policy)
     summary, numbers = ended.summary, ended.results.records["frame"]
     assert summary["frames_in"] == summary["processed"] + summary["dropped"] == 60
     assert len(numbers) == summary["processed"]
@@ -155,7 +151,7 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
     given = enumerate(zip(shown, moved, stretched, strict=True))
     frames = np.stack([frame(one[0], 40 * i % 3000, far, more, one[1]) for i, (one, far, more) in given])
     np.save(stream.folder / "frames.npy", frames)
-    source = ("--source", str(stream.folder / "frames.npy"))
+    source, parallel = ("--source", str(stream.folder / "frames.npy")), stream.parallel(2)
     plain = stream.run(*source)
     assert {event["event"] for event in plain.results.events} >= {"restart", "key_frame", "threshold"}
     (stream.folder / "results").rename(stream.folder / "plain")
@@ -166,7 +162,7 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
         compute(tracker, work)
 
     monkeypatch.setattr(StreamTracker, "compute", uneven)
-    other = stream.run(*source, "--rate", "1500", *stream.parallel(2))
+    other = stream.run(*source, "--rate", "1500", *parallel)
     reference = player.read_results(stream.folder / "plain").records
     assert np.nanmax(np.ptp(reference["position_px"][:30, :4, 0], axis=0)) > 1
     for name in set(reference.dtype.names or ()) - {"time", "latency"}:
@@ -335,7 +331,7 @@ def test_a_signal_ends_the_stream_with_whole_results(stream: Stream) -> None:
 
 
 def test_the_last_record_may_be_cut(stream: Stream) -> None:
-    ended = stream.run("--source", "synthetic", "--frames", "5")
+    ended = stream.run(*stream.recorded(5))
     path = stream.folder / "results" / "records.bin"
     path.write_bytes(path.read_bytes()[:-1])
     (stream.folder / "results" / "events.jsonl").write_text('{"event": "restart"}\n{"eve')
@@ -348,7 +344,7 @@ def test_the_last_record_may_be_cut(stream: Stream) -> None:
 
 
 def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
-    stream.run("--source", "synthetic", "--frames", "5")
+    stream.run(*stream.recorded(5))
     table = stream.folder / "table.csv"
     player.write_table(stream.folder / "results", table)
     lines = table.read_text(encoding="utf-8").splitlines()
@@ -361,18 +357,6 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
         player.write_table(stream.folder / "results", table)
-    again = stream.run("--source", "synthetic", "--frames", "2")
+    again = stream.run(*stream.recorded(2))
     assert (again.code, len(again.results.records)) == (2, 5)
     assert "exists already" in again.said
-
-
-def test_latencies_are_kept_in_bins() -> None:
-    latencies = Latencies()
-    assert latencies.summary()["median"] is None
-    times = np.linspace(0.001, 0.011, 1001)
-    for seconds in times:
-        latencies.add(seconds)
-    assert latencies.quantile(0.5) == pytest.approx(0.006, rel=0.011)
-    assert latencies.quantile(0.99) == pytest.approx(0.0109, rel=0.011)
-    latencies.add(100.0)
-    assert latencies.summary()["worst"] == 1e5

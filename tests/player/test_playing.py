@@ -12,14 +12,12 @@ from tiny_bundle import frame
 from fingerflow import player
 from fingerflow.errors import PlayerError
 from fingerflow.player.benchmark import benchmark
-from fingerflow.player.sources.synthetic_source import Synthetic, side_by_side
 
 
 @pytest.fixture
 def source(stream: Stream) -> dict[str, Any]:
     """Return the arguments of `play` for nine frames of a file."""
-    np.save(stream.folder / "frames.npy", np.stack([frame(contact_px=10 * k) for k in range(9)]))
-    named = {"bundle": stream.bundle, "source": stream.folder / "frames.npy", "output": stream.folder / "results"}
+    named = {"bundle": stream.bundle, "source": stream.recorded(9)[1], "output": stream.folder / "results"}
     return {**named, "page": "off", "threads": 1}
 
 
@@ -71,17 +69,3 @@ def test_the_benchmark_says_a_rate_and_its_latency(stream: Stream, capsys: pytes
     shares = [float(line.split()[0]) for line in said[2:-1]]
     assert shares == sorted(shares, reverse=True)
     assert shares[0] == pytest.approx(0.9 * float(said[0].split()[4]), rel=0.02)
-
-
-def test_no_frame_of_the_synthetic_source_repeats_another() -> None:
-    """No two of 520 frames of the synthetic source are equal, on the way back and in the next period, so that a stream
-    finds no repeated frame.
-    """
-    source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8)
-    drawn = source._ring.astype(int)
-    frames = [source.read() for _ in range(520)]
-    assert len({one.tobytes() for one in frames}) == len(frames)
-    noise = np.stack([one - drawn[source._buffer_index(k)] for k, one in enumerate(frames)])
-    assert abs(noise).max() <= 4  # no grey level has wrapped around
-    assert noise.std() == pytest.approx(np.sqrt(1 + 1 / 12), rel=0.02)  # variance 1/12 of rounding
-    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.1

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.synthetic import PartialSlip, rebuild_scene
+from tests.silent import case
 from tests.silent.slip_flag import FLICKER, MOST_FALSE, quiet_scenes, records_of
 from tests.small_trials import HEIGHT, WIDTH, recipe_of_trials, write_library_bundle, write_scene_of_bundle
 
@@ -37,26 +37,19 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.nd
     )
     file = write_scene_of_bundle(folder / "trial", trial)
     bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
-    options = ["--output", str(folder / "results"), "--page", "off", "--threads", "1"]
-    assert player.main([str(bundle), "--scene", str(file), *options]) == 0
     known = rebuild_scene(folder / "trial")
     assert isinstance(known, PartialSlip)
-    return known, np.asarray(player.read_results(folder / "results").records)
-
-
-def test_noise_raises_no_flag(played: tuple[PartialSlip, np.ndarray]) -> None:
-    """The slip flag stays 0, and the residual below 0.004 mm, before the trigger, where nothing moves."""
-    trial, records = played
-    assert len(records) == trial.n_frames
-    assert not records["slip_flag"][:STILL].any()
-    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004  # mm, an eighth of a px
+    return known, case.records_of(bundle, file)
 
 
 def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip, np.ndarray]) -> None:
     """The flag is raised after the first 2 %, and at most 15 %, of the contact have slipped, long before full slip, and
-    stays raised through the jumps.
+    stays raised through the jumps. Before the trigger nothing moves: the residual stays below 0.004 mm, an eighth of a
+    px.
     """
     trial, records = played
+    assert len(records) == trial.n_frames
+    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004
     raised = int(np.argmax(records["slip_flag"]))
     assert raised > STILL
     assert 0.85 < trial.stuck_share(raised) < 0.98

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from fingerflow.player.camera_clock import EPOCH
 from fingerflow.player.lsl_clock import load_lsl
-from fingerflow.player.outputs.output import FrameStamp, Output
+from fingerflow.player.outputs.output import FrameStamp
 
 ADDRESS = "lsl:NAME"
 # Name and unit of the channels before the values; the time stamp of a sample is the camera time.
@@ -44,8 +44,4 @@ class LslOutlet:
         del self._outlet
 
 
-def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Create a Lab Streaming Layer stream with the name `address` and a channel for each value that has an entry in
-    `units`; return the output to it.
-    """
-    return LslOutlet(address, units)
+open_address = LslOutlet

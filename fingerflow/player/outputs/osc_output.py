@@ -12,29 +12,23 @@ ADDRESS = "osc:HOST:PORT"
 _AT_ONCE = b"#bundle\0" + struct.pack(">Q", 1)  # header of an OSC bundle; the time tag 1 means immediately
 
 
-class OscOverUdp:
-    """Output of one OSC bundle per frame, with a message `/fingerflow/NAME` for each value.
-
-    Its arguments are the value (float32), the number of the frame (int32), camera time and time of writing (float64).
-    """
-
-    def __init__(self, address: str) -> None:
-        self._datagrams = Datagrams(address)
-        self.close = self._datagrams.close
-
-    def send(self, frame: FrameStamp, values: Mapping[str, float]) -> None:
-        """Send the live values of a frame as one OSC bundle in a UDP datagram; an unknown value is NaN."""
-        stamp = struct.pack(">idd", frame.number, frame.camera_time, frame.written)
-        messages = (
-            _padded(f"/fingerflow/{name}") + _padded(",fidd") + struct.pack(">f", value) + stamp
-            for name, value in values.items()
-        )
-        self._datagrams.write(_AT_ONCE + b"".join(struct.pack(">i", len(one)) + one for one in messages))
-
-
 def open_address(address: str, units: Mapping[str, str]) -> Output:
     """Return an output that sends OSC bundles by UDP to the address HOST:PORT; units are not used."""
-    return OscOverUdp(address)
+    return Datagrams(address, _bundle)
+
+
+def _bundle(frame: FrameStamp, values: Mapping[str, float]) -> bytes:
+    """Return an OSC bundle of a frame with a message `/fingerflow/NAME` for each value.
+
+    Its arguments are the value (float32), NaN where unknown, the number of the frame (int32), camera time and time of
+    writing (float64).
+    """
+    stamp = struct.pack(">idd", frame.number, frame.camera_time, frame.written)
+    messages = (
+        _padded(f"/fingerflow/{name}") + _padded(",fidd") + struct.pack(">f", value) + stamp
+        for name, value in values.items()
+    )
+    return _AT_ONCE + b"".join(struct.pack(">i", len(one)) + one for one in messages)
 
 
 def _padded(text: str) -> bytes:

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Mapping
 
 from fingerflow.errors import PlayerError
-from fingerflow.player.outputs.output import FrameStamp, Output, as_json
+from fingerflow.player.outputs.output import FrameStamp, as_json
 
 ADDRESS = "zeromq:tcp://HOST:PORT"
 _LINGER = 500  # ms for which queued messages wait for a receiver when the output is closed
@@ -16,11 +16,13 @@ class ZeroMq:
     """Output of live values as JSON messages to a ZeroMQ socket of type PULL that the receiver has bound; the player
     opens no port.
 
+    The address is tcp://HOST:PORT; units are not used.
+
     PUSH reports a message that nobody can take, which PUB drops in silence: without a receiver, or while the receiver
     is slower than the frames, messages count as failed.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, units: Mapping[str, str]) -> None:
         try:
             self._zmq = importlib.import_module("zmq")
         except ImportError:
@@ -47,8 +49,4 @@ class ZeroMq:
         self._context.term()
 
 
-def open_address(address: str, units: Mapping[str, str]) -> Output:
-    """Return an output that sends JSON messages to a ZeroMQ PULL socket at the address tcp://HOST:PORT; units are not
-    used.
-    """
-    return ZeroMq(address)
+open_address = ZeroMq

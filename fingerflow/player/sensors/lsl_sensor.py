@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fingerflow.errors import PlayerError
 from fingerflow.player.lsl_clock import load_lsl
-from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
+from fingerflow.player.sensors.sensor import ForceSample, sample_of
 
 ADDRESS = "lsl:NAME"
 _FINDING, _WAITING = 5.0, 0.2  # s to find the stream, and to wait for a sample
@@ -47,8 +47,4 @@ class LslSensor:
         self._inlet.close_stream()
 
 
-def open_address(address: str) -> ForceSensor:
-    """Find the Lab Streaming Layer stream with the name `address` in the network, and return the force sensor that
-    reads it.
-    """
-    return LslSensor(address)
+open_address = LslSensor

@@ -1,41 +1,32 @@
-"""Frame sources of a stream: modules in this folder that implement `Reader` are found automatically."""
+"""Frame sources of a stream: files and folders of frames here, a module of its own for each kind of camera."""
 
 from __future__ import annotations
 
-import pkgutil
-from importlib import import_module
+import importlib
+import logging
+import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any
 
+import numpy as np
+
+from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.player.sources.source import Source, SourceRequest
-from fingerflow.player.sources.video_source import open_video
+from fingerflow.player.sources.source import RecordedFrames, Source
+from fingerflow.recordings.frames.open_recording import open_recording
+from fingerflow.recordings.frames.recording import Recording
+from fingerflow.schema.claimed_sizes import impossible_picture
 
-
-class Reader(Protocol):
-    """Interface of a module that reads one kind of frame file or folder."""
-
-    READS: str  # kind of frames that the source reads, in a word or two
-
-    def reads(self, asked: SourceRequest) -> bool:
-        """Return whether this module reads the requested file, judged by file name and settings alone."""
-
-    def open_frames(self, asked: SourceRequest) -> Source:
-        """Open the requested file or folder as a source of frames; raise an error that names the problem if that fails.
-
-        Errors of other types than FingerflowError may occur.
-        """
-
-
-def readers() -> list[Reader]:
-    """Return all reader modules in alphabetical order; files that no reader module accepts go to `open_video`."""
-    modules = (import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__))
-    return [cast(Reader, module) for module in modules if hasattr(module, "reads")]
-
-
-def kinds() -> str:
-    """Return a text for messages that lists the kinds of frame sources."""
-    return f"{', '.join(one.READS for one in readers())} or a video file"
+#: Kinds of files and folders, for messages.
+KINDS = (
+    "a recording (.cine, .mraw or .npy; .tif where tifffile is installed), a folder of pictures, a raw file or a video "
+    "file"
+)
+_RECORDINGS = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
+_PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+log = logging.getLogger("fingerflow.player")
 
 
 def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
@@ -44,13 +35,123 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
     ``shape`` and ``dtype`` are for raw files. Raises FingerflowError where there are no frames, or none that can be
     read.
     """
-    asked, known = SourceRequest(path, first, shape, dtype), readers()
-    reader = next((one for one in known if one.reads(asked)), None)
-    if reader is None and not path.is_file():
-        raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")
+    suffix = path.suffix.lower()
     try:
-        return open_video(path, first) if reader is None else reader.open_frames(asked)
+        if path.is_dir():
+            return RecordedFrames(_pictures(path, first))
+        if not path.is_file():
+            raise PlayerError(f"{path}: is no file; give {KINDS}, or `synthetic`")
+        if suffix in _RECORDINGS:
+            return _open_recorded(path, first)
+        if suffix in (".raw", ".bin") or shape is not None:
+            return RecordedFrames(iter(_raw(path, shape, dtype)[first:]))
+        return _open_video(path, first)
     except FingerflowError:
         raise
     except Exception as error:  # libraries do not specify what they raise for a damaged file
         raise PlayerError(f"{path}: cannot be read as frames ({first_line(error)}); copy or save it again") from error
+
+
+def _open_recorded(path: Path, first: int) -> Source:
+    """Open a recording in one of those formats of `fingerflow.recordings` that need only NumPy or tifffile."""
+    try:
+        recording = open_recording(path)
+    except ImportError as error:
+        raise PlayerError(
+            f"{path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as .npy"
+        ) from None
+    for sentence in recording.warnings:
+        log.warning("%s: %s", path, sentence)
+    return RecordedFrames(_recorded(recording, first), recording.close)
+
+
+def _recorded(recording: Recording, first: int) -> Iterator[Array]:
+    """Yield the frames of a recording from number `first` on.
+
+    A damaged frame is black, so that it is not usable, and is logged. Raises FingerflowError for a frame of another
+    size than the first.
+    """
+    for number in range(first, len(recording)):
+        frame = recording[number]
+        if damage := recording.unreadable.get(number):
+            log.warning("%s: frame %d %s", recording.path, number, damage)
+        yield frame
+
+
+def _pictures(folder: Path, first: int) -> Iterator[Array]:
+    """Return the pictures (H, W) in a folder, 8 or 16 bits, in the order of the numbers in their names from number
+    `first` on; colours are converted to grey.
+    """
+    cv2 = _opencv(f"{folder}: pictures")
+    found = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and path.is_file()]
+    if not found:
+        raise PlayerError(f"{folder}: has no picture; of its files those that end in {', '.join(_PICTURES)} count")
+    return (_picture(cv2, path) for path in sorted(found, key=_by_numbers)[first:])
+
+
+def _picture(cv2: Any, path: Path) -> Array:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PlayerError(f"{path}: cannot be read ({error.strerror}); take it out of the folder") from None
+    wrong = impossible_picture(data)
+    if wrong:
+        raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
+    # OpenCV raises an error for an empty array, so it is not called.
+    picture: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if picture is None:
+        raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
+    return _grey(cv2, picture)
+
+
+def _by_numbers(path: Path) -> list[tuple[int, str]]:
+    """Return a sort key that orders file names by the numbers in them: frame2 before frame10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
+    """Return the memory map of the complete frames (N, H, W) in a raw file: pixels without a header, frame after
+    frame.
+    """
+    if shape is None:
+        raise PlayerError(f"{path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
+    pixels = np.memmap(path, np.dtype(dtype), "r")
+    frames: Array = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
+    if not len(frames):
+        raise PlayerError(
+            f"{path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed: it has "
+            f"{len(pixels)} pixels, fewer than a frame of {shape[0]} x {shape[1]}: correct it"
+        )
+    return frames
+
+
+def _open_video(path: Path, first: int) -> Source:
+    cv2 = _opencv(f"{path}: videos")
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
+    for _ in range(first):
+        capture.grab()
+    return RecordedFrames(_of_video(cv2, capture, path, first), capture.release)
+
+
+def _of_video(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
+    """Yield the grey frames (H, W) from `number` on; log a message if the video has fewer frames than stated."""
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    while (read := capture.read())[0]:
+        number += 1
+        yield _grey(cv2, read[1])
+    if number < stated - 1:  # some containers state only a duration, from which OpenCV rounds the number of frames
+        log.warning("%s: ends after %d of %d frames, as it is damaged or cut; copy it again", path, number, stated)
+
+
+def _grey(cv2: Any, picture: Array) -> Array:
+    grey: Array = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+    return grey
+
+
+def _opencv(what: str) -> Any:
+    try:
+        return importlib.import_module("cv2")
+    except ImportError:
+        raise PlayerError(f"{what} need OpenCV: `pip install opencv-python-headless`, or give frames as .npy") from None

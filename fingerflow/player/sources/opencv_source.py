@@ -8,7 +8,6 @@ from typing import Any
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources.source import Source
 
 ADDRESS = "opencv:INDEX"
 
@@ -47,6 +46,4 @@ class OpenCvCamera:
         self._capture.release()
 
 
-def open_address(address: str) -> Source:
-    """Open the camera with this number or the network stream with this address, as a source of frames."""
-    return OpenCvCamera(address)
+open_address = OpenCvCamera

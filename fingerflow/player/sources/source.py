@@ -1,4 +1,4 @@
-"""Define the interface of frame sources, and the request from which a source is opened."""
+"""Define the interface of frame sources."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import first_line
@@ -32,20 +31,6 @@ class Source(Protocol):
 
 
 OpenSource = Callable[[int], Source]  # function from the number of the next frame to the opened source
-
-
-class SourceRequest(NamedTuple):
-    """Request to open a file or folder as a source of frames, from a frame number on.
-
-    Attributes:
-        first: number of the first frame to read.
-        shape, dtype: (H, W) and NumPy dtype of a frame of a raw file.
-    """
-
-    path: Path
-    first: int
-    shape: tuple[int, int] | None
-    dtype: str
 
 
 class RecordedFrames:
