@@ -13,7 +13,7 @@ import numpy as np
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import RecordedFrames, Source, SourceRequest
-from fingerflow.schema.claimed_sizes import impossible_picture
+from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 
 READS = "a folder of pictures"
 _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
