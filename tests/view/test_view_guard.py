@@ -5,7 +5,6 @@ import re
 import socket
 import threading
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -105,23 +104,6 @@ def test_two_names_in_one_request_are_refused(served: Served, cookie: str) -> No
         assert line.recv(200).split()[1] in (b"400", b"421")
 
 
-@pytest.mark.parametrize(
-    "begun",
-    [
-        "",
-        "GET / HTT",
-        "GET / HTTP/1.1\r\nHost: x",
-        "POST /api/edit HTTP/1.1\r\nHost: {host}\r\nContent-Length: 9\r\n\r\n{{",
-    ],
-)
-def test_a_request_that_is_never_complete_is_ended(served: Served, monkeypatch: pytest.MonkeyPatch, begun: str) -> None:
-    monkeypatch.setattr(connection_module, "_REQUEST", 0.5)
-    with socket.create_connection(("127.0.0.1", served.port), timeout=SLOW) as line:
-        line.sendall(begun.format(host=f"127.0.0.1:{served.port}").encode())
-        while read(line):
-            pass
-
-
 def test_a_byte_now_and_then_does_not_keep_a_connection(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_module, "_REQUEST", 0.5)
     with socket.create_connection(("127.0.0.1", served.port), timeout=0.05) as line:
@@ -162,13 +144,3 @@ def read(line: socket.socket) -> bytes:
 def test_a_port_that_is_taken_is_named(served: Served, processed: Path) -> None:
     with pytest.raises(FingerflowError, match=f"port {served.port} .*give another --port"):
         Served(processed / "scene.toml", served.port)
-
-
-def test_every_module_of_the_page_is_asked_for_at_once() -> None:
-    """Every JavaScript module is preloaded by index.html: otherwise a module is requested only after the module that
-    imports it has arrived, and the first picture waits for all of them.
-    """
-    page = resources.files("fingerflow.view") / "page"
-    scripts = {one.name for one in page.iterdir() if one.name.endswith(".js")} - {"main.js"}
-    assert len(scripts) > 5
-    assert set(re.findall(r'<link rel="modulepreload" href="(.*)">', (page / "index.html").read_text())) == scripts

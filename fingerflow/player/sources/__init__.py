@@ -17,7 +17,7 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.sources.source import RecordedFrames, Source
 from fingerflow.recordings.frames.open_recording import open_recording
 from fingerflow.recordings.frames.recording import Recording
-from fingerflow.schema.claimed_sizes import impossible_picture
+from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 
 #: Kinds of files and folders, for messages.
 KINDS = (

@@ -14,8 +14,8 @@ import numpy as np
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
+from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 from fingerflow.recordings.guard.file_checks import check_file
-from fingerflow.schema.claimed_sizes import impossible_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")

@@ -9,7 +9,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import Description, FileRecording, grey_dtype, surplus
-from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
+from fingerflow.recordings.guard.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path) -> FileRecording:

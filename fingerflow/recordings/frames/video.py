@@ -25,8 +25,8 @@ from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
+from fingerflow.recordings.guard.claimed_sizes import MOST_PIXELS
 from fingerflow.recordings.guard.file_checks import reading
-from fingerflow.schema.claimed_sizes import MOST_PIXELS
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}

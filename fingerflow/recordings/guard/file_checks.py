@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.schema.claimed_sizes import MOST_COMPRESSED
+from fingerflow.recordings.guard.claimed_sizes import MOST_COMPRESSED
 
 _ALWAYS = 1 << 20  # bytes to which any file may unpack, however small it is
 _KINDS = (
