@@ -51,11 +51,10 @@ def dahl_friction(
     """
     last = steep * np.maximum(-place[:, 1], 0)
     limit = (last + steep * np.maximum(-old[:, 1], 0)) / 2
-    active = np.flatnonzero((limit > 0) & (place[:, 1] < 0))
+    on = np.flatnonzero((limit > 0) & (place[:, 1] < 0))
+    slid = place[on, 0] - old[on, 0]
     force, along, above = np.zeros((3, len(place)))
-    slid = place[active, 0] - old[active, 0]
-    rubbing = _on_plate(before[active], slid, limit[active], last[active], steep[active], stiffness, exponent)
-    force[active], along[active], above[active] = rubbing
+    force[on], along[on], above[on] = _on_plate(before[on], slid, limit[on], last[on], steep[on], stiffness, exponent)
     return Friction(force, along, above)
 
 

@@ -23,7 +23,7 @@ FUNCTIONS = {
     name: value
     for subject in SUBJECTS
     for name, value in vars(subject).items()
-    if hasattr(kernels, name) and getattr(value, "__module__", "") == subject.__name__ and name != "level_shapes"
+    if hasattr(kernels, name) and getattr(value, "__module__", "") == subject.__name__
 }
 FRAME = np.random.default_rng(0).integers(0, 256, (2, 1, 40, 60), dtype=np.uint8)
 POINTS = np.array([[[20.25, 18.5], [33.0, 21.75]], [[15.5, 25.0], [np.nan, 4.0]]], np.float32)
