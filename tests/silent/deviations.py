@@ -19,8 +19,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bench.contact_grid import energies, energy_since_onset, skin_in_contact
+from bench.prints import FINGERS
 from bench.recordings import write_quietly
-from bench.suites.prints import FINGERS
 from fingerflow import player, process
 from fingerflow.export.recipe import Recipe, ViewRecipe
 from fingerflow.kernels.library import is_present

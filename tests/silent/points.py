@@ -16,8 +16,8 @@ import numpy as np
 import torch
 import xarray as xr
 
+from bench.prints import DPI, FINGERS
 from bench.recordings import write_quietly
-from bench.suites.prints import DPI, FINGERS
 from fingerflow import load_scene, player, process
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus

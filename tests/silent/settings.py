@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from bench.suites.prints import DPI, FINGERS, PRINTS
+from bench.prints import DPI, FINGERS, PRINTS
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording

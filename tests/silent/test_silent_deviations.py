@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from bench.suites.prints import FINGERS
+from bench.prints import FINGERS
 from tests.silent.deviation_scenes import scenes
 from tests.silent.deviations import judged
 
