@@ -34,7 +34,7 @@ _TABLE = {
     "pipeline": "__init__ choice engines errors recordings results schema stages tensors torch_engine",
     "synthetic": "errors models ops schema",
     "plot": "errors graphs recordings results schema stages",
-    "report": "errors models ops plot recordings results schema synthetic",
+    "report": "errors models plot recordings results schema",
     "export": "__init__ engines errors graphs kernels ops schema tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",
     "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",

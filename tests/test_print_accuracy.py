@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import pytest
 
+from bench.prints import OUTPUTS, errors
 from bench.recordings import QUICK_PRESS, processed
 from bench.rows import number
-from bench.suites.prints import OUTPUTS, errors
 from fingerflow.synthetic import FingerprintTexture
 
 

@@ -143,8 +143,8 @@ def _strain(study: PressStudy) -> Drawn:
     ]
     return _sheet(
         "S8", panels,
-        f"Pictures and maps are of two presses of one participant, at {low.force_text} (low friction) and "
-        f"{high.force_text} (high friction); the rest is of the study: {_count(study)}.",
+        f"Pictures and maps are of two presses of one participant, at {low.largest_force:.1f} N (low friction) and "
+        f"{high.largest_force:.1f} N (high friction); the rest is of the study: {_count(study)}.",
     )  # fmt: skip
 
 

@@ -277,7 +277,7 @@ def _strain_curve(study: PressStudy) -> Obtained:
     late = [after - before for before, after in zip(at.get(2.0, []), at.get(3.0, []), strict=False)]
     early = [after - before for before, after in zip(at.get(1.0, []), at.get(2.0, []), strict=False)]
     flat = bool(late) and max(map(abs, late)) < 0.1 * max(map(abs, at[2.0]))
-    chain = study.chain_strain[HIGH][0]
+    chain = study.chain_strain[0]
     return Obtained(
         f"{text}, over amplitudes; from 1 to 2 N {_signed(early)}, from 2 to 3 N {_signed(late)}; the chain since the "
         f"undeformed finger, friction {HIGH:g}: {chain[0]:.2f}, {chain[1]:.2f}, {chain[2]:.2f} %",
@@ -292,7 +292,7 @@ def _signed(values: list[float]) -> str:
 
 def _force_of_peak_rate(study: PressStudy) -> Obtained:
     found = _peak_force(study.forces_of_peaks["strain_rate"])
-    chain = study.chain_strain[HIGH][1][0]
+    chain = study.chain_strain[1][0]
     return replace(
         found,
         text=f"{found.text}; of the chain since the undeformed finger {chain:.2f} N (friction {HIGH:g})",
@@ -335,7 +335,7 @@ def _peak_energy_rate(study: PressStudy) -> Obtained:
     medians = frame.groupby("condition")["strain_energy_rate"].median().to_numpy(float)
     mean, deviation, _ = _mean(medians)
     force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
-    chain = study.chain_strain[HIGH][1][1]
+    chain = study.chain_strain[1][1]
     return Obtained(
         f"{number(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
         (likely(mean, deviation), *force.numbers),

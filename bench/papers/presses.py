@@ -62,11 +62,6 @@ class TypicalPress:
         """Return the largest normal force, N."""
         return float(self.result["normal_force"][self.peak])
 
-    @property
-    def force_text(self) -> str:
-        """Return the largest normal force as text with its unit."""
-        return f"{self.largest_force:.1f} N"
-
     def frame_at(self, force: float) -> int | None:
         """Return the first frame in which the normal force reaches a value (N); None if it never does."""
         reached = np.flatnonzero(np.nan_to_num(self.result["normal_force"]) >= force)
@@ -213,22 +208,14 @@ class PressStudy:
         return both[0][known], both[1][known]
 
     @cached_property
-    def chain_strain(self) -> dict[float, tuple[Values, Values]]:
-        """Return, for each friction, the median radial strain (3,) % of the skin-chain model at 1, 2 and 3 N, and the
-        forces (2,) N at which strain and strain energy change fastest.
-
-        The strains (3,) are medians in % relative to the undeformed finger, at 1, 2 and 3 N. The forces (2,) in N are
-        those at the largest rate of the strain and of the strain energy.
+    def chain_strain(self) -> tuple[Values, Values]:
+        """Return, at high friction, the median radial strain (3,) % of the skin-chain model at 1, 2 and 3 N relative to
+        the undeformed finger, and the forces (2,) N at which strain and strain energy change fastest.
         """
-        chain = self.chain
-        strain, energy = 100 * np.median(chain.profile()[1], axis=-1), chain.energy()
-        inner = slice(_MARGIN, -_MARGIN)
-        rates = [chain.rate(np.nan_to_num(series))[inner].argmax(0) for series in (strain, energy)]
-        peaks = chain.force[inner][np.stack(rates)]
-        return {
-            friction: (np.interp((1.0, 2.0, 3.0), chain.force, strain[:, k]), peaks[:, k])
-            for k, friction in enumerate(chain.friction)
-        }
+        chain, k = self.chain, self.chain.index(HIGH)
+        strain, inner = 100 * np.median(chain.profile()[1], axis=-1), slice(_MARGIN, -_MARGIN)
+        fastest = [chain.rate(np.nan_to_num(series))[inner, k].argmax() for series in (strain, chain.energy())]
+        return np.interp((1.0, 2.0, 3.0), chain.force, strain[:, k]), chain.force[inner][fastest]
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
@@ -284,7 +271,7 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
     for column in [name for name in frame if name.startswith("true_")]:
         frame[column] = frame[column].astype(float)
     sample = sample_of(frame)
-    trace = simulate_trace(folder / "tribometer.csv", design.friction_at, max(design.amplitudes))
+    trace = simulate_trace(design.friction_at, max(design.amplitudes))
     return PressStudy(
         manifest=manifest,
         frame=frame,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bench.papers.chain import HIGH, LOW, SimulatedPresses
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
-from fingerflow.plot.axes_style import GREY, finished, legend_below, line_styles
+from fingerflow.plot.axes_style import GREY, finished, line_styles
 from fingerflow.plot.captions import describe
 
 Values = NDArray[np.float64]
@@ -146,7 +146,8 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Non
 def _finish(part: SubFigure, axes: Sequence[Axes], caption: str) -> None:
     for one in axes:
         one.grid(alpha=0.25)
-    legend_below(part, axes[0])
+    handles, labels = axes[0].get_legend_handles_labels()
+    part.legend(handles, labels, frameon=False, ncols=2 + len(labels) // 5, loc="outside lower center")
     describe(axes[0], caption)
 
 

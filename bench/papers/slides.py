@@ -1,7 +1,5 @@
 """Simulated experiment of Terekhov & Hayward 2011: ten slides, recorded, and measured as a study."""
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,10 +147,8 @@ def _slide(number: int, kind: str, last: float, collapse: float) -> LinearSlip:
 
 def _write_sets(path: Path, slides: dict[str, LinearSlip]) -> None:
     """Write the table that `study init` reads: participant, trial, empty answer, and the slide's set as condition."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("participant", "trial", "answer", "condition"))
+    lines = ["participant,trial,answer,condition"]
     for name, slide in slides.items():
         participant, trial = name.split("/")
-        writer.writerow((participant.removeprefix("p"), trial.removeprefix("trial"), "", kind_of(slide)))
-    write_atomically(path, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
+        lines.append(f"{participant.removeprefix('p')},{trial.removeprefix('trial')},,{kind_of(slide)}")
+    write_atomically(path, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))

@@ -2,10 +2,8 @@
 figures S1 A and B of Willemet et al. 2021 from it.
 """
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -15,12 +13,9 @@ from numpy.typing import NDArray
 from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
 from fingerflow.plot.axes_style import GREEN, GREY, INK, YELLOW, finished, line_styles
 from fingerflow.plot.captions import describe
-from fingerflow.recordings import open_forces
-from fingerflow.results.atomic_write import write_atomically
 
 Values = NDArray[np.float64]
 MODULATION_HZ, FORCE_N = 4.0, 0.5  # printed frequency of the modulation and printed normal force
-SIGNALS = {"normal": "N", "tangential": "N", "position": "m", "amplitude": "m"}  # with their units
 _BINS = 6  # number of amplitude bins: the paper has six levels besides zero amplitude
 _RATE_HZ, _STROKES, _STROKE_S = 1000, 6, 2.0
 _SPEED, _REACH = 0.05, 0.1  # m/s and m, speed and length of a stroke
@@ -41,62 +36,46 @@ class TribometerTrace:
     epochs: FrictionEpochs
 
 
-def simulate_trace(path: Path, friction: Callable[[Values], Values], largest_um: float) -> TribometerTrace:
-    """Simulate a tribometer trace, six strokes of 2 s of a finger on a vibrating plate, write it as CSV unless the file
-    exists, and return the trace in the file.
+def simulate_trace(friction: Callable[[Values], Values], largest_um: float) -> TribometerTrace:
+    """Simulate a tribometer trace: six strokes of 2 s of a finger on a vibrating plate.
 
     Args:
-        path: of the file; one that is there is kept.
         friction: coefficient as a function of the vibration amplitude in µm.
         largest_um: largest amplitude.
     """
-    if not path.exists():
-        draw = np.random.default_rng(0x7B10)
-        time = np.arange(round(_STROKES * _STROKE_S * _RATE_HZ)) / _RATE_HZ
-        amplitude = largest_um / 2 * (1 - np.cos(2 * np.pi * MODULATION_HZ * time))
-        leftwards = np.floor(time / _STROKE_S) % 2 == 0
-        within = time % _STROKE_S
-        position = np.where(leftwards, _REACH - _SPEED * within, _SPEED * within)
-        normal = FORCE_N * (1 + 0.1 * np.sin(2 * np.pi * 0.7 * time))
-        tangential = np.where(leftwards, 1, -1) * friction(amplitude) * normal
-        noise = _NOISE_N * draw.standard_normal((2, time.size))
-        columns = (time, normal + noise[0], tangential + noise[1], 1e3 * position, amplitude)
-        text = io.StringIO()
-        head = "time (s),normal (N),tangential (N),position (mm),amplitude (um)"
-        np.savetxt(text, np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.6g")
-        write_atomically(path, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
-    lengths = [signal for signal, unit in SIGNALS.items() if unit == "m"]
-    forces = open_forces(path, channels={signal: signal for signal in SIGNALS}, lengths=lengths)
-    time = np.array(forces.times)
-    normal, tangential, position, amplitude = (np.array(forces.channels[signal]) for signal in SIGNALS)
-    edges = torch.linspace(amplitude.min(), np.nextafter(amplitude.max(), np.inf), _BINS + 1, dtype=torch.float64)
-    of_time, of_normal, of_tangential, of_position, of_amplitude = map(
-        torch.from_numpy, (time, normal, tangential, position, amplitude)
-    )
-    epochs = friction_epochs(
-        of_time, of_normal, of_tangential, of_position, of_amplitude, edges, modulation_hz=MODULATION_HZ
-    )
-    return TribometerTrace(time, normal, tangential, position, amplitude, epochs)
+    time = np.arange(round(_STROKES * _STROKE_S * _RATE_HZ)) / _RATE_HZ
+    amplitude = largest_um / 2 * (1 - np.cos(2 * np.pi * MODULATION_HZ * time))
+    leftwards = np.floor(time / _STROKE_S) % 2 == 0
+    within = time % _STROKE_S
+    position = np.where(leftwards, _REACH - _SPEED * within, _SPEED * within)
+    normal = FORCE_N * (1 + 0.1 * np.sin(2 * np.pi * 0.7 * time))
+    tangential = np.where(leftwards, 1, -1) * friction(amplitude) * normal
+    noise = _NOISE_N * np.random.default_rng(0x7B10).standard_normal((2, time.size))
+    signals = (time, normal + noise[0], tangential + noise[1], position, 1e-6 * amplitude)
+    edges = torch.linspace(signals[-1].min(), np.nextafter(signals[-1].max(), np.inf), _BINS + 1, dtype=torch.float64)
+    at, down, along, place, envelope = (torch.from_numpy(signal) for signal in signals)
+    epochs = friction_epochs(at, down, along, place, envelope, edges, modulation_hz=MODULATION_HZ)
+    return TribometerTrace(*signals, epochs)
 
 
 def draw_trace(axes: Sequence[Axes], trace: TribometerTrace) -> None:
     """Draw figure S1 A into four axes: forces, friction ratio, position and vibration amplitude over time."""
-    epochs = trace.epochs
     ratio = np.abs(trace.tangential) / np.where(trace.normal > 0, trace.normal, np.nan)
     forces, coefficient, place, envelope = axes
-    normal_style, tangential_style = line_styles(2)
-    forces.plot(trace.time, trace.normal, linewidth=0.8, label="normal", **normal_style)
-    forces.plot(trace.time, trace.tangential, linewidth=0.8, label="tangential", **tangential_style)
+    for values, name, style in zip(
+        (trace.normal, trace.tangential), ("normal", "tangential"), line_styles(2), strict=True
+    ):
+        forces.plot(trace.time, values, linewidth=0.8, label=name, **style)
     coefficient.plot(trace.time, ratio, color=INK, linewidth=0.8)
     place.plot(trace.time, 1e3 * trace.position, color=GREEN, linewidth=1)
     envelope.plot(trace.time, 1e6 * trace.amplitude, color=GREY, linewidth=0.8)
-    count = len(epochs.start)
+    count = len(trace.epochs.start)
     forces.set(ylabel="force (N)", title=f"{count} epochs: leftwards, envelope rising")
     coefficient.set(ylabel="|T| / N", ylim=(0, _axis_limit(ratio)))
     place.set(ylabel="finger (mm)")
     envelope.set(ylabel="vibration (µm)", xlabel="time (s)", ylim=(0, None))
     for one in axes:
-        for start, stop in zip(epochs.start.tolist(), epochs.stop.tolist(), strict=True):
+        for start, stop in zip(trace.epochs.start.tolist(), trace.epochs.stop.tolist(), strict=True):
             one.axvspan(trace.time[start], trace.time[stop - 1], color=YELLOW, alpha=0.3, linewidth=0)
         one.label_outer()
         finished(one)

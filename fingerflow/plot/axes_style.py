@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 
 from fingerflow.plot.captions import describe
 
@@ -70,14 +70,6 @@ def dot_styles(count: int) -> list[dict[str, Any]]:
     """Return keyword arguments of `Axes.plot` for `count` groups of dots, which differ in colour and marker."""
     colours = colormaps["viridis"](np.linspace(0, _LIGHTEST, max(count, 1)))
     return [{"color": colours[k], "marker": MARKERS[k % len(MARKERS)], "linestyle": "none"} for k in range(count)]
-
-
-def legend_below(part: Figure | SubFigure, axes: Axes) -> None:
-    """Add one legend below all axes of a panel, taken from the lines in the given axes."""
-    if (own := axes.get_legend()) is not None:
-        own.remove()
-    handles, labels = axes.get_legend_handles_labels()
-    part.legend(handles, labels, frameon=False, ncols=2 + len(labels) // 5, loc="outside lower center")
 
 
 def finished(axes: Axes, caption: str = "") -> Axes:

@@ -21,24 +21,17 @@ _FLATTEST = 0.5  # least height of a panel as a share of its width
 class SheetPanel:
     """Panel of a figure: letter, function that draws it into a subfigure, width in columns of the figure, and height
     relative to the other panels.
-
-    `narrow_rows` is its relative height in a figure with fewer columns than it takes, where that differs.
     """
 
     letter: str
     draw: Callable[[SubFigure], Any]
     columns: int = 1
     rows: float = 1.0
-    narrow_rows: float | None = None
 
     @classmethod
     def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
         """Return a panel with one axes, which is drawn by calling ``draw(axes, *values)``."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
-
-    def height(self, columns: int) -> float:
-        """Return the panel's height, relative to the other panels, in a figure that has the given number of columns."""
-        return self.rows if columns >= self.columns or self.narrow_rows is None else self.narrow_rows
 
 
 @dataclass(frozen=True)
@@ -63,7 +56,7 @@ class Sheet:
     def figure(self, width_mm: float = TWO_COLUMNS_MM) -> Figure:
         """Draw the panels in rows of at most three, each with its letter, and attach the caption."""
         rows, columns = self._rows(width_mm)
-        heights = [max(panel.height(columns) for panel in row) for row in rows]
+        heights = [max(panel.rows for panel in row) for row in rows]
         with figure_style(width_mm):
             high_mm = max(_HIGH_MM, _FLATTEST * width_mm / columns)
             figure = new_figure(high_mm * sum(heights) / width_mm)

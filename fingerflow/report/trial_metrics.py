@@ -105,26 +105,13 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     known = np.isfinite(values)
     conditions, place = _conditions(trials)
     low, high = np.quantile(values[known], (1 / 3, 2 / 3)) if known.any() else (np.nan, np.nan)
-    thirds = (
-        (f"< {low:.3g}", values < low),
-        (f"{low:.3g} to {high:.3g}", (values >= low) & (values < high)),
-        (f"≥ {high:.3g}", values >= high),
-    )
-    bars = [
-        {"color": style["color"], "hatch": hatch} for style, hatch in zip(line_styles(3, True), _HATCHES, strict=True)
-    ]
-    for number, ((name, group), bar) in enumerate(zip(thirds, bars, strict=True)):
-        counted = [trials.answer[group & (place == index)] for index in range(len(conditions))]
-        shares = [float(some.mean()) if some.size else np.nan for some in counted]
-        axes.bar(
-            np.arange(len(conditions)) + 0.27 * (number - 1),
-            shares,
-            0.25,
-            label=name,
-            edgecolor="white",
-            linewidth=0,
-            **bar,
-        )
+    third = np.where(known, (values >= low).astype(int) + (values >= high), -1)
+    names = (f"< {low:.3g}", f"{low:.3g} to {high:.3g}", f"≥ {high:.3g}")
+    for number, (name, style, hatch) in enumerate(zip(names, line_styles(3, True), _HATCHES, strict=True)):
+        answers = [trials.answer[(third == number) & (place == index)] for index in range(len(conditions))]
+        shares = [float(own.mean()) if own.size else np.nan for own in answers]
+        where = np.arange(len(conditions)) + 0.27 * (number - 1)
+        axes.bar(where, shares, 0.25, label=name, color=style["color"], hatch=hatch, edgecolor="white", linewidth=0)
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
     size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
     axes.set_title(size)

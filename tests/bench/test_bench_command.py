@@ -10,7 +10,7 @@ import torch
 
 from bench import __main__ as command
 from bench import suites, timing
-from bench.rows import Row, as_table, number
+from bench.rows import Row, as_table
 from fingerflow.kernels import tensors as kernels
 
 SUITE = '''"""Counts to two."""
@@ -73,12 +73,6 @@ def test_quick_draws_no_figure(folder: Path, capsys: pytest.CaptureFixture[str])
     assert not (folder / "figures").exists()
 
 
-def test_opencv_gets_the_threads_of_torch(folder: Path) -> None:
-    cv2.setNumThreads(torch.get_num_threads() + 1)
-    command.main(["counting", "--quick"])
-    assert cv2.getNumThreads() == torch.get_num_threads()
-
-
 def test_unknown_suite_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         command.main(["trackin"])
@@ -94,12 +88,6 @@ def test_table_aligns_words_left_and_numbers_right() -> None:
         "a         1.235",
         "long  1.235e+04   yes",
     ]
-
-
-def test_number_refuses_words() -> None:
-    assert number({"ms": 2}, "ms") == 2.0
-    with pytest.raises(TypeError, match="ms is 'slow'"):
-        number({"ms": "slow"}, "ms")
 
 
 def test_candidates_take_turns_and_meet_the_peer_of_their_round(monkeypatch: pytest.MonkeyPatch) -> None:

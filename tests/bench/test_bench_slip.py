@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.rows import Cell, number
+from bench.rows import number
 from bench.slip_trials import LAWS
 from bench.suites import slip
 
@@ -39,44 +39,3 @@ def test_trials_of_seeds_differ_and_come_back() -> None:
     assert first.static_friction != other.static_friction
     outcomes = {slip.trial(seed).kinetic_friction < 0.94 * slip.trial(seed).static_friction for seed in range(100, 110)}
     assert outcomes == {True, False}
-
-
-def row(name: str, verdict: str, frames: int, unknown: float, within: float | None, **ratios: float) -> dict[str, Cell]:
-    errors = {
-        "ratio_error": None,
-        "fit_error": None,
-        "ratio_bound": None,
-        "ratio_shift": None,
-        "offset_5": None,
-        **ratios,
-    }
-    worst = None if within is None else 0.1
-    of_area = dict.fromkeys(
-        ("power", "bias", "rms", "z", "within_1", "within_2", "bias_40_um", "worst_40_um", "rms_40_um", "critical_z"),
-        0.5,
-    )
-    return {
-        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "by_model": True, "as_printed": False,
-        "frames": frames, "unknown": unknown, "within_002": within, "worst": worst, "cpu_s": 2.0, "by_40_um": False,
-        "duration_error": None, **of_area, **errors,
-    }  # fmt: skip
-
-
-def test_rows_are_counted() -> None:
-    """Shares are of frames, not of trials. A trial without d² counts as unknown, and a trial without a ratio does not
-    count.
-    """
-    rows = [
-        row("1", "right", 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
-        row("2", "wrong", 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),
-        row("3", "none", 50, 100.0, None),
-    ]
-    total = slip.summed(rows, "all")
-    assert (total["verdict"], total["found"], total["frames"]) == ("1 wrong, 1 none, 1 right", "of 3", 200)
-    assert (total["by_area"], total["by_model"], total["as_printed"]) == (2, 3, 0)
-    assert total["ratio_bound"] == pytest.approx(0.04)
-    assert total["offset_5"] is None
-    assert total["unknown"] == pytest.approx(100 * 75 / 200)
-    assert total["within_002"] == pytest.approx(100 * 100 / 125)
-    assert (total["worst"], total["ratio_error"], total["fit_error"]) == (0.1, 50.0, None)
-    assert total["cpu_s"] == 6

@@ -3,12 +3,10 @@ tested.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 from numpy.typing import NDArray
 
@@ -20,14 +18,11 @@ from bench.suites import (
     flow_outliers,
     image_ops,
     pipeline,
-    simulated_studies,
     speed_against_error,
     stated,
     tracking,
 )
-from bench.trackers import lucas_kanade
 from fingerflow.kernels import tensors as kernels
-from fingerflow.study.simulated_trials import draw_presses
 
 pytestmark = pytest.mark.long
 
@@ -137,25 +132,6 @@ def test_speed_against_error(tmp_path: Path) -> None:
     assert 0.01 < (pixels[..., :3].min(-1) < 0.9).mean() < 0.3  # curves on a white ground
 
 
-def test_pairs_for_the_dic_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures, points, motion and bound of the pairs belong together: with them, OpenCV on one level has the error
-    that it has in this suite.
-    """
-
-    def opencv(previous: Picture, current: Picture, points: Picture) -> Picture:
-        start = points.astype(np.float32)
-        return lucas_kanade(previous, current, start, start, dic_codes.WINDOW, levels=0)[0] - start
-
-    monkeypatch.setattr(dic_codes, "CODES", {"opencv-contrib-python-headless": opencv})
-    monkeypatch.setattr(dic_codes, "RESULTS", tmp_path / "found.json")
-    speed_against_error.write_pairs(str(tmp_path / "pairs.npz"))
-    dic_codes.main([str(tmp_path / "pairs.npz")])
-    (row,) = speed_against_error._measured_apart()
-    assert 0.95 < number(row, "over_bound") < 1.1
-    assert row["accepted"] == 1
-    assert "measured apart on 20" in str(row["remark"])
-
-
 def test_image_ops() -> None:
     """Medians and thresholds are equal in all libraries. Corners differ at the border only, and contact in few pixels:
     a limit in counts rounds at other values than levels of a byte.
@@ -186,26 +162,6 @@ def test_pipeline() -> None:
         assert number(row, "contact_ms") > 0
     assert number(ours, "position_px") < number(theirs, "position_px")
     assert number(ours, "gross_area_pct") < number(theirs, "gross_area_pct")
-
-
-def test_simulated_studies(tmp_path: Path) -> None:
-    """Metrics measured in pictures rank the presses as their truth does, and an interrupted run continues."""
-    felt = {str(row["feels"]): row for row in simulated_studies.run(quick=True) if row["study"] == "0"}
-    for row in felt.values():
-        assert row["measured"] == 12
-        assert 0 < number(row, "correct") < 12
-        assert number(row, "criterion_low") <= number(row, "criterion") <= number(row, "criterion_high")
-    assert number(felt["divergence"], "d_prime_true") > 0 > number(felt["real_contact_area"], "d_prime_true")
-    design = replace(simulated_studies.DESIGN, participants=2, amplitudes=(0.0, 3.0))
-    store = tmp_path / "presses.csv"
-    once = simulated_studies.measured(design, store)
-    lines = store.read_text(encoding="utf-8").splitlines(keepends=True)
-    store.write_text("".join(lines[:3]), encoding="utf-8")
-    again = simulated_studies.measured(design, store)
-    comparison = draw_presses(design).pairs()[1]
-    for name in ("divergence", "real_contact_area"):
-        np.testing.assert_allclose(again[name], once[name], rtol=1e-5)  # six digits are stored
-        np.testing.assert_array_equal(np.argsort(once[name]), np.argsort(getattr(comparison, name)))
 
 
 def test_stated() -> None:

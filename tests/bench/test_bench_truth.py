@@ -7,7 +7,6 @@ import torch
 
 from bench import skin
 from bench.errors_of_tracks import error_cells
-from bench.suites import drift
 
 
 def test_moved_picture_shows_the_skin_at_the_place_it_came_from() -> None:
@@ -55,12 +54,3 @@ def test_error_cells_of_known_errors() -> None:
     assert cells["bias_se_px"] == pytest.approx(1.0)
     assert cells["accepted"] == pytest.approx(2 / 3)
     assert error_cells(errors, torch.zeros(3, dtype=torch.bool))["rms_px"] is None
-
-
-def test_drifting_skin_is_where_its_truth_says() -> None:
-    """The material point that is at pixel (200, 150) in the last frame has the grey level of this pixel."""
-    deformation = torch.eye(2, dtype=torch.float64) + drift.GRADIENT
-    pixel = torch.tensor((200.0, 150.0), dtype=torch.float64)
-    material = torch.linalg.solve(deformation, pixel - drift.CENTRE - drift.MOTION) + drift.CENTRE
-    torch.testing.assert_close(drift._truth(material, 1.0), pixel)
-    assert drift._picture(1.0)[0, 0, 150, 200].item() == pytest.approx(skin.grey(*material).item(), abs=1e-9)

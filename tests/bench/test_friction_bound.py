@@ -40,11 +40,3 @@ def test_fits_scatter_and_shift_by_the_bound() -> None:
     found = np.array([ratio(truth + noise * draw.standard_normal(len(truth))) for _ in range(150)])
     assert np.std(found) == pytest.approx(bound.deviation, rel=0.24)
     assert ratio(truth + offset) == pytest.approx(bound.shift, rel=0.1)
-
-
-def test_more_noise_knows_less() -> None:
-    known = trial(SEED)
-    quiet, loud = (friction_bound(known, noise, 0.01) for noise in (0.003, 0.03))
-    assert 0 < quiet.deviation < loud.deviation
-    known = replace(known, force_noise=10 * known.force_noise)
-    assert friction_bound(known, 0.003, 0.01).deviation > quiet.deviation

@@ -1,7 +1,5 @@
 """Tests of the models that figures of Willemet et al. 2021 show: artists hold the numbers of closed forms and chain."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -65,9 +63,9 @@ def test_a_linear_field_is_decomposed_exactly_and_drawn_in_one_scale() -> None:
     np.testing.assert_allclose(arrows[0], float(axes[0].get_title().split()[-2]) * moved[5:])
 
 
-def test_the_trace_of_the_tribometer_has_the_friction_of_its_law(tmp_path: Path) -> None:
+def test_the_trace_of_the_tribometer_has_the_friction_of_its_law() -> None:
     """Friction of 0.9 - 0.2 amplitude / um comes back to 0.005 from forces with noise, as the amplitude rises."""
-    trace = simulate_trace(tmp_path / "trace.csv", lambda amplitude: 0.9 - 0.2 * amplitude, 3.0)
+    trace = simulate_trace(lambda amplitude: 0.9 - 0.2 * amplitude, 3.0)
     assert trace.normal.mean() == pytest.approx(0.5, rel=0.02)
     assert (trace.position.max(), trace.amplitude.max()) == pytest.approx((0.1, 3e-6), rel=1e-3)
     axes = Figure().subplots()

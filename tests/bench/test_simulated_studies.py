@@ -40,16 +40,6 @@ def measurement(monkeypatch: pytest.MonkeyPatch) -> _Measurement:
     return made
 
 
-def test_stored_presses_are_reused_after_one_was_measured_again(measurement: _Measurement, tmp_path: Path) -> None:
-    store = tmp_path / "presses.csv"
-    first = simulated_studies.measured(DESIGN, store)
-    assert len(measurement.presses) == PRESSES
-    again = simulated_studies.measured(DESIGN, store)
-    assert measurement.presses[PRESSES:] == [(0, 0)]
-    for name in OBSERVED:
-        np.testing.assert_allclose(again[name], first[name], rtol=1e-5)  # six digits are stored
-
-
 def test_changed_metrics_discard_the_stored_presses_of_their_study(measurement: _Measurement, tmp_path: Path) -> None:
     store = tmp_path / "presses.csv"
     simulated_studies.measured(DESIGN, store)

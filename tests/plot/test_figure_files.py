@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fingerflow.errors import FingerflowError
-from fingerflow.plot.axes_style import dot_styles, figure_style, finished, given_or_new, line_styles
+from fingerflow.plot.axes_style import figure_style, finished, given_or_new
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles, settle
 from fingerflow.plot.panels import captions_of, panel_letter, row_of_panels
@@ -123,13 +123,3 @@ def test_letters_have_no_gaps() -> None:
         assert len({round(part.bbox.y0) for part in parts}) == rows
         assert captions_of(parts) == ["A. Nothing.", "B. Nothing.", "C. Nothing."]
         assert caption_of(figure) == "Nothing. Nothing. Nothing."
-
-
-@pytest.mark.parametrize("ordered", [False, True])
-def test_lines_and_dots_differ_without_colour(ordered: bool) -> None:
-    """Seven lines, the number of amplitudes in the paper, have different dashes, and seven groups of dots different
-    markers.
-    """
-    assert len({str(style["linestyle"]) for style in line_styles(7, ordered)}) == 7
-    assert len({style["marker"] for style in dot_styles(7)}) == 7
-    assert len({str(style["color"]) for style in line_styles(5, ordered)}) == 5

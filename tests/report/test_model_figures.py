@@ -59,25 +59,6 @@ def test_a_set_of_trials_is_counted(axes: Axes) -> None:
     assert len(axes.lines) == 3 + 3
 
 
-def test_an_inconclusive_trial_draws_what_there_is(axes: Axes) -> None:
-    trial = simulate_trial(0.8, 0.4, seed=2, reached=0.6)
-    verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
-    partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict)
-    assert texts(axes) == {"not slipped"}
-    over_time = Figure().subplots()
-    partial_slip.draw_over_time(over_time, trial.time, trial.stuck_area, verdict)
-    assert texts(over_time) == {"not slipped"}
-    assert over_time.get_title() == "inconclusive"
-
-
-def test_d2_against_time_marks_the_loss(axes: Axes) -> None:
-    trial = simulate_trial(0.8, 0.4, seed=3)
-    verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
-    partial_slip.draw_over_time(axes, trial.time, trial.stuck_area, verdict)
-    assert "complete loss" in texts(axes)
-    assert line(axes, "complete loss")[0][0] == trial.time[verdict.loss_frame]
-
-
 def test_arrows_of_motion_with_the_stuck_outline(axes: Axes) -> None:
     points = np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
     displacement = np.array([[0.1, 0.0], [np.nan, 0.0], [0.3, 0.1]])

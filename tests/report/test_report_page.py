@@ -1,9 +1,7 @@
 """Tests of the page of a result: its content, one self-contained file, and its layout on a phone and in print."""
 
-import base64
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,17 +146,6 @@ def test_settings_are_sentences() -> None:
     assert rows["turned, from x towards y"] == "1.146°"
     assert rows["moved"] == "+3.40 px in x, -6.20 px in y"
     assert transform_rows("[[1, 0, 0], [0, 1, 0]]") == []
-
-
-@pytest.mark.long
-def test_a_calibration_is_shown_by_its_picture(trial: Trial, page: Path, tmp_path: Path) -> None:
-    scene, result = trial
-    file = scene.path.parent / "calibration.toml"
-    calibrated = replace(scene, calibration=replace(scene.calibration, file=file))
-    shown = write_report(result, calibrated, tmp_path).read_text(encoding="utf-8")
-    coded = base64.b64encode((scene.path.parent / "calibration.png").read_bytes()).decode("ascii")
-    assert coded in shown
-    assert coded not in page.read_text(encoding="utf-8")  # this page's scene has no calibration file
 
 
 def test_a_trial_in_which_every_frame_is_bad(trial: Trial, tmp_path: Path) -> None:

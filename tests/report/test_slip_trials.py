@@ -78,13 +78,6 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
         assert len(video) == 120
 
 
-def test_nothing_that_can_be_read(command: Command, tmp_path: Path, capsys: Printed) -> None:
-    assert command("slip", tmp_path / "a.toml", tmp_path / "b.toml") == 2
-    out = capsys.readouterr().out
-    assert out.count("not judged: ") == 3
-    assert "0 trials" in out
-
-
 def simulated(mu_k: float, reached: float = 1.0, name: str = "one/scene.toml") -> SlipTrial:
     """Return a simulated trial without frames."""
     trial = simulate_trial(0.8, mu_k, seed=0, reached=reached)

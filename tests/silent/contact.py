@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bench.suites.prints import DPI, FINGERS
+from bench.prints import DPI, FINGERS
 from fingerflow import process
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Press, Slide, scene_of_print, write_recording

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TypeVar
 
-from bench.suites.prints import DPI, FINGERS
+from bench.prints import DPI, FINGERS
 from bench.suites.stated import strained
 from fingerflow.synthetic import PartialSlip, Press, Slide, scene_of_print
 from fingerflow.synthetic.scenes import SyntheticScene

@@ -17,8 +17,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bench.contact_grid import energies, energy_since_onset, skin_in_contact
+from bench.prints import FINGERS
 from bench.recordings import write_quietly
-from bench.suites.prints import FINGERS
 from fingerflow import process
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus

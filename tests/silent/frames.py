@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.suites.prints import DPI, FINGERS
+from bench.prints import DPI, FINGERS
 from fingerflow import load_scene, process
 from fingerflow.kernels.library import is_present
 from fingerflow.recordings import open_recording

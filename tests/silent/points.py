@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from bench.prints import DPI, FINGERS
 from bench.recordings import write_quietly
-from bench.suites.prints import DPI, FINGERS
 from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene import Scene

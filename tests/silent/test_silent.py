@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.suites.prints import FINGERS
+from bench.prints import FINGERS
 from fingerflow.kernels.library import is_present
 from tests.silent.deviation_scenes import scenes
 from tests.silent.deviations import judged

@@ -61,7 +61,7 @@ def is_as_true(folder: Path, finger: SyntheticScene) -> None:
             np.abs(np.subtract(scene.views[name].rows + scene.views[name].columns, view.rows + view.columns)).max() < 2
         )
     assert float(result["normal_force"][LAST]) == pytest.approx(5.0, abs=0.01)
-    # A valley at the border of a real print is not seen as contact: 2 to 4 % of area (`python -m bench prints`).
+    # A valley at the border of a real print is not seen as contact: 2 to 4 % of area.
     assert float(result["gross_contact_area"][LAST]) == pytest.approx(truth.gross_contact_area_mm2(LAST), rel=0.05)
     # The median is 1.4 um/mm too large here, and at most 1.9 off in other frames of this press. Half a frame at onset
     # makes it 1.4 too small at 40 Hz (`MedianBias`); a contact border found too far inside, by 3.7 % of area, makes it

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bench.contact_grid import energy_since_onset
+from bench.prints import DPI, FINGERS
 from bench.recordings import write_quietly
-from bench.suites.prints import DPI, FINGERS
 from bench.suites.stated import strained
 from fingerflow import process
 from fingerflow.synthetic import scene_of_print

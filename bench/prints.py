@@ -1,36 +1,28 @@
-"""Errors of `process` on fingerprint patterns: synthetic ones (loop, whorl, arch) and images of real fingers.
+"""Errors of `process` on skins like fingerprints, against the exact truth, and where pictures of real fingers are.
 
-The press of `make demo`, 300 frames of two 512 x 640 px views (a small one of 40 with --quick), with the skin of the
-row; `rings` is that of the demo. Noise of 2 grey levels, default settings, errors against the exact truth:
-
-- gross_10 and gross_40: gross area in percent, mean over every third frame with 10 to 40 mm² and from 40 mm² on (with
-  --quick all over 5 mm² count in gross_10); worst: the largest of either, with its sign;
-- angle_deg: of the ellipse, RMS from 40 mm² on (its axes differ by a fifth); axes: percent, RMS from 10 mm² on;
+- gross_10 and gross_40: gross area in percent, mean over every third frame with `middle` to `large` mm² and from
+  `large` mm² on; worst: the largest of either, with its sign;
+- angle_deg: of the ellipse, RMS from `large` mm² on; axes: percent, RMS from `middle` mm² on;
 - onset and onset_rms: frame of onset minus the true one, mean and RMS over the points, but those of the first 5 mm²;
-- real: real area in percent, RMS from 10 mm² on; position_px: RMS in the last frame, all points that are not lost;
-- divergence_um_mm: median over the contact, RMS from 10 mm² on.
+- real: real area in percent, RMS from `middle` mm² on; position_px: RMS in the last frame, points that are not lost;
+- divergence_um_mm: median over the contact, RMS from `middle` mm² on.
 
 - Real prints are those of FVC2002 DB2 (569 dpi) in a folder `shared/data/fingers` beside the checkout. They are no part
-  of this project; without them their rows are left out.
+  of this project.
 - Gross truth is the ellipse in which skin may touch. Where a valley or a gap of the skin lies on it, nothing shows it.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bench.recordings import QUICK_PRESS, processed
-from bench.rows import Row
-from fingerflow.synthetic import FingerprintTexture, Press, SyntheticScene, scene_of_print
+from fingerflow.synthetic import SyntheticScene
 
-FINGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "fingers"
+FINGERS = Path(__file__).resolve().parents[2] / "shared" / "data" / "fingers"
 PRINTS = ("101_1", "101_2", "101_3", "104_1")
 DPI = 569.0
-PATTERNS = ("loop", "whorl", "arch")
 OUTPUTS = [
     "gross_contact_area",
     "real_contact_area",
@@ -42,28 +34,6 @@ OUTPUTS = [
 ]
 
 Array = NDArray[np.float64]
-
-
-def run(quick: bool) -> list[Row]:
-    """Return a row per skin."""
-    middle = 5.0 if quick else 10.0
-    return [
-        {"skin": name, **errors(processed(press, OUTPUTS), press, middle=middle)} for name, press in _presses(quick)
-    ]
-
-
-def _presses(quick: bool) -> Iterator[tuple[str, Press]]:
-    press = replace(QUICK_PRESS, n_frames=40, frame_rate=40.0) if quick else Press()
-    yield "rings", press
-    for pattern in PATTERNS:
-        yield pattern, replace(press, texture=FingerprintTexture(pattern=pattern))
-    if quick:
-        return
-    if not FINGERS.is_dir():
-        print(f"no rows of real prints: {FINGERS} is not here")
-        return
-    for name in PRINTS:
-        yield name, scene_of_print(Press, FINGERS / f"{name}.tif", DPI)
 
 
 def errors(
