@@ -1,5 +1,5 @@
 // Dense flow between pixels and cells of 2 x 2 px (fingerflow/ops/flow/dense_flow.py): templates (values, gradients and
-// structure tensors), residuals of a flow, its covariance, and results at the pixels.
+// structure tensors) and residuals of a flow.
 // Residual of a pixel: warped - offset - gain * value, gain and offset fitted by least squares over the image.
 // Layout: planes of floats, row-major, `channels` planes an image; a cell plane has ceil(height / 2) x ceil(width / 2)
 // numbers. Threads share rows; sums are kept per row and added in order, so that they do not depend on their number.
@@ -95,68 +95,4 @@ void fingerflow_flow_template(const fingerflow_flow_template_of* given, int thre
 
 void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads) {
     for (std::int64_t image = 0; image < given->batch; ++image) fingerflow::left_of(*given, image, threads);
-}
-
-void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured, float rho_square,
-                                float* covariance, std::int64_t batch, std::int64_t height, std::int64_t width, int threads) {
-    using namespace fingerflow;
-    const std::int64_t plane = height * width;
-    for (std::int64_t image = 0; image < batch; ++image) {
-        const FlowNoise noise{density[image], alpha[image], rho_square, textured[image]};
-        const float* const from = tensor + 3 * plane * image;
-        float* const to = covariance + 3 * plane * image;
-        for_rows(height, 8 * width, 1, threads, [&](std::int64_t y, float*) {
-            const std::int64_t at = y * width;
-            const float* const of[3] = {from + at, from + plane + at, from + 2 * plane + at};
-            float* const rows[3] = {to + at, to + plane + at, to + 2 * plane + at};
-            FINGERFLOW_PICK(flow_covariance_row)(of, noise, width, rows);
-        });
-    }
-}
-
-void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated, std::int64_t count,
-                               std::int64_t height, std::int64_t width, int threads) {
-    using namespace fingerflow;
-    const std::int64_t area = height * width;
-    auto* const between = static_cast<float*>(workspace<Keeper::kCaller>(static_cast<std::size_t>(area) * sizeof(float)));
-    for (std::int64_t field = 0; field < count; ++field)
-        flow_window(fields + field * area, {weights, half}, height, width, between, integrated + field * area, threads);
-}
-
-void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch, std::int64_t height,
-                               std::int64_t width, int threads) {
-    using namespace fingerflow;
-    const std::int64_t area = height * width, rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
-    for (std::int64_t image = 0; image < batch; ++image) {
-        const FlowCells field{flow + 2 * cells * image, known + cells * image, 2, rows, columns};
-        const FlowPlane plane = flow_whole_plane(field, threads);
-        float* const to = pixels + 2 * area * image;
-        for_rows(height, width, 3 * (columns + 2), threads, [&](std::int64_t y, float* memory) {
-            float* const both[2] = {to + y * width, to + area + y * width};
-            FINGERFLOW_PICK(flow_finer_row)(field, &plane, width, y, both, memory);
-        });
-    }
-}
-
-void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads) {
-    using namespace fingerflow;
-    const std::int64_t height = given->height, width = given->width, area = height * width;
-    const std::int64_t rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
-    for (std::int64_t image = 0; image < given->batch; ++image) {
-        const float* const known = given->known + cells * image;
-        const FlowCells flow{given->flow + 2 * cells * image, known, 2, rows, columns};
-        const FlowCells others{given->others + 4 * cells * image, known, 4, rows, columns};
-        const FlowPlane plane = flow_whole_plane(flow, threads);
-        float *const displacement = given->displacement + 2 * area * image, *const covariance = given->covariance + 4 * area * image;
-        float* const residual = given->residual + area * image;
-        for_rows(height, width, 5 * (columns + 2), threads, [&](std::int64_t y, float* memory) {
-            const std::int64_t at = y * width;
-            float* const to[7] = {displacement + at, displacement + area + at, covariance + at,          covariance + area + at,
-                                  covariance + 3 * area + at, residual + at,   covariance + 2 * area + at};
-            FINGERFLOW_PICK(flow_finer_row)(flow, &plane, width, y, to, memory);
-            FINGERFLOW_PICK(flow_finer_row)(others, nullptr, width, y, to + 2, memory);
-            FINGERFLOW_PICK(flow_lost_row)(given->inside + area * image, height, width, y, to, 6);
-            for (std::int64_t x = 0; x < width; ++x) to[6][x] = to[3][x];  // yx = xy
-        });
-    }
 }

@@ -428,22 +428,6 @@ void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* t
     }
 }
 
-void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels) {
-    const float most_x = static_cast<float>(width - 1), most_y = static_cast<float>(height - 1), down = static_cast<float>(y);
-    const float none = static_cast<float>(NAN);
-    const float* FINGERFLOW_RESTRICT w = inside + y * width;
-    const float *u = rows[0], *v = rows[1];
-    for (int channel = channels - 1; channel >= 0; --channel) {  // displacement last: NaN in v loses u too
-        float* const to = rows[channel];
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) {
-            const float to_x = static_cast<float>(static_cast<int>(x)) + u[x], to_y = down + v[x];
-            const bool kept = (w[x] > 0) & (to_x >= 0) & (to_x <= most_x) & (to_y >= 0) & (to_y <= most_y);
-            to[x] = kept ? to[x] : none;
-        }
-    }
-}
-
 namespace {
 
 // Weights of the cubic B-spline at a fraction of a pixel.
@@ -501,57 +485,6 @@ void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t 
             values[x] = d[0] * line0 + d[1] * line1 + d[2] * line2 + d[3] * line3;
         }
         slowly(last, end);
-    }
-}
-
-namespace {
-
-// ln x of a normal number above 0, by the series of atanh((m - 1) / (m + 1)) of its mantissa m in [2/3, 4/3); error
-// 2e-7.
-inline float logarithm(float x) {
-    std::int32_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    const std::int32_t exponent = (bits - 0x3f2aaaab) >> 23;  // of 2/3
-    const std::int32_t rest = bits - (exponent << 23);
-    float mantissa;
-    memcpy(&mantissa, &rest, sizeof mantissa);
-    const float s = (mantissa - 1) / (mantissa + 1), z = s * s;
-    return static_cast<float>(exponent) * 0.69314718f + 2 * s * (1 + z * (1 / 3.0f + z * (1 / 5.0f + z * (1 / 7.0f + z * (1 / 9.0f)))));
-}
-
-// e^x for x in [0, 1], by the Taylor series about 1/2; error 2e-7.
-inline float exponential(float x) {
-    const float t = x - 0.5f;
-    return 1.6487213f * (1 + t * (1 + t * (1 / 2.0f + t * (1 / 6.0f + t * (1 / 24.0f + t * (1 / 120.0f + t * (1 / 720.0f)))))));
-}
-
-// 1 - z e^z E1(z) for z > 0, approximated as in fingerflow/ops/flow/flow_covariance.py.
-inline float passed(float z) {
-    const float small = z < 1 ? z : 1.0f;
-    const float series = 0.99999193f + small * (-0.24991055f + small * (0.05519968f + small * (-0.00976004f + small * 0.00107857f)));
-    const float below = small * exponential(small) * (series * small - 0.57721566f - logarithm(small));
-    const float large = z < 1 ? 1.0f : z < 1e6f ? z : 1e6f;
-    const float above = (large * (large + 2.334733f) + 0.250621f) / (large * (large + 3.330657f) + 1.681534f);
-    return 1 - (z < 1 ? below : above);
-}
-
-}  // namespace
-
-void flow_covariance_row(const float* const* tensor, const FlowNoise& noise, std::int64_t width, float* const* covariance) {
-    const float *FINGERFLOW_RESTRICT xx = tensor[0], *FINGERFLOW_RESTRICT xy = tensor[1], *FINGERFLOW_RESTRICT yy = tensor[2];
-    float *FINGERFLOW_RESTRICT to_xx = covariance[0], *FINGERFLOW_RESTRICT to_xy = covariance[1], *FINGERFLOW_RESTRICT to_yy = covariance[2];
-    const float tiny = 1e-12f, by_alpha = 1 / noise.alpha, factor = noise.density / (4 * 3.14159265f * noise.alpha), none = static_cast<float>(NAN);
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 0; x < width; ++x) {
-        const float mean = (xx[x] + yy[x]) / 2, half = (xx[x] - yy[x]) / 2, apart = sqrtf(half * half + xy[x] * xy[x]);
-        const float larger = (mean + apart) * by_alpha, least = mean - apart, smaller = (least > 0 ? least : 0.0f) * by_alpha;
-        const float of_larger = factor * passed(noise.rho_square * (larger > tiny ? larger : tiny));
-        const float of_smaller = factor * passed(noise.rho_square * (smaller > tiny ? smaller : tiny));
-        const float slope = (of_larger - of_smaller) / (2 * apart > tiny ? 2 * apart : tiny);
-        const bool known = mean + apart > noise.textured;
-        to_xx[x] = known ? of_smaller + slope * (apart + half) : none;
-        to_xy[x] = known ? slope * xy[x] : none;
-        to_yy[x] = known ? of_smaller + slope * (apart - half) : none;
     }
 }
 

@@ -26,11 +26,6 @@ struct FlowPicture {
     std::int64_t height, width;
 };
 
-// Noise density and smoothing (fingerflow/ops/flow/flow_covariance.py), and the least eigenvalue of textured cells.
-struct FlowNoise {
-    float density, alpha, rho_square, textured;
-};
-
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     // Writes row y of the pixels, one row of `width` floats a channel: bilinear between known cells; in the first two
@@ -72,10 +67,6 @@ FINGERFLOW_FOR_EACH_SET(
     // Writes row y of the cells: means of products of slopes, 1 where any pixel lies inside, edges to the next cell of
     // the row and, unless null, of the column. `memory`: 3 rows.
     void flow_tensor_row(const FlowPicture& picture, std::int64_t y, float* const* tensor, float* known, float* right, float* down, float* memory);
-    // Writes NaN in `channels` rows where a pixel lies outside the mask or has left the image.
-    void flow_lost_row(const float* inside, std::int64_t height, std::int64_t width, std::int64_t y, float* const* rows, int channels);
-    // Writes a row of covariances xx, xy, yy from tensors xx, xy, yy.
-    void flow_covariance_row(const float* const* tensor, const FlowNoise& noise, std::int64_t width, float* const* covariance);
 )
 // clang-format on
 

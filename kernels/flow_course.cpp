@@ -86,13 +86,4 @@ void flow_departure(const FlowCells& field, const FlowWindow& window, float* dep
     });
 }
 
-void flow_window(const float* from, const FlowWindow& window, std::int64_t height, std::int64_t width, float* between, float* to, int threads) {
-    for_rows(height, width, width + 2 * window.half + 64, threads, [&](std::int64_t y, float* memory) {
-        FINGERFLOW_PICK(flow_across_row)(from + y * width, window.weights, window.half, width, between + y * width, memory);
-    });
-    for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
-        FINGERFLOW_PICK(flow_down_row)(between, window.weights, window.half, height, width, y, to + y * width);
-    });
-}
-
 }  // namespace fingerflow

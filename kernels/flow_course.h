@@ -22,7 +22,4 @@ std::int64_t flow_departure_floats(std::int64_t height, std::int64_t width);
 // Writes field (2, height, width) less its course to two planes; the window is on cells of twice the size.
 void flow_departure(const FlowCells& field, const FlowWindow& window, float* departure, float* memory, int threads);
 
-// Weighted sums of a plane along rows, then columns; `between` holds the intermediate plane.
-void flow_window(const float* from, const FlowWindow& window, std::int64_t height, std::int64_t width, float* between, float* to, int threads);
-
 }  // namespace fingerflow

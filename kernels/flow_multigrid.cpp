@@ -121,19 +121,3 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
         }
     }
 }
-
-void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads) {
-    using namespace fingerflow;
-    const std::int64_t widest = given->levels[0].width;
-    auto* const zeros = static_cast<float*>(workspace<Keeper::kCaller>(static_cast<std::size_t>(widest) * sizeof(float)));
-    std::fill(zeros, zeros + widest, 0.0f);
-    for (std::int64_t image = 0; image < given->batch; ++image)
-        for (std::int64_t k = 0; k < given->count; ++k) {
-            const FlowLevel level = of_image(given->levels[k], image);
-            for_rows(level.height, level.width, 1, threads, [&](std::int64_t y, float*) { FINGERFLOW_PICK(flow_inverse_row)(level, zeros, y); });
-            if (k + 1 == given->count) break;
-            const FlowLevel coarser = of_image(given->levels[k + 1], image);
-            for_rows(coarser.height, 4 * coarser.width, 4 * level.width, threads,
-                     [&](std::int64_t y, float* memory) { FINGERFLOW_PICK(flow_coarser_row)(level, coarser, memory, y); });
-        }
-}

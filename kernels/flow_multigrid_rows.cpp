@@ -67,58 +67,6 @@ inline void along_row(const Stencil& s, std::int64_t width, const Work& work) {
 
 }  // namespace
 
-void flow_inverse_row(const FlowLevel& level, const float* zeros, std::int64_t y) {
-    const std::int64_t width = level.width, plane = level.height * width, at = y * width;
-    const float *FINGERFLOW_RESTRICT xx = level.tensor + at, *FINGERFLOW_RESTRICT xy = xx + plane, *FINGERFLOW_RESTRICT yy = xy + plane;
-    const float* FINGERFLOW_RESTRICT right = level.right + y * (width - 1);
-    const float *FINGERFLOW_RESTRICT up = y > 0 ? level.down + at - width : zeros, *FINGERFLOW_RESTRICT down = y + 1 < level.height ? level.down + at : zeros;
-    float *FINGERFLOW_RESTRICT to_xx = level.inverse + at, *FINGERFLOW_RESTRICT to_xy = to_xx + plane, *FINGERFLOW_RESTRICT to_yy = to_xy + plane;
-    const auto cell = [&](std::int64_t x, float before, float after) {
-        const float degree = ((before + after) + up[x]) + down[x];
-        const float a = xx[x] + degree, b = xy[x], c = yy[x] + degree, determinant = a * c - b * b;
-        const float by = determinant > 1e-6f * ((a + c) * (a + c)) ? 1 / determinant : 0.0f;
-        to_xx[x] = c * by;
-        to_xy[x] = -b * by;
-        to_yy[x] = a * by;
-    };
-    cell(0, 0.0f, width > 1 ? right[0] : 0.0f);
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 1; x < width - 1; ++x) cell(x, right[x - 1], right[x]);
-    if (width > 1) cell(width - 1, right[width - 2], 0.0f);
-}
-
-void flow_coarser_row(const FlowLevel& level, const FlowLevel& coarser, float* memory, std::int64_t y) {
-    const std::int64_t width = level.width, plane = level.height * width, area = coarser.height * coarser.width, count = coarser.width;
-    const bool two = 2 * y + 1 < level.height;
-    const std::int64_t at = 2 * y * width, next = two ? width : 0;
-    const float share = two ? 1.0f : 0.0f;  // of the second row
-    // Cells beyond the border count as 0.
-    const auto means = [&](const float* from, float* line, float* to) {
-        const float *FINGERFLOW_RESTRICT one = from + at, *FINGERFLOW_RESTRICT other = one + next;
-        float *FINGERFLOW_RESTRICT sum = line, *FINGERFLOW_RESTRICT mean = to + y * count;
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width; ++x) sum[x] = one[x] + share * other[x];
-        FINGERFLOW_INDEPENDENT
-        for (std::int64_t x = 0; x < width / 2; ++x) mean[x] = (sum[2 * x] + sum[2 * x + 1]) / 4;
-        if (width % 2) mean[count - 1] = sum[width - 1] / 4;
-    };
-    for (int k = 0; k < 3; ++k) means(level.tensor + k * plane, memory + k * width, coarser.tensor + k * area);
-    means(level.inside, memory + 3 * width, coarser.inside);
-    float* FINGERFLOW_RESTRICT inside = coarser.inside + y * count;
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 0; x < count; ++x) inside[x] = inside[x] > 0 ? 1.0f : 0.0f;
-    const float *FINGERFLOW_RESTRICT one = level.right + 2 * y * (width - 1), *FINGERFLOW_RESTRICT other = one + (two ? width - 1 : 0);
-    float* FINGERFLOW_RESTRICT right = coarser.right + y * (count - 1);
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 0; x < count - 1; ++x) right[x] = (one[2 * x + 1] + share * other[2 * x + 1]) / 8;
-    if (y + 1 == coarser.height) return;
-    const float* FINGERFLOW_RESTRICT below = level.down + (2 * y + 1) * width;
-    float* FINGERFLOW_RESTRICT down = coarser.down + y * count;
-    FINGERFLOW_INDEPENDENT
-    for (std::int64_t x = 0; x < width / 2; ++x) down[x] = (below[2 * x] + below[2 * x + 1]) / 8;
-    if (width % 2) down[count - 1] = below[width - 1] / 8;
-}
-
 void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y) {
     const std::int64_t width = level.width, plane = level.height * width, at = y * width;
     const float *FINGERFLOW_RESTRICT xx = level.inverse + at, *FINGERFLOW_RESTRICT xy = xx + plane, *FINGERFLOW_RESTRICT yy = xy + plane;

@@ -20,10 +20,6 @@ struct FlowField {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Writes row y of (J + sum of edges)^-1, 0 where it is singular.
-    void flow_inverse_row(const FlowLevel& level, const float* zeros, std::int64_t y);
-    // Writes row y of tensor, edges and inside of the coarser level. `memory` has space for 4 rows of the finer one.
-    void flow_coarser_row(const FlowLevel& level, const FlowLevel& coarser, float* memory, std::int64_t y);
     // First sweep from 0: to = damping inverse r.
     void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y);
     // One sweep: to = from + damping inverse (r - A from).

@@ -1,5 +1,4 @@
-// Histograms of frames, and Otsu's threshold from them (fingerflow/ops/contact/otsu.py): the bin that maximises
-// (moment total - all below)^2 / (below (total - below)).
+// Histograms of frames (fingerflow/ops/contact/otsu.py).
 // Layout: counts (batch, bins) int64. A piece of rows has counters (bins, kSides) of 32 bit in the thread's workspace, and
 // adds them to the counts of its frame: integers, so that the order does not matter.
 #include <algorithm>
@@ -71,30 +70,4 @@ void fingerflow_histogram(const fingerflow_frames* frames, const unsigned char* 
         for (std::int64_t bin = 0; bin < count; ++bin)
             for (std::int64_t side = 0; side < kSides; ++side) counts[frame * count + bin] += counters[kSides * bin + side];
     });
-}
-
-void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds) {
-    constexpr int kBins = 256;
-    for (std::int64_t frame = 0; frame < batch; ++frame, counts += kBins) {
-        double total = 0, all = 0;
-        for (int bin = 0; bin < kBins; ++bin) {
-            total += static_cast<double>(counts[bin]);
-            all += static_cast<double>(counts[bin]) * bin;
-        }
-        double below = 0, moment = 0, best = -1;
-        int last = -1;
-        bool split = false;
-        for (int bin = 0; bin < kBins; ++bin) {
-            below += static_cast<double>(counts[bin]);
-            moment += static_cast<double>(counts[bin]) * bin;
-            const double product = below * (total - below), difference = moment * total - all * below;
-            const double between = difference * difference / std::max(product, 1.0);
-            split = split || product > 0;
-            if (between > best) {
-                best = between;
-                last = bin;
-            }
-        }
-        thresholds[frame] = split ? low + (last + 1) * ((high - low) / kBins) : std::numeric_limits<double>::quiet_NaN();
-    }
 }

@@ -87,14 +87,6 @@ def with_axes_reversed(array: Array, kind: str) -> Array:
     return cast(Array, turned.to(getattr(sys.modules["torch"], kind)).contiguous())
 
 
-def may_be_written(array: Shaped) -> bool:
-    """Return whether results can be written to the array directly: it is contiguous and, in NumPy, writable."""
-    given: Any = array
-    if isinstance(given, np.ndarray):
-        return bool(given.flags.carray)
-    return given.is_contiguous() and not given.is_neg()
-
-
 def rows_in_one_piece(frames: Array) -> Array:
     """Return frames (B, 1, H, W) unchanged if the pixels of each row are contiguous, else a contiguous copy."""
     given: Any = frames

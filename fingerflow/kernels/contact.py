@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, range_of, rows_in_one_piece
 from fingerflow.kernels.checks import (
-    check_axes,
     check_frames,
     checked,
     described,
@@ -137,19 +136,6 @@ def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bin
         threads=threads(),
     )
     return counts
-
-
-def otsu_threshold(counts: Array, low: float, high: float) -> Array:
-    """Compute Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins cover `low` to `high`.
-
-    Raises:
-        ValueError: wrong dtype or shape.
-    """
-    check_axes("counts", counts, 2)
-    batch = counts.shape[0]
-    counts, thresholds = checked("counts", counts, "int64", (batch, 256)), empty(counts, "float64", batch)
-    entry("otsu_threshold")(counts=counts, batch=batch, low=low, high=high, thresholds=thresholds)
-    return thresholds
 
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:

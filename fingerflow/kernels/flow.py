@@ -1,7 +1,6 @@
 """Kernels of dense optical flow on float32 arrays; all raise ValueError for a wrong dtype or shape."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, NamedTuple
 
@@ -9,22 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import Array, address, empty
-from fingerflow.kernels.checks import check_axes, checked
+from fingerflow.kernels.checks import checked
 from fingerflow.kernels.library import entry, threads, values_are_known
 
 __all__ = [
-    "flow_at_pixels",
-    "flow_covariance",
     "flow_descend",
-    "flow_integrate",
     "flow_left",
-    "flow_levels",
     "flow_template",
-    "flow_to_pixels",
-    "level_shapes",
 ]
 
-_MOST_LEVELS = 63
 # Channels of tensor, right, down, inverse and inside; then their numbers of rows and columns minus those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
@@ -93,7 +85,7 @@ def _window(weights: Sequence[float]) -> dict[str, Any]:
     return {"weights": np.array(weights[half:], np.float32), "half": half}
 
 
-def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
+def _level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
     """Return the shapes of the five arrays of each of `count` multigrid levels; the finest has height x width cells.
 
     The arrays (planes) are tensor, right, down, inverse and inside.
@@ -133,7 +125,7 @@ def flow_descend(
     batch, _, height, width = pull.shape
     if not planes or len(planes) % len(_PLANES):
         raise ValueError(f"{len(planes)} planes: there are {len(_PLANES)} of each level")
-    shapes = level_shapes(batch, height, width, len(planes) // len(_PLANES))
+    shapes = _level_shapes(batch, height, width, len(planes) // len(_PLANES))
     kept = [
         checked("a level", plane, "float32", shape)
         for plane, shape in zip(planes, itertools.chain.from_iterable(shapes), strict=True)
@@ -157,66 +149,6 @@ def flow_descend(
         **_window(weights),
     )
     return moved
-
-
-def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """Compute the arrays of all multigrid levels from those of the finest, as `ops.flow.flow_multigrid.pyramid` up to
-    rounding, as one flat array (N,).
-
-    It holds the inverse of the finest level (B, 3, H, W), then tensor, right, down, inverse and inside of each coarser
-    one, concatenated.
-
-    Args:
-        tensor, right, down, inside: (B, 3, H, W), (B, 1, H, W - 1), (B, 1, H - 1, W) and (B, 1, H, W).
-        count: number of levels, at least 1.
-    """
-    if not 1 <= count <= _MOST_LEVELS:
-        raise ValueError(f"{count} levels: give 1 to {_MOST_LEVELS}, which halve any size to 1")
-    batch, _, height, width = inside.shape
-    shapes = level_shapes(batch, height, width, count)
-    finest, *coarser = shapes
-    given = [
-        checked(name, one, "float32", shape)
-        for name, one, shape in (
-            ("tensor", tensor, finest[0]),
-            ("right", right, finest[1]),
-            ("down", down, finest[2]),
-            ("inside", inside, finest[4]),
-        )
-    ]
-    sizes = [math.prod(shape) for shape in itertools.chain(finest[3:4], *coarser)]
-    planes = empty(tensor, "float32", sum(sizes))
-    addresses = [0] * (len(_PLANES) * count)
-    if values_are_known():
-        *before, behind = (address(one) for one in given)
-        inverse, *others = itertools.accumulate((4 * size for size in sizes[:-1]), initial=address(planes))
-        addresses = [*before, inverse, behind, *others]
-    entry("flow_levels")(levels=_levels(addresses, shapes), count=count, batch=batch, threads=threads())
-    return planes
-
-
-def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """Compute the covariance xx, xy, yy (B, 3, H, W) of dense optical flow due to image noise, as
-    `ops.flow.flow_covariance`, from the structure tensor, with exp accurate to 2e-7.
-
-    `tensor` is (B, 3, H, W). `density` of the noise, `alpha`, and `textured`, the eigenvalue above which texture is
-    known, are (B,), one for each image.
-    """
-    sizes, size, _ = _sizes(tensor)
-    of_image = (sizes["batch"],)
-    [covariance] = _run_kernel(
-        "flow_covariance",
-        {
-            "tensor": (tensor, (*of_image, 3, *size)),
-            "density": (density, of_image),
-            "alpha": (alpha, of_image),
-            "textured": (textured, of_image),
-        },
-        {"covariance": tensor.shape},
-        rho_square=rho_square,
-        **sizes,
-    )
-    return covariance
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
@@ -284,63 +216,3 @@ def flow_left(
         **sizes,
     )
     return FlowResidual(*left)
-
-
-def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
-    """Compute weighted means (B, C, H, W) of fields over a window, along rows and then along columns.
-
-    Fields are 0 beyond the border. `weights` are an odd number, symmetric about the middle.
-    """
-    batch, channels, height, width = fields.shape
-    [integrated] = _run_kernel(
-        "flow_integrate",
-        {"fields": (fields, fields.shape)},
-        {"integrated": fields.shape},
-        count=batch * channels,
-        height=height,
-        width=width,
-        **_window(weights),
-    )
-    return integrated
-
-
-def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
-    """Interpolate a flow from cells (B, ., h, w) to pixels (B, 2, height, width), as `ops.flow.flow_cells.to_pixels`.
-
-    The results agree to rounding.
-    """
-    check_axes("known", known, 4)
-    batch, cells = known.shape[0], _cells(height, width)
-    [pixels] = _run_kernel(
-        "flow_to_pixels",
-        {"flow": (flow, (batch, 2, *cells)), "known": (known, (batch, 1, *cells))},
-        {"pixels": (batch, 2, height, width)},
-        batch=batch,
-        height=height,
-        width=width,
-    )
-    return pixels
-
-
-def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> tuple[Array, Array, Array]:
-    """Interpolate flow, covariance and residual from cells (B, ., h, w) to the pixels of a mask (B, 1, H, W).
-
-    On cells are `flow`, `others`, which holds covariance (xx, xy, yy) and residual, and `known`, where they are known.
-
-    Returns:
-        Displacement (B, 2, H, W), covariance (B, 2, 2, H, W) and residual (B, 1, H, W).
-    """
-    sizes, size, cells = _sizes(inside)
-    batch = sizes["batch"]
-    displacement, covariance, residual = _run_kernel(
-        "flow_at_pixels",
-        {
-            "flow": (flow, (batch, 2, *cells)),
-            "others": (others, (batch, 4, *cells)),
-            "known": (known, (batch, 1, *cells)),
-            "inside": (inside, (batch, 1, *size)),
-        },
-        {"displacement": (batch, 2, *size), "covariance": (batch, 2, 2, *size), "residual": (batch, 1, *size)},
-        **sizes,
-    )
-    return displacement, covariance, residual

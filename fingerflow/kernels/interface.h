@@ -162,10 +162,6 @@ void fingerflow_histogram(const fingerflow_frames* frames, const unsigned char* 
                           std::int64_t mask_stride, std::int64_t mask_row_stride, const std::uint16_t* bins,
                           std::int64_t count, std::int64_t* counts, int threads);
 
-// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
-void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                               double* thresholds);
-
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
 // fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
 // (batch, 7): pixels covered, area, centre x and y, semi axes, angle.
@@ -228,14 +224,6 @@ struct fingerflow_outliers {
     std::int32_t least_neighbours;
 };
 void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
-
-// Corners of uint8 frames, as fingerflow/ops/tracking/corners.py has them, for a window of up to 15 px and fewer than
-// 2^32 pixels a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame,
-// or null) tells where they may lie, `floors` (batch) what their response must exceed.
-void fingerflow_corners(const fingerflow_frames* frames, const unsigned char* mask, std::int64_t masks,
-                        std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors, float quality,
-                        std::int64_t window, std::int64_t border, std::int64_t count, double min_distance, float* points,
-                        float* responses, int threads);
 
 // Points worth tracking in a frame, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has them: up to
 // `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than `border` to
@@ -305,20 +293,6 @@ struct fingerflow_flow_descend_of {
 };
 void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads);
 
-// The levels of the above made from the finest: its tensor, edges and inside are read, all inverses and what coarser levels
-// have are written.
-struct fingerflow_flow_levels_of {
-    const fingerflow_flow_level* levels;
-    std::int64_t count, batch;
-};
-void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads);
-
-// Covariance (batch, 3, height, width) of noise, as fingerflow/ops/flow/flow_covariance.py has it, of tensors of that shape, and of
-// each image the density of noise, alpha, and the eigenvalue above which texture is known.
-void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured,
-                                float rho_square, float* covariance, std::int64_t batch, std::int64_t height,
-                                std::int64_t width, int threads);
-
 // What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
 // the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
@@ -339,34 +313,3 @@ struct fingerflow_flow_left_of {
     float margin, most_gain;
 };
 void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);
-
-// Weighted means along rows and columns of `count` fields, 0 beyond the border.
-void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated,
-                               std::int64_t count, std::int64_t height, std::int64_t width, int threads);
-
-// Cells of a flow (batch, 2, ...) at the pixels (batch, 2, height, width).
-void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch,
-                               std::int64_t height, std::int64_t width, int threads);
-
-// Cells of a flow (batch, 2, ...) and of covariance and residual (batch, 4, ...) at the pixels: displacement and covariance
-// (batch, 2 and 4, height, width), residual.
-struct fingerflow_flow_at_pixels_of {
-    const float *flow, *others, *known, *inside;
-    float *displacement, *covariance, *residual;
-    std::int64_t batch, height, width;
-};
-void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);
-
-// Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
-// count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
-// and z, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
-// (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 2) of steps
-// and of those not kept. At least three elements.
-struct fingerflow_skin_chain {
-    const double *reference, *numbers, *friction, *load, *rest;
-    double *place, *bone, *rubbed, *step, *time;
-    std::int64_t* counts;
-    std::int64_t batch, count, most_steps;
-    double tolerance, duration;
-};
-void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);

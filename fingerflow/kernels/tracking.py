@@ -1,4 +1,4 @@
-"""Kernels of tracking: templates, registration and search of windows, corner detection, spline and noise."""
+"""Kernels of tracking: templates, registration and search of windows, spline and noise."""
 
 import math
 from collections.abc import Sequence
@@ -12,13 +12,10 @@ from fingerflow.kernels.checks import (
     check_like,
     checked,
     described,
-    described_mask,
-    mask_of,
 )
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.tracking_limits import NUMBERS
 
-LARGEST_CORNER_WINDOW = 15
 WIDEST_SEARCH = 1 << 15  # px, widest search: positions in it must be countable with 32 bits
 WIDEST_WINDOW = (1 << 12) - 1  # px, widest window: the pixels of a few windows must be countable with 32 bits
 
@@ -366,57 +363,3 @@ def sample_windows(images: Array, image_index: Array, places: Array, warp: Array
         threads=threads(),
     )
     return found
-
-
-class CornerPlaces(NamedTuple, Generic[Array]):
-    """Positions (B, count, 2) px and responses (B, count) of corners, float32, strongest first, padded with NaN."""
-
-    points: Array
-    response: Array
-
-
-def corners(
-    frames: Array,
-    mask: Array | None,
-    floors: Array,
-    *,
-    count: int,
-    min_distance: float,
-    quality: float,
-    window: int,
-    border: int,
-) -> CornerPlaces[Array]:
-    """Detect up to `count` corners in each of B uint8 frames (B, 1, H, W), inside a mask and with responses above
-    `floors`, as `ops.tracking.corners`.
-
-    Only responses above `floors` (B,) float32 count.
-
-    Raises:
-        TypeError, ValueError: wrong dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.
-    """
-    check_frames(frames, ("uint8",))
-    batch, _, height, width = frames.shape
-    check_like("floors", floors, "float32", (batch,))
-    if not 1 <= window <= LARGEST_CORNER_WINDOW or window % 2 == 0:
-        raise ValueError(f"compiled corners have odd windows up to {LARGEST_CORNER_WINDOW}: {window} was asked for")
-    if count < 0 or border < 0:
-        raise ValueError(f"{count} corners, {border} px from the border: none of them is negative")
-    if height * width >= 1 << 32:
-        raise ValueError(f"a frame of {height} x {width}: compiled corners take fewer than 2^32 pixels")
-    frames, floors = rows_in_one_piece(frames), in_one_piece(floors)
-    mask = None if mask is None else mask_of(frames, mask)
-    points, responses = empty(frames, "float32", batch, count, 2), empty(frames, "float32", batch, count)
-    entry("corners")(
-        **described(frames),
-        **described_mask(mask),
-        floors=floors,
-        quality=quality,
-        window=window,
-        border=border,
-        count=count,
-        min_distance=min_distance,
-        points=points,
-        responses=responses,
-        threads=threads(),
-    )
-    return CornerPlaces(points, responses)

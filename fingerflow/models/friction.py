@@ -50,10 +50,22 @@ def dahl_friction(
         exponent: n >= 0; the paper's is 0.7. 0 is a spring up to the limit, 1 an exponential approach.
     """
     last = steep * np.maximum(-place[:, 1], 0)
-    middle = (last + steep * np.maximum(-old[:, 1], 0)) / 2
-    slid = place[:, 0] - old[:, 0]
-    active = (middle > 0) & (place[:, 1] < 0)
-    limit = np.where(active, middle, 1.0)
+    limit = (last + steep * np.maximum(-old[:, 1], 0)) / 2
+    active = np.flatnonzero((limit > 0) & (place[:, 1] < 0))
+    force, along, above = np.zeros((3, len(place)))
+    rubbing = _on_plate(
+        *(values[active] for values in (before, place[:, 0] - old[:, 0], limit, last, steep)), stiffness, exponent
+    )
+    force[active], along[active], above[active] = rubbing
+    return Friction(force, along, above)
+
+
+def _on_plate(
+    before: Array, slid: Array, limit: Array, last: Array, steep: Array, stiffness: float, exponent: float
+) -> Friction:
+    """Compute the friction of `dahl_friction` for K elements on the plate that slid by `slid` (K,) m under the mean
+    limit `limit` and the last limit `last`, (K,) N.
+    """
     sign = np.where(slid < 0, -1.0, 1.0)
     n, power = exponent, 1 - exponent
     held = np.clip(before, -limit, limit)
@@ -76,10 +88,9 @@ def dahl_friction(
         done, sign, sign * (1 - left * kept) - sign * limit * (rest * of_left + left * rest * distance / limit)
     )
     over = np.abs(after) > last
-    still = done | over | ~active
     end_sign = np.where(after < 0, -1.0, 1.0)
     return Friction(
-        force=np.where(active, np.clip(after, -last, last), 0.0),
-        along=np.where(still, 0.0, along),
-        above=np.where(active, np.where(over, -end_sign * steep, -of_limit * steep / 2), 0.0),
+        force=np.clip(after, -last, last),
+        along=np.where(done | over, 0.0, along),
+        above=np.where(over, -end_sign * steep, -of_limit * steep / 2),
     )

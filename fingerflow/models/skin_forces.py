@@ -29,14 +29,11 @@ class Chain(NamedTuple):
     exponent: float
 
     @property
-    def centre(self) -> Array:
-        """Return the centre (2,) m of the undeformed half-circle, where the lines of all tissue springs meet."""
-        return np.array([0.0, self.radius])
-
-    @property
     def dampers(self) -> Array:
         """Return the damping coefficients (N + 1, 1) of N elements and the bone, N s/m."""
-        return np.array([self.damping] * len(self.reference) + [self.bone_damping])[:, None]
+        dampers = np.full((len(self.reference) + 1, 1), self.damping)
+        dampers[-1] = self.bone_damping
+        return dampers
 
 
 def half_circle(count: int, radius: float) -> Array:
@@ -57,26 +54,39 @@ def elastic_forces(chain: Chain, nodes: Array) -> Array:
     """Compute the elastic forces (N + 1, 2), N, on elements and bone of a chain at positions `nodes` (N + 1, 2), m: the
     negative gradient of the elastic energy.
     """
-    place, bone = nodes[:-1], nodes[-1]
-    pull = chain.membrane * np.diff(place - chain.reference, axis=0)
-    moved, line = place - chain.reference - bone, place - chain.centre - bone
-    held = (chain.tissue * (1 - chain.radius / np.hypot(*line.T)))[:, None] * line + chain.shear * moved
-    held[[0, -1]] += chain.nail * moved[[0, -1]]
-    forces = -held
-    forces[:-1] += pull
-    forces[1:] -= pull
-    forces[:, 1] += chain.contact * np.maximum(-place[:, 1], 0)
-    return np.concatenate((forces, held.sum(0)[None]))
+    x, z, across, down = _lines(chain, nodes)
+    pull_x, pull_z = chain.membrane * np.diff(x), chain.membrane * np.diff(z)
+    tight = chain.tissue * (1 - chain.radius / np.hypot(across, down))
+    bone = nodes[-1]
+    held_x, held_z = tight * across + chain.shear * (x - bone[0]), tight * down + chain.shear * (z - bone[1])
+    for end in (0, -1):
+        held_x[end] += chain.nail * (x[end] - bone[0])
+        held_z[end] += chain.nail * (z[end] - bone[1])
+    forces = np.empty_like(nodes)
+    forces[:-1, 0], forces[:-1, 1] = -held_x, chain.contact * np.maximum(-nodes[:-1, 1], 0) - held_z
+    forces[:-2, 0] += pull_x
+    forces[1:-1, 0] -= pull_x
+    forces[:-2, 1] += pull_z
+    forces[1:-1, 1] -= pull_z
+    forces[-1] = held_x.sum(), held_z.sum()
+    return forces
 
 
-def tissue_slopes(chain: Chain, nodes: Array) -> Array:
-    """Compute the stiffness matrices (N, 2, 2), N/m, of the springs (tissue, shear and nail) between each of N elements
-    and the bone, at positions `nodes` (N + 1, 2), m.
+def tissue_slopes(chain: Chain, nodes: Array) -> tuple[Array, Array, Array]:
+    """Compute the stiffnesses, N/m, of the springs (tissue, shear and nail) between each of N elements and the bone, at
+    positions `nodes` (N + 1, 2), m: the entries xx, xz and zz, (N,) each, of a symmetric 2 x 2 matrix.
     """
-    line = nodes[:-1] - chain.centre - nodes[-1]
-    along = np.hypot(*line.T)
-    direction, ratio = line / along[:, None], chain.radius / along
-    turned = (chain.tissue * ratio)[:, None, None] * direction[:, :, None] * direction[:, None, :]
-    tissue = turned + (chain.tissue * (1 - ratio) + chain.shear)[:, None, None] * np.eye(2)
-    tissue[[0, -1]] += chain.nail * np.eye(2)
-    return np.asarray(tissue)
+    _, _, across, down = _lines(chain, nodes)
+    along = np.hypot(across, down)
+    ratio = chain.radius / along
+    turned, plain = chain.tissue * ratio / along**2, chain.tissue * (1 - ratio) + chain.shear
+    plain[[0, -1]] += chain.nail
+    return turned * across**2 + plain, turned * across * down, turned * down**2 + plain
+
+
+def _lines(chain: Chain, nodes: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the displacement of N elements along x and z, and the lines along x and z from the bone's point in the
+    centre to them, (N,) m each.
+    """
+    (x, z), (first_x, first_z), bone = nodes[:-1].T, chain.reference.T, nodes[-1]
+    return x - first_x, z - first_z, x - bone[0], z - (chain.radius + bone[1])

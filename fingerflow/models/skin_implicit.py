@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 from fingerflow.models.friction import Friction, dahl_friction
-from fingerflow.models.skin_forces import Array, Chain, elastic_forces
-from fingerflow.models.skin_solve import Arrow
+from fingerflow.models.skin_forces import Array, Chain, elastic_forces, tissue_slopes
 
 GAMMA = 2 - np.sqrt(2.0)
 C = GAMMA / 2  # weight of the unknown forces in both stages, as a share of the step
@@ -52,6 +52,47 @@ class Load:
 
     def at(self, share: float) -> Array:
         return self.first + share * (self.last - self.first)
+
+
+class Arrow:
+    """Arrow-shaped matrix D + c K of an implicit step of a skin chain, with damping D and stiffness K (the negative
+    derivative of forces), factored on construction.
+
+    Each element couples to its neighbours in 2 x 2 blocks, which makes a band of two diagonals on either side. The bone
+    has dense rows and columns and is solved by a 2 x 2 Schur complement. Dahl's force is a function of the slide and no
+    unknown.
+    """
+
+    def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float) -> None:
+        count = len(chain.reference)
+        xx, xz, zz = (c * slope for slope in tissue_slopes(chain, nodes))
+        link = c * chain.membrane
+        links = np.full(count, chain.damping + 2 * link)
+        links[[0, -1]] -= link
+        band = np.zeros((7, 2 * count), order="F")  # as LAPACK has it: row 4 + i - j, column j
+        band[2, 2:] = band[6, :-2] = -link
+        band[4, ::2] = xx + links + c * rubbing.along
+        band[4, 1::2] = zz + links + c * np.where(nodes[:-1, 1] < 0, chain.contact, 0.0)
+        band[3, 1::2] = xz + c * rubbing.above
+        band[5, ::2] = xz
+        self._factors = dgbtrf(band, 2, 2, overwrite_ab=1)[:2]
+        # Columns of the bone; its rows are their transpose, since the springs' matrices are symmetric.
+        self._column = -np.stack((xx, xz, xz, zz), -1).reshape(2 * count, 2)
+        self._solved_column = self._banded(self._column)
+        bone = np.array([[xx.sum(), xz.sum()], [xz.sum(), zz.sum()]]) + chain.bone_damping * np.eye(2)
+        self._bone = bone - self._column.T @ self._solved_column
+
+    def solve(self, sides: Array) -> Array:
+        """Solve the linear system of the matrix for a right-hand side (N + 1, 2); return the solution (N + 1, 2), for
+        instance displacements of N elements and the bone.
+        """
+        elements = self._banded(sides[:-1].reshape(-1, 1))[:, 0]
+        bone = np.linalg.solve(self._bone, sides[-1] - elements @ self._column)
+        return np.concatenate((elements - self._solved_column @ bone, bone)).reshape(-1, 2)
+
+    def _banded(self, sides: Array) -> Array:
+        solved: Array = dgbtrs(self._factors[0], 2, 2, sides, self._factors[1])[0]
+        return solved
 
 
 def net_forces(chain: Chain, state: State, load: Array) -> Array:

@@ -1,17 +1,18 @@
-"""Integrate the motion of many skin chains in time, by the compiled library where it is available."""
+"""Integrate the motion of many skin chains in time, one after the other."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_forces import Chain, half_circle
 from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, Load, State, advance, net_forces
 from fingerflow.models.skin_parameters import SkinParameters
 
-# Names of a chain's parameters, in the order of the compiled kernel.
+# Names of a chain's parameters, in the order of `Chains.numbers`.
 NUMBERS = Chain._fields[1:]
 _FIRST_STEP = 1e-6  # s, length of the first time step
 
@@ -106,39 +107,30 @@ def advance_chains(
     Raises:
         RuntimeError: the step length of a chain falls below 1e-13 s, or 100,000 steps do not reach the end.
     """
-    count, batch = chains.reference.shape[-2], chains.shape.numel()
-    force = loads.reshape(batch, 2, 2)
-    rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape).reshape(batch)
-    mu = coefficient.reshape(batch, count)
-    place, bone, rubbed, step = (
-        part.reshape(batch, *last).clone(memory_format=torch.contiguous_format)
-        for part, last in ((start.place, (count, 2)), (start.bone, (2,)), (start.rubbed, (count,)), (start.step, ()))
+    batch = chains.shape.numel()
+    mu, force = coefficient.reshape(batch, -1).numpy(), loads.reshape(batch, 2, 2).numpy()
+    rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape).reshape(batch).tolist()
+    ends, times = [], []
+    for k in range(batch):
+        state, load = start.single(k), Load(*force[k])
+        time = advance(chains.single(k), state, mu[k], load, duration, tolerance, rests[k])
+        if state.step < SHORTEST_S or state.steps + state.rejected >= MOST_STEPS:
+            raise RuntimeError(
+                f"the chain stands at {time:g} of {duration:g} s after {state.steps} steps, the next one "
+                f"{state.step:g} s: raise the tolerance, or lower load, friction or stiffness"
+            )
+        ends.append(state)
+        times.append(time)
+
+    def batched(values: Iterable[Any], dtype: torch.dtype = torch.float64) -> Tensor:
+        stacked = torch.from_numpy(np.array(list(values))).to(dtype)
+        return stacked.reshape((*chains.shape, *stacked.shape[1:]))
+
+    return Motion(
+        place=batched(state.nodes[:-1] for state in ends),
+        bone=batched(state.nodes[-1] for state in ends),
+        rubbed=batched(state.friction for state in ends),
+        step=batched(state.step for state in ends),
+        time=start.time + batched(times),
+        steps=start.steps + batched((state.steps for state in ends), torch.int64),
     )
-    if kernels.serve(place, mu):
-        reference, numbers = chains.reference.reshape(batch, count, 2), chains.numbers.reshape(batch, len(NUMBERS))
-        time, counts = kernels.press_skin(
-            *(reference, numbers, mu, force, rests, place, bone, rubbed, step),
-            most_steps=MOST_STEPS,
-            tolerance=tolerance,
-            duration=duration,
-        )
-    else:
-        time, counts = torch.zeros(batch, dtype=torch.float64), torch.zeros(batch, 2, dtype=torch.int64)
-        for k in range(batch):
-            state, (first, last) = start.single(k), force[k].numpy()
-            load = Load(first, last)
-            time[k] = advance(chains.single(k), state, mu[k].numpy(), load, duration, tolerance, float(rests[k]))
-            nodes = torch.from_numpy(state.nodes)
-            place[k], bone[k], rubbed[k] = nodes[:-1], nodes[-1], torch.from_numpy(state.friction)
-            step[k], counts[k] = state.step, torch.tensor([state.steps, state.rejected])
-    steps = counts[:, 0]
-    lost = (step < SHORTEST_S) | (counts.sum(-1) >= MOST_STEPS)
-    if bool(lost.any()):
-        k = int(lost.nonzero()[0])
-        raise RuntimeError(
-            f"the chain stands at {time[k].item():g} of {duration:g} s after {int(steps[k])} steps, the next one "
-            f"{step[k].item():g} s: raise the tolerance, or lower load, friction or stiffness"
-        )
-    shaped = (part.reshape((*chains.shape, *part.shape[1:])) for part in (place, bone, rubbed, step, time, steps))
-    place, bone, rubbed, step, time, steps = shaped
-    return Motion(place, bone, rubbed, step, start.time + time, start.steps + steps)

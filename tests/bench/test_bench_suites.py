@@ -30,7 +30,6 @@ from bench.suites import (
     pipeline,
     process_together,
     simulated_studies,
-    skin_chain,
     speed_against_error,
     stated,
     tracking,
@@ -64,7 +63,6 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         interpolant,
         large_motion,
         pipeline,
-        skin_chain,
         speed_against_error,
         tracking,
     ):
@@ -277,17 +275,6 @@ def test_dense() -> None:
         assert row["wrong"] == 0, row
         assert 0.4 < number(row, "over_bound") < 3, row
     assert 0.8 < number(one(rows, motion="5 px", way="fingerflow"), "over_bound") < 1.2
-
-
-def test_skin_chain() -> None:
-    """A smaller tolerance gives a smaller error; both forms and an explicit method reach the same positions."""
-    rows = {str(row["way"]): row for row in skin_chain.run(quick=True)}
-    errors = [number(row, "error_um") for way, row in rows.items() if way.endswith(("5e-07", "5e-08", "5e-09"))]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[1] < 0.3
-    assert errors[3] == pytest.approx(errors[1], abs=1e-4)  # the portable form
-    assert number(rows["Runge-Kutta, SciPy"], "error_um") < 0.05
-    assert rows[skin_chain.PEER]["error_um"] is None
 
 
 def test_simulated_studies(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from fingerflow.kernels import (
 )
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
-from fingerflow.models.skin_chain import press
 from tests.embedded import scene
 
 
@@ -60,11 +59,9 @@ def kernel_calls() -> dict[str, Call]:
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
     templates = list(kernels.prepare_templates(first, points, None, one, 11, True, 0.0))
-    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
-    cells = torch.ones(2, 1, *(side // 2 for side in wide.shape[2:]))
 
     return {
         "median": call(kernels.median, tall, 5),
@@ -72,12 +69,10 @@ def kernel_calls() -> dict[str, Call]:
         "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
         "illumination_gain": call(kernels.illumination_gain, dimmed, light, 0 * light, 8),
         "histogram": call(kernels.histogram, tall, covered, None, 256),
-        "otsu_threshold": call(kernels.otsu_threshold, torch.arange(512).reshape(2, 256), -1.0, 255.0),
         "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
         "mean_response": call(kernels.mean_response, tall),
         "halve": call(kernels.halve, tall),
         "spline_coefficients": call(kernels.spline_coefficients, tall),
-        "corners": call(kernels.corners, tall, None, one, **corners),
         "prepare_templates": call(kernels.prepare_templates, first, points, None, one, 11, True, 0.0),
         "find_templates": call(kernels.find_templates, templates, second, points, None, None, 8, 0.0, 1.0, 0.5),
         "find_pairs": call(kernels.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5),
@@ -98,11 +93,8 @@ def kernel_calls() -> dict[str, Call]:
             measure=0,
             stiffness=(1.0, 1.0, 1.0),
         ),
-        "skin_chain": call(lambda: press(torch.tensor([0.2, 0.6]), elements=9).position),
-        # Called by themselves, because the threads exist already where dense flow reaches these kernels.
-        "flow_covariance": call(kernels.flow_covariance, cells.repeat(1, 3, 1, 1), one, one, one, 9.0),
-        "flow_levels": call(kernels.flow_levels, cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3),
-        "flow_to_pixels": call(kernels.flow_to_pixels, cells.repeat(1, 2, 1, 1), cells, *wide.shape[2:]),
+        # Called by itself, because the threads exist already where dense flow reaches this kernel.
+        "flow_template": call(kernels.flow_template, wide, torch.ones_like(wide), 2),
         **calls_on_arrays(tall, light),
     }
 

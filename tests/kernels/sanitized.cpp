@@ -74,13 +74,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     for (std::int64_t bin : counts) all += bin;
     expect(inside == wanted && all == count, "histograms count every pixel inside");
 
-    const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
-    for (int window : {1, 7, 15}) {
-        std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));
-        fingerflow_corners(&of_eight, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads);
-        fingerflow_corners(&of_eight, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads);
-    }
-
     const std::vector<float> limits(static_cast<std::size_t>(batch), 0.6f);
     const auto black = noise<float>(height * width, 11);
     std::vector<float> gains(limits.size());
@@ -225,28 +218,6 @@ void try_triangles(std::int64_t points, std::int64_t count, int threads) {
     }
 }
 
-void try_skin(std::int64_t batch, std::int64_t count, int threads) {
-    std::vector<double> reference, load, place;
-    for (std::int64_t chain = 0; chain < batch; ++chain) {
-        for (std::int64_t i = 0; i < count; ++i) {
-            const double angle = 3.14159 * (static_cast<double>(i) / static_cast<double>(count - 1) - 0.5);
-            reference.insert(reference.end(), {8e-3 * std::sin(angle), 8e-3 * (1 - std::cos(angle))});
-        }
-        load.insert(load.end(), {0.1, -1.0, 0.1, -3.0});
-    }
-    place = reference;
-    std::vector<double> numbers, mu(static_cast<std::size_t>(batch * count), 0.3), rest(static_cast<std::size_t>(batch), 1e-9);
-    for (std::int64_t chain = 0; chain < batch; ++chain)
-        numbers.insert(numbers.end(), {8e-3, 2500, 200, 110, 2500, 31000, 0.1, 0.1, 500, 0.7});
-    const auto size = static_cast<std::size_t>(batch);
-    std::vector<double> bone(2 * size), rubbed(mu.size()), step(size, 1e-6), time(size);
-    std::vector<std::int64_t> counts(2 * size);
-    const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
-                                      rubbed.data(), step.data(), time.data(), counts.data(), batch, count, 100000, 1e-6, 5e-4};
-    fingerflow_press_skin(&given, threads);
-    expect(time[0] == 5e-4, "skin chain, to its end");
-}
-
 template <class Real>
 void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components, std::int64_t geometries, int threads) {
     const std::int64_t batch = 2;
@@ -315,7 +286,6 @@ void try_faults() {
             tried([&] { try_all(2, 37, 43, threads); });
             tried([&] { try_medians(300, 100, threads); });
             tried([&] { try_triangles(50, 97, threads); });
-            tried([&] { try_skin(5, 4, threads); });
             tried([&] { try_fits<float>(300, 50, 2, 1, threads); });
             tried([&] { try_deformation(2, 60, threads); });
             tried([&] { try_outliers(2, 200, 16, threads); });
@@ -378,8 +348,6 @@ int main() {
             try_medians(300, 100, threads);
             try_triangles(3, 1, threads);
             try_triangles(50, 97, threads);
-            try_skin(1, 9, threads);
-            try_skin(5, 4, threads);
             for (std::int64_t geometries : {1, 2}) {
                 try_fits<float>(300, 50, 2, geometries, threads);
                 try_fits<double>(37, 1, 3, geometries, threads);

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import arrays, contact, fields, flow, library, skin, tracking
+from fingerflow.kernels import arrays, contact, fields, flow, library, tracking
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from tests.kernels.contact_frames import contact_frames
@@ -20,12 +20,12 @@ from tests.kernels.short_of_memory import calls
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-SUBJECTS = (contact, fields, flow, skin, tracking)
+SUBJECTS = (contact, fields, flow, tracking)
 FUNCTIONS = {
     name: value
     for subject in SUBJECTS
     for name, value in vars(subject).items()
-    if hasattr(kernels, name) and getattr(value, "__module__", "") == subject.__name__ and name != "level_shapes"
+    if hasattr(kernels, name) and getattr(value, "__module__", "") == subject.__name__
 }
 FRAME = np.random.default_rng(0).integers(0, 256, (2, 1, 40, 60), dtype=np.uint8)
 POINTS = np.array([[[20.25, 18.5], [33.0, 21.75]], [[15.5, 25.0], [np.nan, 4.0]]], np.float32)
@@ -67,9 +67,6 @@ def test_every_function_gives_what_it_gives_for_tensors(monkeypatch: pytest.Monk
             given = [in_numpy(one) for one in args], {key: in_numpy(one) for key, one in kwargs.items()}
             result = of_tensors(*args, **kwargs)
             assert_same(FUNCTIONS[name](*given[0], **given[1]), result)
-            for one, changed in zip(given[0], args, strict=True):
-                if isinstance(changed, Tensor):  # `press_skin` writes to some of its arguments
-                    assert np.array_equal(one, changed.detach().numpy(), equal_nan=one.dtype.kind == "f")
             called.add(name)
             return result
 
@@ -142,7 +139,6 @@ def test_views_that_torch_negates_are_written_out() -> None:
     threshold = contact_threshold(frames, light, black)
     assert threshold[1:4].isfinite().all()
     torch.testing.assert_close(contact_threshold(negated, light, black), threshold, rtol=0, atol=0, equal_nan=True)
-    assert not arrays.may_be_written(conjugate)
 
 
 def test_other_dtypes_are_refused() -> None:
@@ -152,14 +148,6 @@ def test_other_dtypes_are_refused() -> None:
         tracking.halve(FRAME.astype(">u2"))
     with pytest.raises(ValueError, match="points is float64"):
         followed(FRAME, POINTS.astype(np.float64), ONES)
-
-
-def test_a_state_that_cannot_be_written_to_is_refused() -> None:
-    protected, columns_first, written = np.zeros((4, 6)), np.zeros((4, 6), order="F"), np.zeros((4, 6))
-    protected.flags.writeable = False
-    assert not arrays.may_be_written(protected)
-    assert not arrays.may_be_written(columns_first)
-    assert arrays.may_be_written(written)
 
 
 @pytest.mark.parametrize("take", [lambda one: one, lambda one: one[1:], lambda one: one[:0]])

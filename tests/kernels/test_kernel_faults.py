@@ -31,7 +31,7 @@ def no_fault_stays(torch_threads: Callable[[int], None]) -> Iterator[None]:
 
 
 #: Kernels whose work is not shared by the pool.
-UNDIVIDED = {"covered", "otsu_threshold", "skin_chain"}
+UNDIVIDED = {"covered"}
 CALLS = {name: call for name, call in kernel_calls().items() if name not in UNDIVIDED} if kernels.serve() else {}
 
 

@@ -1,6 +1,5 @@
 """Tests of compiled dense flow against the portable form, with every instruction set."""
 
-import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -9,12 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.flow.dense_flow import Flow, find_flow, prepare_flow
-from fingerflow.ops.flow.flow_cells import to_pixels
 from fingerflow.ops.flow.flow_constancy import Constancy
-from fingerflow.ops.flow.flow_covariance import flow_covariance
-from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, pyramid
+from fingerflow.ops.flow.flow_multigrid import descended, edges, pyramid
 from fingerflow.ops.flow.flow_penalty import Penalty
 from tests.ops.flow.test_dense_flow import CONSTANCIES, PENALTIES, grid, pair, wave
 
@@ -90,37 +86,3 @@ def test_cycles(instruction_set: int, portable: Portable, height: int, width: in
 
     compiled, expected = solved(), portable(solved)
     torch.testing.assert_close(compiled, expected, rtol=0, atol=5e-6 * float(expected.abs().max()))
-
-
-@SIZES
-def test_preparation(instruction_set: int, portable: Portable, height: int, width: int) -> None:
-    """Levels agree to a few roundings of float32, cells at pixels to rounding, and covariances to 1e-4 of the largest.
-
-    Determinants of the inverses cancel. The smaller eigenvalue l of ridges in one direction is a difference of nearly
-    equal numbers, and l ln l, on which the covariance depends, is steep at 0.
-    """
-    tensor, right, down, mask = system(height, width)
-    variance, alpha = torch.tensor([4.0, 0.2]), torch.tensor([400.0, 30.0]).view(2, 1, 1, 1)
-    field = torch.randn(2, 2, height, width, generator=torch.Generator().manual_seed(1))
-
-    def made() -> tuple[list[Level], Tensor, Tensor]:
-        spread = flow_covariance(tensor, variance, alpha, 30.0, variance / 20)
-        return pyramid(tensor, right, down, mask), spread, to_pixels(field, mask, 2 * height - 1, 2 * width)
-
-    (levels, spread, pixels), (expected_levels, expected_spread, expected_pixels) = made(), portable(made)
-    for level, expected in itertools.zip_longest(levels, expected_levels):
-        for name, one, other in zip(level._fields, level, expected, strict=True):
-            most_off = 1.5e-6 if name == "inverse" else 5e-7
-            torch.testing.assert_close(one, other, rtol=most_off, atol=most_off * float(other.abs().max()))
-    assert expected_spread.isnan().any()
-    assert expected_spread.isfinite().any()
-    largest = float(expected_spread.nan_to_num().abs().max())
-    torch.testing.assert_close(spread, expected_spread, rtol=0, atol=1e-4 * largest, equal_nan=True)
-    torch.testing.assert_close(pixels, expected_pixels, rtol=0, atol=5e-6)
-
-
-@pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
-@pytest.mark.parametrize("weights", [[], [0.5, 0.5], [0.2, 0.5, 0.3]])
-def test_weights_without_a_middle_are_refused(weights: list[float]) -> None:
-    with pytest.raises(ValueError, match="give an odd number"):
-        kernels.flow_integrate(torch.ones(1, 1, 8, 8), weights)

@@ -41,11 +41,10 @@ def test_every_request_of_every_kernel_refused(tmp_path: Path) -> None:
     for line in lines:
         name, _, said = line.partition(": ")
         outcomes[name] = {word.partition(" ")[2] for word in said.split(", ")}
-    assert len(outcomes) > 25
+    assert len(outcomes) > 20
     for name, words in outcomes.items():
         assert words <= {"MemoryError", "fewer threads", "all granted"}, f"{name}: {words}\n{ran.stderr}"
-    for name in ("covariance", "levels", "to_pixels"):  # called by themselves, with work for several threads
-        assert "fewer threads" in outcomes[f"flow_{name}"], name
+    assert "fewer threads" in outcomes["flow_template"]  # called by itself, with work for several threads
     # Kernels that request threads only: Python gives them the memory of their results and sums.
     without = {name for name, words in outcomes.items() if "MemoryError" not in words}
-    assert without <= {"covered", "otsu_threshold"}
+    assert without <= {"covered"}

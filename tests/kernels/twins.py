@@ -17,7 +17,7 @@ from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from fingerflow.ops.contact.illumination_gain import illumination_gain
-from fingerflow.ops.contact.otsu import histogram, otsu_threshold
+from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.local_fit import local_gradients
@@ -27,7 +27,6 @@ from fingerflow.ops.filters.illumination import normalize_illumination
 from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
-from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.ops.tracking.track_points import track_points
@@ -122,18 +121,6 @@ def histograms() -> Iterator[Call]:
         frames, mask = images(shape, dtype, "random"), sparse(shape, 0.6)
         for (bins, value_range), some in product(RANGES[dtype], (None, mask, mask[:1])):
             yield partial(histogram, bins=bins, value_range=value_range), (frames, some)
-
-
-def thresholds() -> Iterator[Call]:
-    for shape, content in product(SHAPES, CONTENTS):
-        frames, mask = images(shape, torch.uint8, content), sparse(shape, 0.75)
-        for some in (None, mask, torch.zeros_like(mask)):
-            yield otsu_threshold, (frames, some)
-    for dtype, limits in ((torch.uint16, (-1.0, 4095.0)), (torch.uint8, (20.0, 190.5))):
-        yield (
-            partial(otsu_threshold, value_range=limits),
-            (images((4, 50, 60), dtype, "random", highest=int(limits[1])),),
-        )
 
 
 def regions() -> Iterator[Call]:
@@ -347,34 +334,6 @@ def corrections() -> Iterator[Call]:
         yield partial(correct_points, window=25, gauge_px=WARP_GAUGE_PX), tuple(given)
 
 
-def corners() -> Iterator[Call]:
-    """Yield calls with saturated texture, tiles that repeat every response, lines, and masks."""
-
-    def texture(*shape: int) -> Tensor:
-        noise = 3 * random(*shape) - 1
-        return (255 * (noise + noise.roll(1, -1)) / 2).clamp(0, 255).to(torch.uint8)
-
-    lines = torch.zeros(1, 1, 40, 40, dtype=torch.uint8)
-    lines[..., ::8, :] = lines[..., ::8] = 255
-    shapes = ((0, 1, 20, 30), (1, 1, 1, 1), (1, 1, 3, 3), (2, 1, 63, 17), (1, 1, 130, 65), (3, 1, 65, 200))
-    for shape, window in product(shapes, (1, 3, 5, 7, 9, 11, 13, 15)):
-        for settings in ((100, 5.0, None, 0.01, 0.3), (10**4, 0.0, None, 0.0, 0.0)):
-            count, distance, mask, quality, noise = settings
-            yield (
-                partial(detect_corners, window=window, quality=quality, noise=noise),
-                (texture(*shape), count, distance),
-            )
-    for distance in (0.0, 1.0, 2**0.5, 2.0, 4.9, 10.0, 23.3, 1e6):
-        yield partial(detect_corners, noise=0.0), (texture(2, 1, 90, 110), 5000, distance)
-    for frames, distance in ((texture(1, 1, 16, 16).repeat(1, 1, 9, 10), 3.0), (lines, 2.0), (0 * lines + 255, 2.0)):
-        yield partial(detect_corners, noise=0.0), (frames, 300, distance)
-    masks = random(2, 1, 80, 90) > 0.4
-    for mask, border in product((masks, masks[:1], torch.zeros_like(masks)), (0, 1, 20, 1000)):
-        yield partial(detect_corners, border=border), (texture(2, 1, 80, 90), 50, 4.0, mask)
-    # More candidates than are sorted at a time.
-    yield partial(detect_corners, window=3, quality=0.0, noise=0.0), (texture(1, 1, 300, 400), 10**4, 1.0)
-
-
 def local_fits(dtype: torch.dtype, gauge: float, unit: float) -> Iterator[Call]:
     """Yield calls with one geometry for all frames and with one for each; some points, values and queries are NaN or
     far away.
@@ -480,7 +439,6 @@ TWINS = {
     "median_filter": Twin(medians),
     "normalize_illumination": Twin(quotients),
     "histogram": Twin(histograms),
-    "otsu_threshold": Twin(thresholds),
     "apparent_contact": Twin(regions, (2e-5, 5e-3), REGION),  # px: an axis of 12 px where ridges cover a tenth
     "real_contact_mask": Twin(contact_masks),
     "illumination_gain": Twin(gains, (1e-5, 0.0)),
@@ -502,7 +460,6 @@ TWINS = {
         (1e-5, 1.3e-4),
         {"covariance": (1e-5, 1e-6), "warp": (1e-5, 4e-5), "shift": (1e-5, 6e-4)},
     ),
-    "detect_corners": Twin(corners),
     **{
         f"local_gradients {dtype} {gauge * unit}": Twin(
             partial(local_fits, dtype, gauge, unit), by_name=of_fits(dtype, gauge * unit / 2), in_double=True

@@ -2,8 +2,9 @@
 
 import numpy as np
 import torch
+from scipy.integrate import solve_ivp
 
-from fingerflow.models.skin_forces import Array, Chain
+from fingerflow.models.skin_forces import Array, Chain, elastic_forces
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import parameter_set
@@ -37,7 +38,7 @@ def energy(chain: Chain, nodes: Array) -> float:
     """Return the elastic energy (J) of links, tissue, nail and plate, as in the docstring of `skin_chain`."""
     place, bone = nodes[:-1], nodes[-1]
     moved = place - chain.reference - bone
-    line = np.hypot(*(place - chain.centre - bone).T)
+    line = np.hypot(*(place - np.array([0.0, chain.radius]) - bone).T)
     parts = (
         chain.membrane * np.square(np.diff(moved, axis=0)).sum(),
         chain.tissue * np.square(line - chain.radius).sum(),
@@ -46,3 +47,33 @@ def energy(chain: Chain, nodes: Array) -> float:
         chain.contact * np.square(np.minimum(place[:, 1], 0)).sum(),
     )
     return float(sum(parts)) / 2
+
+
+def runge_kutta(chain: Chain, mu: Array, load: Array, duration: float) -> tuple[Array, Array]:
+    """Return positions (N, 2) in m and friction (N,) in N of a chain after ``duration`` s under a load (2,) in N.
+
+    Equation 5 has the forces of `skin_forces`; equation 7 is Dahl's friction without its stray factor.
+    """
+    count = len(mu)
+
+    def unpacked(state: Array) -> tuple[Array, Array, Array]:
+        nodes = state[: 2 * count + 2].reshape(-1, 2) + np.vstack((chain.reference, (0.0, 0.0)))
+        limit = mu * chain.contact * np.maximum(-nodes[:-1, 1], 0)
+        return nodes, limit, np.clip(state[2 * count + 2 :], -limit, limit)
+
+    def rates(time: float, state: Array) -> Array:
+        nodes, limit, held = unpacked(state)
+        forces = elastic_forces(chain, nodes)
+        forces[:-1, 0] -= held  # against the motion
+        forces[-1] += load
+        speed = forces / chain.dampers
+        rubs = limit > 0
+        left = 1 - np.sign(speed[:-1, 0]) * held / np.where(rubs, limit, 1.0)
+        rate = chain.friction_stiffness * np.abs(left) ** chain.exponent * np.sign(left) * speed[:-1, 0]
+        return np.concatenate((speed.ravel(), np.where(rubs, rate, 0.0)))
+
+    # Positions to 0.1 nm and forces to 1e-7 N: both are small where skin hardly moves.
+    absolute = np.concatenate((np.full(2 * count + 2, 1e-10), np.full(count, 1e-7)))
+    end = solve_ivp(rates, (0.0, duration), np.zeros(3 * count + 2), rtol=1e-6, atol=absolute).y[:, -1]
+    nodes, _, held = unpacked(end)
+    return nodes[:-1], held

@@ -8,16 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from chains import begun, chain_of, constant_load, energy, nodes_of
+from chains import begun, chain_of, constant_load, energy, nodes_of, runge_kutta
 
-from bench.suites.skin_chain import runge_kutta
 from fingerflow.models import skin_implicit
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import PressedChain, follow, press
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 
 LAB = PARAMETERS["lab"]
-FRICTIONS = torch.tensor([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 1.0, 1.5], dtype=torch.float64)
+FRICTIONS = torch.tensor([0.0, 0.05, 0.2, 0.6, 1.5], dtype=torch.float64)
 
 
 @pytest.fixture(scope="module", params=["lab", "paper"])
@@ -27,7 +26,7 @@ def pressed(request: pytest.FixtureRequest) -> PressedChain:
 
 def test_forces_balance_to_a_millionth_of_the_load(pressed: PressedChain) -> None:
     assert pressed.balance.max() < 1e-6 * 3
-    torch.testing.assert_close(pressed.normal_force.sum(-1), torch.full((9,), 3.0).double(), rtol=1e-6, atol=0)
+    torch.testing.assert_close(pressed.normal_force.sum(-1), torch.full((5,), 3.0).double(), rtol=1e-6, atol=0)
     assert pressed.friction_force.sum(-1).abs().max() < 1e-12
 
 
@@ -73,7 +72,7 @@ def test_pressure_is_force_over_area(pressed: PressedChain) -> None:
     edges, pressure, traction = pressed.strips()
     width = 8e-3 if pressed.position[0, 0, 0] > -9e-3 else 10e-3
     carried = (pressure * edges.diff(dim=-1)).sum(-1) * width
-    torch.testing.assert_close(carried, torch.full((9,), 3.0).double(), rtol=1e-6, atol=0)
+    torch.testing.assert_close(carried, torch.full((5,), 3.0).double(), rtol=1e-6, atol=0)
     torch.testing.assert_close(
         (traction.abs() * edges.diff(dim=-1)).sum(-1) * width, pressed.friction_force.abs().sum(-1), rtol=1e-9, atol=0
     )
@@ -81,7 +80,7 @@ def test_pressure_is_force_over_area(pressed: PressedChain) -> None:
 
 def test_a_batch_is_its_presses_one_by_one() -> None:
     together = press(FRICTIONS, elements=61)
-    for k in (0, 4, 8):
+    for k in (0, 4):
         alone = press(FRICTIONS[k].item(), elements=61)
         assert alone.divergence.shape == ()
         torch.testing.assert_close(together.position[k], alone.position, rtol=0, atol=1e-13)
@@ -100,14 +99,12 @@ def test_parameter_sets_in_a_batch() -> None:
 
 
 def test_forces_balance_in_every_member_of_a_batch() -> None:
-    """In a batch of 11 members, which leaves SIMD lanes half empty, forces balance to 1e-6 of each member's load,
-    although loads differ by 30 and stiffnesses by 4.
-    """
-    load = torch.logspace(-1, 0.5, 11, dtype=torch.float64)
-    tissue = LAB.tissue_stiffness * torch.linspace(0.5, 2, 11, dtype=torch.float64)
+    """Forces balance to 1e-6 of each member's load, although loads differ by 30 and stiffnesses by 4."""
+    load = torch.logspace(-1, 0.5, 4, dtype=torch.float64)
+    tissue = LAB.tissue_stiffness * torch.linspace(0.5, 2, 4, dtype=torch.float64)
     skin = replace(LAB, tissue_stiffness=tissue, contact_stiffness=100 * tissue)
-    found = press(torch.linspace(0, 1.2, 11, dtype=torch.float64), skin, load, elements=101)
-    assert found.balance.shape == (11,)
+    found = press(torch.linspace(0, 1.2, 4, dtype=torch.float64), skin, load, elements=101)
+    assert found.balance.shape == (4,)
     assert (found.balance < 1e-6 * load).all()
     torch.testing.assert_close(found.normal_force.sum(-1), load, rtol=1e-6, atol=0)
     assert (found.friction_force.sum(-1).abs() < 1e-6 * load).all()

@@ -10,8 +10,8 @@ from chains import bent, chain_of, energy, nodes_of
 
 from fingerflow.models.friction import Friction, dahl_friction
 from fingerflow.models.skin_forces import elastic_forces, half_circle
+from fingerflow.models.skin_implicit import Arrow
 from fingerflow.models.skin_parameters import PARAMETERS, parameter_set
-from fingerflow.models.skin_solve import Arrow
 
 
 def test_forces_are_minus_the_slopes_of_the_energy() -> None:

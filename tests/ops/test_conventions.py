@@ -1,6 +1,6 @@
-"""Tests of the Convention block of every public op: axes, sign, pixel centre, dtype, NaN and border are as stated.
+"""Tests of the Convention block of every public op: axes, sign, pixel centre, dtype and NaN are as stated.
 
-A new op needs an entry in `KINDS`, `SIGNS`, `OF_NAN` and `BORDERS`.
+A new op needs an entry in `KINDS`, `SIGNS` and `OF_NAN`; the test of the op itself shows its border.
 """
 
 import inspect
@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from fingerflow import ops
 from tests.embedded import CASES, HEIGHT, WIDTH, expected, scene, tensors_of
@@ -93,7 +92,7 @@ def mirrored(value: Any, kind: str, axis: int) -> Any:
 @pytest.mark.parametrize("name", ops.__all__)
 def test_every_op_states_its_convention(name: str) -> None:
     assert list(block_of(name)) == ENTRIES
-    for table in (KINDS, SIGNS, OF_NAN, BORDERS):
+    for table in (KINDS, SIGNS, OF_NAN):
         assert name in table, "a new op takes a line of each"
 
 
@@ -377,98 +376,3 @@ OF_NAN: dict[str, Callable[[], None]] = {
 @pytest.mark.parametrize("name", ops.__all__)
 def test_not_a_number(name: str) -> None:
     OF_NAN[name]()
-
-
-def border_median() -> None:
-    image = frame(False)
-    padded = functional.pad(image, (2, 2, 2, 2), mode="replicate")
-    assert torch.equal(ops.median_filter(image, 5), ops.median_filter(padded, 5)[..., 2:-2, 2:-2])
-
-
-def border_light() -> None:
-    image, glass = frame(False), torch.full_like(frame(), 200.0)
-    whole = ops.normalize_illumination(image, glass).frames
-    assert torch.equal(ops.normalize_illumination(image[..., 20:30], glass[..., 20:30]).frames, whole[..., 20:30])
-
-
-def border_otsu() -> None:
-    image = frame(False)
-    moved = ops.otsu_threshold(image.roll((9, 7), (2, 3)), value_range=(-1.0, 255.0))
-    assert torch.equal(moved, ops.otsu_threshold(image, value_range=(-1.0, 255.0)))
-
-
-def border_corners() -> None:
-    low, high = torch.tensor([9.0, 9.0]), torch.tensor([WIDTH - 10.0, HEIGHT - 10.0])
-    points = ops.detect_corners(frame(False), 5000, 1.0, border=9, noise=0.0).points
-    points = points[points.isfinite().all(-1)]
-    assert (points >= low).all()
-    assert (points <= high).all()
-    free = ops.detect_corners(frame(False), 5000, 1.0, noise=0.0).points
-    assert ((free < low) | (free > high)).any()
-
-
-def border_tracks() -> None:
-    first, current, points, _ = scene(1)
-    at = torch.tensor([[[3.0, 30.0], [40.0, HEIGHT - 2.0]]])
-    tracks = ops.track_points(first, current, torch.cat((points, at), 1), window=11)
-    assert (tracks.status[0, -2:] == 2).all()
-    assert tracks.points[0, -2:].isnan().all()
-    assert (tracks.status == 0).any()
-
-
-def border_flow() -> None:
-    first = scene(1)[0]
-    away = torch.zeros(1, 2, HEIGHT, WIDTH)
-    away[:, 0] = 6.0
-    found = ops.dense_flow(first, first.roll(6, 3), away).displacement
-    assert found[..., WIDTH - 6 :].isnan().all()
-    assert found[..., 8 : WIDTH - 16].isfinite().all(1).float().mean() > 0.8
-
-
-def border_fit() -> None:
-    places = torch.stack(torch.meshgrid(*[torch.arange(21.0).double()] * 2, indexing="ij"), -1).reshape(1, -1, 2)
-    queries = torch.tensor([[[10.0, 10.0], [0.0, 10.0]]], dtype=torch.float64)
-    fit = ops.local_gradients(places, places @ GRADIENT.T, queries, gauge_length=10.0)
-    torch.testing.assert_close(fit.gradient, GRADIENT.expand(1, 2, 2, 2))
-    assert fit.centroid_offset[0, 0] < 1e-9
-    assert fit.centroid_offset[0, 1] > 1
-    outside = ops.scattered_to_grid(places, places, *[torch.tensor([10.0, 22.0]).double()] * 2, 10.0)
-    assert outside[0, 0].isfinite().tolist() == [[True, False], [False, False]]
-
-
-def border_triangles() -> None:
-    two = torch.tensor([[0, 1, 2], [3, 4, 5]])
-    both = ops.triangle_gradients(POINTS, two, LINEAR)
-    assert torch.equal(ops.triangle_gradients(POINTS, two[1:], LINEAR), both[:, 1:])
-
-
-def border_parts() -> None:
-    """Check that an expanding disc is irrotational up to its rim; a boundary condition would remove part of the flow
-    there.
-    """
-    y, x = torch.meshgrid(torch.arange(-20.0, 21.0), torch.arange(-20.0, 21.0), indexing="ij")
-    field, disc = torch.stack((x, y))[None], (x.square() + y.square() < 324)[None, None]
-    rim = (disc & (x.square() + y.square() > 225)).expand_as(field)
-    part = ops.helmholtz_hodge(field, disc).irrotational
-    assert (part - field)[rim].square().mean() < 0.01 * field[rim].square().mean()
-
-
-BORDERS: dict[str, Callable[[], None]] = {
-    **{name: OF_NAN[name] for name in ("curl", "divergence", "green_lagrange", "strain_energy_density")},  # elementwise
-    "dense_flow": border_flow,
-    "detect_corners": border_corners,
-    "helmholtz_hodge": border_parts,
-    "local_gradients": border_fit,
-    "median_filter": border_median,
-    "normalize_illumination": border_light,
-    "otsu_threshold": border_otsu,
-    "scattered_to_grid": border_fit,
-    "track_points": border_tracks,
-    "triangle_gradients": border_triangles,
-}
-
-
-@pytest.mark.usefixtures("each_form")
-@pytest.mark.parametrize("name", ops.__all__)
-def test_border(name: str) -> None:
-    BORDERS[name]()

@@ -9,8 +9,6 @@ import torch
 
 from fingerflow import ops
 from fingerflow.ops.contact.apparent_contact import apparent_contact
-from fingerflow.ops.contact.components import fill_holes, largest_component
-from fingerflow.ops.contact.ellipse import fit_ellipse
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
@@ -35,6 +33,7 @@ FITTED: dict[Callable[..., Any], dict[str, Any]] = {
         **{"semi_axes": torch.ones(1, 2), "angle": torch.zeros(1), "gauge_length": 1.0},
     },
     ops.detect_corners: {"frame": IMAGE},
+    ops.dense_flow: {"first": FRAMES[:1], "current": FRAMES[:1]},
     ops.helmholtz_hodge: {"field": FIELD},
     ops.local_gradients: {"points": POINTS, "values": POINTS, "gauge_length": 1.0},
     ops.normalize_illumination: {"frames": FRAMES, "reference": FRAMES},
@@ -64,8 +63,6 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (erode, {"mask": MASK[0, 0], "radius": 1}, r"\(9, 9\)"),
     (frame_quantile, {"frames": IMAGE, "fraction": 1.5}, r"1\.5"),
     (frame_quantile, {"frames": IMAGE[0, 0], "fraction": 0.5}, r"\(9, 9\)"),
-    *[(op, {"mask": IMAGE}, "float32") for op in (fill_holes, largest_component, fit_ellipse)],
-    *[(op, {"mask": MASK[0, 0]}, r"\(9, 9\)") for op in (fill_holes, largest_component, fit_ellipse)],
     (apparent_contact, {"mask": MASK.byte(), "radius": 3}, "uint8"),
     (apparent_contact, {"mask": MASK[0], "radius": 3}, "shape"),
     *[(apparent_contact, {"mask": MASK, "radius": radius}, f"radius of {radius} px") for radius in (0, 256)],
@@ -95,6 +92,15 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.detect_corners, {"window": 4}, "window is 4"),
     (ops.detect_corners, {"frame": IMAGE[0, 0]}, r"\(9, 9\)"),
     (ops.detect_corners, {"frame": IMAGE[..., :2, :]}, "noise="),
+    (ops.dense_flow, {"first": FRAMES[0]}, "first must be"),
+    (ops.dense_flow, {"current": FRAMES[:1, ..., 1:]}, "current must be"),
+    (ops.dense_flow, {"initial": torch.zeros(1, 2, 3, 3)}, "initial must be"),
+    (ops.dense_flow, {"mask": IMAGE}, "mask must be bool"),
+    (ops.dense_flow, {"box": 4}, "box must be odd"),
+    (ops.dense_flow, {"roughness": 0.0}, "roughness above 0"),
+    (ops.dense_flow, {"warps": 0}, "warps must be at least 1"),
+    (ops.dense_flow, {"model": "huber"}, "model must be one of .*'charbonnier'.*, not 'huber'"),
+    (ops.dense_flow, {"first": IMAGE[..., :4], "current": IMAGE[..., :4]}, "at least 8 x 8"),
     (ops.track_points, {"window": 20}, "odd"),
     (ops.track_points, {"passes": 3}, "passes"),
     (ops.track_points, {"points": torch.zeros(2, 3)}, "points"),

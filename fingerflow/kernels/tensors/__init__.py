@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import torch
 
-from fingerflow.kernels import checks, contact, deformation, fields, flow, skin, tracking
+from fingerflow.kernels import checks, contact, deformation, fields, flow, tracking
 from fingerflow.kernels.library import inject_fault as inject_fault
 from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
 from fingerflow.kernels.tensors.serving import constant_to_compiler as constant_to_compiler
@@ -36,24 +36,14 @@ histogram = torch_op()(contact.histogram)
 illumination_gain = torch_op()(contact.illumination_gain)
 median = torch_op()(contact.median)
 normalize = torch_op()(contact.normalize)
-otsu_threshold = torch_op()(contact.otsu_threshold)
 real_contact_mask = torch_op()(contact.real_contact_mask)
 correct_points = torch_op()(deformation.correct_points)
 area_medians = torch_op()(fields.area_medians)
 local_gradients = torch_op()(fields.local_gradients)
 triangle_strain = torch_op()(fields.triangle_strain)
-flow_at_pixels = torch_op()(flow.flow_at_pixels)
-flow_covariance = torch_op()(flow.flow_covariance)
 flow_descend = torch_op()(flow.flow_descend)
-flow_integrate = torch_op()(flow.flow_integrate)
 flow_left = torch_op()(flow.flow_left)
-flow_levels = torch_op()(flow.flow_levels)
 flow_template = torch_op()(flow.flow_template)
-flow_to_pixels = torch_op()(flow.flow_to_pixels)
-level_shapes = flow.level_shapes
-press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_skin)
-LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW
-corners = torch_op()(tracking.corners)
 find_pairs = torch_op()(tracking.find_pairs)
 find_templates = torch_op()(tracking.find_templates)
 halve = torch_op()(tracking.halve)

@@ -17,9 +17,7 @@ _CPU = torch.device("cpu")  # device of all results, whatever torch's default de
 _OPS = torch.library.Library("fingerflow", "DEF")
 
 
-def torch_op(
-    *, changes: tuple[str, ...] = (), shapes: Callable[..., Any] | None = None
-) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+def torch_op(*, shapes: Callable[..., Any] | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Return a decorator that registers a function as `torch.ops.fingerflow.<name>`, opaque to the compiler.
 
     Outside compilation the function is called directly, and so it is while torch exports (to standard operators) and if
@@ -31,7 +29,6 @@ def torch_op(
     None. No result shares memory with another or with an argument.
 
     Args:
-        changes: names of the tensors that it writes to.
         shapes: needed for a function of portable ops, on any device, whose control flow depends on data: returns
             tensors of the shapes and dtypes of its results from the same arguments. The first axis of all its tensors,
             in and out, is the batch.
@@ -62,7 +59,7 @@ def torch_op(
             with shapes_only():
                 return whole(function(*args, **kwargs))
 
-        _OPS.define(name + _schema(function, len(parts), changes), tags=(torch.Tag.pt2_compliant_tag,))
+        _OPS.define(name + _schema(function, len(parts)), tags=(torch.Tag.pt2_compliant_tag,))
         _OPS.impl(name, computed, "CPU" if shapes is None else "CompositeExplicitAutograd")
         torch.library.register_fake(f"fingerflow::{name}", shaped, lib=_OPS)
         op = getattr(torch.ops.fingerflow, name).default
@@ -164,7 +161,7 @@ def _of_tensors(annotation: Any) -> Any:
     return annotation[Tensor] if getattr(annotation, "__parameters__", ()) else annotation
 
 
-def _schema(function: Callable[..., Any], parts: int, changes: tuple[str, ...]) -> str:
+def _schema(function: Callable[..., Any], parts: int) -> str:
     def described(*args: Any, **kwargs: Any) -> Any:
         raise NotImplementedError
 
@@ -172,4 +169,4 @@ def _schema(function: Callable[..., Any], parts: int, changes: tuple[str, ...]) 
     tensors: Any = Tensor if parts == 1 else tuple[(Tensor,) * parts]  # type: ignore[misc]
     given = [one.replace(annotation=_of_tensors(one.annotation)) for one in signature.parameters.values()]
     described.__signature__ = signature.replace(parameters=given, return_annotation=tensors)  # type: ignore[attr-defined]
-    return torch.library.infer_schema(described, mutates_args=changes)
+    return torch.library.infer_schema(described, mutates_args=())

@@ -27,7 +27,7 @@ class ApparentRegion(NamedTuple):
         covered_px, area_px: (B,) px, areas of the pattern (in the whole frame) and of the region.
         center: (B, 2) px, (x, y) of the ellipse with the region's moments; NaN for an empty region, as the next two.
         semi_axes: (B, 2) px of the ellipse, major first.
-        angle: (B,) rad of the ellipse, as in `ops.contact.ellipse.fit_ellipse`.
+        angle: (B,) rad of the major axis, from the x axis towards y (down the frame), in (-pi/2, pi/2].
     """
 
     density_margin: Tensor
@@ -263,7 +263,7 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     """Return area, centre, semi-axes and angle of a region, given the fraction of each cell (B, 1, h, w) that it
     covers; the latter three are those of the ellipse with the same first and second moments.
 
-    Centre and semi-axes are in px, the angle in rad. The definitions are those of `ops.contact.ellipse.fit_ellipse`.
+    Centre and semi-axes are in px, the angle in rad.
     """
     # Moments about the centre of the frame, in cells, so that float32 represents the squares.
     powers = []

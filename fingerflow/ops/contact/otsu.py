@@ -91,10 +91,7 @@ def otsu_threshold(
         border: every pixel counts alike.
     """
     low, high = _range(frames, value_range)
-    counts = histogram(frames, mask, _BINS, (low, high))
-    if kernels.serve(counts):
-        return kernels.otsu_threshold(counts, low, high)
-    counts = counts.double()
+    counts = histogram(frames, mask, _BINS, (low, high)).double()
     level = torch.arange(256, dtype=torch.float64, device=frames.device)
     # With n pixels of sum s up to a level, and n_all of sum s_all, the variance between the classes is
     # (s n_all - s_all n)^2 / (n_all^2 n (n_all - n)) (Otsu 1979, eq. 18). Its integers are exact in float64.

@@ -36,22 +36,6 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
     return _by_halving(frames.flatten(1), fraction)
 
 
-def median_of_counts(counts: Tensor) -> Tensor:
-    """Return the median (B,) of each histogram of counts (B, bins), whose bin k counts the values that round to k.
-
-    Values are assumed to be spread evenly over the unit around each integer, so the median is not quantised. NaN for an
-    empty histogram; float64, or the dtype of floating counts.
-    """
-    counts = counts if counts.is_floating_point() else counts.double()
-    total = counts.sum(1, keepdim=True)
-    reached = counts.cumsum(1)
-    place = (reached < total / 2).to(counts.dtype).sum(1, keepdim=True).clamp(max=counts.shape[1] - 1)
-    own = counts.gather(1, place.to(torch.int64))
-    before = reached.gather(1, place.to(torch.int64)) - own
-    median = place - 0.5 + (total / 2 - before) / own.clamp_min(1)
-    return torch.where(total > 0, median, torch.nan).squeeze(1)
-
-
 def _from_histogram(counts: Tensor, fraction: float) -> Tensor:
     wanted = (counts.sum(1, keepdim=True).double() * fraction).ceil().clamp(min=1)
     return (counts.cumsum(1) < wanted).sum(1).double()

@@ -381,8 +381,6 @@ def _at_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor],
     squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
     others = torch.cat((covariance, residual), dim=1)
-    if flow.dtype == torch.float32 and kernels.serve(flow, others, template.inside):
-        return Flow(*kernels.flow_at_pixels(flow, others, known, template.inside))
     displacement = to_pixels(flow, known, *size)
     xx, xy, yy, residual = spread(others, known, *size).split(1, dim=1)
     lost = torch.where(_stays_inside(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)

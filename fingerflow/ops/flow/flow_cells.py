@@ -16,8 +16,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
-
 CELL = 2  # px, side of a cell
 _NARROW = 0.01  # least determinant of the second moments in a plane fit, relative to the squared trace; 1/4 for a disc
 _TINY = 1e-12
@@ -87,8 +85,6 @@ def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
 
     `known` (B, 1, h, w) is 1 for known cells, else 0.
     """
-    if cells.dtype == torch.float32 and kernels.serve(cells, known):
-        return kernels.flow_to_pixels(cells, known, height, width)
     plane = plane_of(cells, known)
     beside = spread(cells - plane.at(*places(cells)), known, height, width)
     return plane.at(*finer_places(cells, height, width)) + beside
@@ -169,8 +165,6 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
 
     Values beyond the border count as 0.
     """
-    if fields.dtype == torch.float32 and kernels.serve(fields):
-        return kernels.flow_integrate(fields, weights)
     half = len(weights) // 2
     for dim, pads in ((2, (0, 0, half, half)), (3, (half, half))):
         wide, length = functional.pad(fields, pads), fields.shape[dim]

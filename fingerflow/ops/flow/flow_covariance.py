@@ -5,7 +5,6 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 
 _RIDGE_NOISE = 0.86  # share of the noise power that passes the low-pass of the spline at a period of 15 px
@@ -28,13 +27,6 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
         rho_square: variance of the window, px^2.
         of_noise: (B,) eigenvalue of J for noise alone.
     """
-    if (
-        tensor.dtype == torch.float32
-        and alpha.numel() == len(alpha)
-        and kernels.serve(tensor, alpha, variance, of_noise)
-    ):
-        density, textured = 2 * variance * _RIDGE_NOISE, limits.TEXTURE_TO_NOISE * of_noise
-        return kernels.flow_covariance(tensor, density, alpha.flatten(), textured, rho_square)
     variance, of_noise = variance[:, None, None, None], of_noise[:, None, None, None]
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2

@@ -16,7 +16,6 @@ equation, and the trend is recomputed before each cycle. Where ridges run in one
 bring nine tenths of the flow to within 0.0023 px of the fixed point, one cycle to 0.013.
 """
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -52,28 +51,12 @@ def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[L
         right, down: (B, 1, H, W - 1) and (B, 1, H - 1, W), weights of the squared differences between neighbours.
         mask: (B, 1, H, W), 1 or 0.
     """
-    if tensor.dtype == torch.float32 and kernels.serve(tensor, right, down, mask):
-        return _compiled_pyramid(tensor, right, down, mask)
     levels = [_level(tensor, right, down, mask)]
     while min(tensor.shape[-2:]) > SMALLEST_SIDE:
         right, down = halved_edges(right, down)
         tensor, mask = halved(tensor), (halved(mask) > 0).to(mask.dtype)
         levels.append(_level(tensor, right, down, mask))
     return levels
-
-
-def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
-    count, side = 1, min(tensor.shape[-2:])
-    while side > SMALLEST_SIDE:
-        count, side = count + 1, (side + 1) // 2
-    shapes = kernels.level_shapes(len(tensor), tensor.shape[-2], tensor.shape[-1], count)
-    made = [shapes[0][3], *(shape for level in shapes[1:] for shape in level)]
-    flat = kernels.flow_levels(tensor, right, down, mask, count)
-    inverse, *planes = (
-        part.view(shape) for part, shape in zip(flat.split([math.prod(one) for one in made]), made, strict=True)
-    )
-    coarser = (Level(*planes[k : k + len(Level._fields)]) for k in range(0, len(planes), len(Level._fields)))
-    return [Level(tensor, right, down, inverse, mask), *coarser]
 
 
 def edges(mask: Tensor) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.cells import largest_around
@@ -92,24 +91,6 @@ def detect_corners(
             "none may be negative, and quality is at most 1"
         )
     _check_frame(frame, window)
-    exact = frame.dtype == torch.uint8 and window <= kernels.LARGEST_CORNER_WINDOW
-    if exact and frame.numel() and kernels.serve(frame, mask):
-        spread = (
-            _noise_deviation(frame)
-            if noise is None
-            else torch.full((len(frame),), noise, dtype=torch.float32, device=frame.device)
-        )
-        points, strength = kernels.corners(
-            frame,
-            mask,
-            _above_noise(window) * spread.square(),
-            count=count,
-            min_distance=min_distance,
-            quality=quality,
-            window=window,
-            border=border,
-        )
-        return Corners(points, strength, strength.isfinite())
     response, larger = _eigenvalues(frame, window)
     allowed = _inside(frame, border)
     if mask is not None:
@@ -163,8 +144,7 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
     xx, xy, yy = tensor.split(1, 1)
     both, apart, twice = xx + yy, xx - yy, 2 * xy
     if whole:
-        # Up to here integers are exact. From here on every operation rounds once, in the same order as the compiled
-        # kernel.
+        # Up to here integers are exact. From here on every operation rounds once.
         both, apart, twice = both.float(), apart.float(), twice.float()
         # Compute the root in float64, since torch's float32 square root is not correctly rounded for all values.
         spread = (apart.square() + twice.square()).double().sqrt().float()

@@ -80,7 +80,7 @@ def test_spans_stripes_and_their_gaps(cell: int | None, each: float, mean: float
     assert np.ptp(areas) / np.mean(areas) < each
 
 
-@pytest.mark.parametrize("radius", [2, 5, 8, 17, 20])
+@pytest.mark.parametrize("radius", [2, 8, 20])
 @pytest.mark.parametrize("period", [None, 1.7])
 def test_same_region_pixel_by_pixel(period: float | None, radius: int) -> None:
     """The area on cells differs by at most 2 % from the area found pixel by pixel (6 % at a radius of 2 px), and the
@@ -92,19 +92,6 @@ def test_same_region_pixel_by_pixel(period: float | None, radius: int) -> None:
     assert float(region.area_px) == pytest.approx(float(expected.sum()), rel=0.02 if radius > 2 else 0.06)
     found = mask_of(region.density_margin, cell_of(radius), *mask.shape[2:])[0, 0]
     assert float((found != expected).sum()) < 2 * math.pi * 5 * radius
-
-
-def test_largest_part_without_holes() -> None:
-    mask = torch.zeros(1, 1, 160, 240, dtype=torch.bool)
-    mask[..., 20:40, 20:40] = True
-    mask[..., 60:140, 100:220] = True
-    mask[..., 90:110, 140:180] = False
-    region = apparent_contact(mask, 4)
-    found = mask_of(region.density_margin, cell_of(4), 160, 240)[0, 0]
-    assert not found[:, :90].any()
-    assert found[90:110, 140:180].all()
-    assert float(region.area_px) == pytest.approx(80 * 120, rel=0.02)
-    assert float(region.covered_px) == int(mask.sum())
 
 
 @pytest.mark.parametrize("cell", [4, 8])

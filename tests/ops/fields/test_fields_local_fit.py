@@ -12,7 +12,6 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.fields import weighted_moments
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import curl, divergence
 
 GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
 GAUGE = 2.0
@@ -73,21 +72,6 @@ def test_the_same_as_least_squares_done_one_by_one() -> None:
         assert fit.point_count[0, index] == inside
 
 
-def test_a_permuted_list_of_points_gives_the_same_field() -> None:
-    """The order of the points does not matter; the lab's script, which differentiates along the list of points, depends
-    on the order.
-    """
-    points = cloud()
-    values = torch.stack((points[..., 0].sin(), (points[..., 0] * points[..., 1]).cos()), dim=-1)
-    order = torch.randperm(points.shape[1], generator=torch.Generator().manual_seed(8))
-    fit = local_gradients(points, values, gauge_length=GAUGE)
-    shuffled = local_gradients(points[:, order], values[:, order], gauge_length=GAUGE)
-    for operator in (divergence, curl):
-        torch.testing.assert_close(
-            operator(shuffled.gradient), operator(fit.gradient)[:, order], atol=1e-12, rtol=0, equal_nan=True
-        )
-
-
 @pytest.mark.parametrize("waves_per_gauge", [0.125, 0.25, 0.5, 1.0])
 def test_a_sinusoid_is_attenuated_as_the_docstring_says(waves_per_gauge: float) -> None:
     """The fit attenuates a sinusoid as the docstring states.
@@ -125,20 +109,6 @@ def test_a_quadratic_lifts_the_value_by_the_second_moment_and_leaves_the_slope()
     # The weighted mean of x^2 + y^2 is R^2 / 4 in a uniform cloud.
     assert fit.value.item() == pytest.approx(radius**2 / 4, abs=1e-4)
     np.testing.assert_allclose(fit.gradient[0, 0, 0], [2.0, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_missing_points_are_left_out_as_if_they_were_not_in_the_list(bad: float) -> None:
-    points, queries = cloud(), inner_queries(20)
-    values = noise_like(points)
-    spoiled_points, spoiled_values = points.clone(), values.clone()
-    spoiled_points[0, :10, 0] = bad
-    spoiled_values[0, 10:20, 1] = bad
-    fit = local_gradients(spoiled_points, spoiled_values, queries, gauge_length=GAUGE)
-    clean = local_gradients(points[:, 20:], values[:, 20:], queries, gauge_length=GAUGE)
-    assert torch.equal(fit.point_count, clean.point_count)
-    torch.testing.assert_close(fit.gradient, clean.gradient, atol=1e-12, rtol=0)
-    torch.testing.assert_close(fit.value, clean.value, atol=1e-12, rtol=0)
 
 
 def test_a_missing_query_is_nan_and_no_other() -> None:
@@ -210,45 +180,6 @@ def test_float32_far_from_the_origin() -> None:
     # eps x displacement of 0.5 over a spread of at least 0.1, some tens of roundings; raw moments would err by 1e2.
     torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=2e-5, rtol=0, equal_nan=True)
     torch.testing.assert_close(fit.value.double(), truth.value, atol=2e-6, rtol=0, equal_nan=True)
-
-
-def test_float32_keeps_small_slopes_on_a_large_height() -> None:
-    points = cloud().float()
-    values = (1000 + points.double() @ (1e-2 * GRADIENT.T)).float()  # spacing of float32 there: 6e-5
-    fit = local_gradients(points, values, gauge_length=GAUGE)
-    truth = local_gradients(points.double(), values.double(), gauge_length=GAUGE)
-    torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=1e-6, rtol=0, equal_nan=True)
-
-
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
-def test_half_precision_is_the_rounded_float32_answer(dtype: torch.dtype) -> None:
-    points = cloud().to(dtype)
-    values = (points.double() @ GRADIENT.T).to(dtype)
-    fit = local_gradients(points, values, gauge_length=GAUGE)
-    wide = local_gradients(points.float(), values.float(), gauge_length=GAUGE)
-    assert fit.gradient.dtype == fit.value.dtype == dtype
-    assert torch.equal(fit.gradient.nan_to_num(), wide.gradient.to(dtype).nan_to_num())
-
-
-@pytest.mark.parametrize("batch", [0, 1, 1000])
-def test_batches(batch: int) -> None:
-    points = cloud(count=8, size=1.0).expand(batch, -1, -1)
-    for reference in (points, cloud(count=8, size=1.0)):
-        fit = local_gradients(reference, points, gauge_length=3.0, variance=points[..., 0])
-        assert fit.value.shape == (batch, 8, 2)
-        assert fit.gradient.shape == (batch, 8, 2, 2)
-        assert fit.covariance is not None
-        assert fit.covariance.shape == (batch, 8, 2, 2, 2, 2)
-        assert fit.point_count.shape == fit.centroid_offset.shape == (batch, 8)
-        assert fit.gradient.isfinite().all()
-
-
-def test_no_queries_and_no_points() -> None:
-    points = cloud(2)
-    assert local_gradients(points, points, points[:, :0], gauge_length=GAUGE).gradient.shape == (2, 0, 2, 2)
-    fit = local_gradients(points[:, :0], points[:, :0], points, gauge_length=GAUGE)
-    assert fit.gradient.isnan().all()
-    assert not fit.point_count.any()
 
 
 def test_shared_positions_and_positions_of_each_frame_agree() -> None:

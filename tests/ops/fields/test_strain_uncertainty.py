@@ -81,13 +81,6 @@ def test_strain_deviation_uses_the_derivative_of_that_measure(measure: str) -> N
     torch.testing.assert_close(field_std(gradient, covariance.reshape(2, 2, 2, 2), measure)[..., 2:], expected)
 
 
-def test_divergence_and_curl_of_uncorrelated_errors_by_hand() -> None:
-    variances = torch.tensor([[1.0, 4.0], [16.0, 64.0]], dtype=torch.float64)  # of ux, uy, vx, vy
-    covariance = torch.diag(variances.flatten()).reshape(2, 2, 2, 2)
-    assert divergence_std(covariance).item() == pytest.approx(math.sqrt(65))
-    assert curl_std(covariance).item() == pytest.approx(math.sqrt(20))
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e-4])
 def test_a_point_without_a_usable_variance_is_left_out(bad: float) -> None:
     points, queries, covariance = scene()

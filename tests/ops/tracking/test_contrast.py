@@ -19,12 +19,6 @@ def test_stretch_maps_quantiles_to_zero_and_one(dtype: torch.dtype) -> None:
     assert np.allclose(stretched.numpy(), expected, atol=1e-6)
 
 
-def test_stretch_undoes_gain_and_offset() -> None:
-    values = torch.rand(1, 1, 40, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    # Each quantile has an error of 2^-24 of the range.
-    assert (stretch_contrast(3 * values + 7) - stretch_contrast(values)).abs().max() < 1e-6
-
-
 def test_stretch_of_hard_frames() -> None:
     blank = torch.full((1, 1, 5, 5), 255, dtype=torch.uint8)
     assert (stretch_contrast(blank) == 0).all()

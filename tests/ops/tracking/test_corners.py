@@ -37,15 +37,7 @@ def test_response_equals_opencv(window: int) -> None:
     assert np.allclose(ours[inner], theirs[inner], rtol=1e-3, atol=1e-3 * ours.max())
 
 
-def test_response_is_the_gradient_of_a_known_surface() -> None:
-    """The response of the saddle 3 x y at its centre is 18: the mean gradient tensor is diagonal in closed form."""
-    y, x = torch.meshgrid(torch.arange(41.0) - 20, torch.arange(41.0) - 20, indexing="ij")
-    response = corner_response((3 * x * y)[None, None].double(), 5)
-    # gradient (3 y, 3 x): over 5 x 5 about the centre the mean of 9 y^2 is 9 * 2.
-    assert response[0, 0, 20, 20].item() == pytest.approx(18)
-
-
-@pytest.mark.parametrize("distance", [0, 1, 1.5, 2, 4.9, 5, 7, 10, 23.3])
+@pytest.mark.parametrize("distance", [0, 1.5, 4.9, 5, 23.3])
 def test_selection_equals_the_greedy_rule(distance: float) -> None:
     frames = np.stack([texture(seed) for seed in (1, 2)])
     tensor = torch.from_numpy(frames)[:, None]
@@ -68,16 +60,6 @@ def test_greedy_rule_among_equals() -> None:
     corners = detect_corners(tensor, 500, 7.0, window=3, noise=0.0)
     expected = greedy(response[0, 0].numpy(), 0.01 * response.max().item(), 500, 7.0)
     assert corners.points[0][corners.valid[0]].tolist() == [list(map(float, point)) for point in expected]
-
-
-def test_distance_is_kept_exactly_and_points_are_strongest_first() -> None:
-    corners = detect_corners(torch.from_numpy(texture(3))[None, None], 700, 6.0)
-    points = corners.points[0][corners.valid[0]]
-    assert len(points) > 50
-    gaps = torch.cdist(points.double(), points.double()).fill_diagonal_(torch.inf)
-    assert gaps.min() >= 6.0
-    assert (corners.response[0][corners.valid[0]].diff() <= 0).all()
-    assert corners.points[0][~corners.valid[0]].isnan().all()
 
 
 def test_corners_of_a_square_are_found() -> None:
@@ -106,36 +88,12 @@ def test_mask_and_border_hold() -> None:
     assert points[:, 1].max() <= 120 - 16
 
 
-@pytest.mark.parametrize("dtype", [torch.int16, torch.uint16, torch.float16, torch.float32, torch.float64])
-def test_dtype_does_not_change_the_corners(dtype: torch.dtype) -> None:
-    frame = torch.from_numpy(texture(5))[None, None]
-    expected = detect_corners(frame, 100, noise=1.0)
-    corners = detect_corners(frame.to(dtype), 100, noise=1.0)
-    assert torch.equal(corners.points.nan_to_num(-1).float(), expected.points.nan_to_num(-1))
-
-
-def test_brightness_offset_and_gain_do_not_move_corners() -> None:
-    frame = torch.from_numpy(texture(6))[None, None].double()
-    expected, changed = detect_corners(frame, 100), detect_corners(0.5 * frame + 30, 100)
-    assert torch.equal(changed.points.nan_to_num(-1), expected.points.nan_to_num(-1))
-
-
 def test_gradient_of_the_response() -> None:
     frame = torch.rand(1, 1, 7, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(7)).requires_grad_()
     assert torch.autograd.gradcheck(lambda x: corner_response(x, 3), frame)
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
-@pytest.mark.parametrize("level", [0, 100, 255])
-def test_one_grey_level(dtype: torch.dtype, level: int) -> None:
-    corners = detect_corners(torch.full((2, 1, 40, 40), level).to(dtype), 50)
-    assert not corners.valid.any()
-    assert corners.points.shape == (2, 50, 2)
-    assert corners.points.isnan().all()
-    assert corners.response.isnan().all()
-
-
-@pytest.mark.parametrize("window", [3, 5, 7, 11, 21])
+@pytest.mark.parametrize("window", [3, 7, 21])
 @pytest.mark.parametrize("deviation", [0.3, 3.0])
 def test_pure_noise_has_no_corners(window: int, deviation: float) -> None:
     noise = torch.randn(2, 1, 300, 300, generator=torch.Generator().manual_seed(window))
@@ -145,7 +103,7 @@ def test_pure_noise_has_no_corners(window: int, deviation: float) -> None:
     assert not detect_corners(frame, 50, window=window, noise=known).valid.any()
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.2, math.pi / 4, 1.2, math.pi / 2])
+@pytest.mark.parametrize("angle", [0.0, 0.2, math.pi / 4])
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
 def test_one_direction_only_has_no_corners(angle: float, dtype: torch.dtype) -> None:
     y, x = torch.meshgrid(torch.arange(120.0), torch.arange(150.0), indexing="ij")
@@ -153,62 +111,3 @@ def test_one_direction_only_has_no_corners(angle: float, dtype: torch.dtype) -> 
     frame = grating[None, None].to(dtype) if dtype.is_floating_point else grating.round()[None, None].to(dtype)
     # Replicated pixels bend the stripes at the border of the frame itself.
     assert not detect_corners(frame, 50, border=8).valid.any()
-
-
-def test_one_direction_with_camera_noise_has_no_corners() -> None:
-    y, x = torch.meshgrid(torch.arange(200.0), torch.arange(200.0), indexing="ij")
-    grating = 120 + 60 * torch.sin(0.4 * x + 0.2 * y)
-    noise = 2 * torch.randn(200, 200, generator=torch.Generator().manual_seed(0))
-    frame = (grating + noise).round().to(torch.uint8)[None, None]
-    assert not detect_corners(frame, 50, border=8).valid.any()
-
-
-def test_saturated_spot_has_corners_only_at_its_rim() -> None:
-    y, x = torch.meshgrid(torch.arange(100) - 50, torch.arange(100) - 50, indexing="ij")
-    frame = torch.where((x.abs() < 30) & (y.abs() < 30), 255, 60).to(torch.uint8)[None, None]
-    points = detect_corners(frame, 50, noise=1.0)
-    found = points.points[0][points.valid[0]] - 50
-    assert len(found) >= 4
-    assert (found.abs().amin(1) >= 25).all()
-
-
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
-def test_a_number_that_is_none_spoils_its_windows_only(bad: float) -> None:
-    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(size=(100, 120)), (0, 0), 2.5)
-    frame = torch.from_numpy(120 + 40 * noise / noise.std())[None, None].float()
-    spoiled = frame.clone()
-    spoiled[0, 0, 50, 60] = bad
-    response, clean = corner_response(spoiled, 7), corner_response(frame, 7)
-    expected = torch.zeros(100, 120, dtype=torch.bool)
-    expected[46:55, 56:65] = True  # half a window and the gradient's pixel: 4 px
-    expected[50, 60] = True
-    assert torch.equal(response[0, 0].isnan(), expected)
-    assert torch.equal(response[0, 0][~expected], clean[0, 0][~expected])
-    corners, all_corners = detect_corners(spoiled, 500, 3.0, noise=1.0), detect_corners(frame, 500, 3.0, noise=1.0)
-    x, y = corners.points[0][corners.valid[0]].long().unbind(1)
-    assert not expected[y, x].any()
-    lost = all_corners.valid.sum() - corners.valid.sum()
-    assert 0 <= lost <= 8
-
-
-def test_frame_of_nan_beside_a_textured_one() -> None:
-    noise = cv2.GaussianBlur(np.random.default_rng(2).normal(size=(60, 60)), (0, 0), 2.5)
-    frame = torch.from_numpy(40 * noise / noise.std())[None, None].float()
-    corners = detect_corners(torch.cat([torch.full_like(frame, torch.nan), frame]), 20)
-    assert not corners.valid[0].any()
-    assert torch.equal(corners.points[1], detect_corners(frame, 20).points[0])
-
-
-def test_fewer_than_asked_none_asked_and_empty_batch() -> None:
-    frame = torch.zeros(1, 1, 40, 40)
-    frame[..., 10:30, 10:30] = 100
-    assert detect_corners(frame, 0).points.shape == (1, 0, 2)
-    assert detect_corners(frame[:0], 7).points.shape == (0, 7, 2)
-    assert not detect_corners(frame, 5, mask=torch.zeros(1, 1, 40, 40, dtype=torch.bool)).valid.any()
-    assert not detect_corners(frame, 5, border=20).valid.any()
-
-
-def test_frame_smaller_than_the_window() -> None:
-    frame = torch.rand(1, 1, 3, 5, generator=torch.Generator().manual_seed(3))
-    assert corner_response(frame, 9).isfinite().all()
-    assert detect_corners(frame, 5, window=9, border=9).valid.sum() == 0

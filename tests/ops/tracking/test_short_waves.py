@@ -82,11 +82,3 @@ def test_sparse_and_lost_points_keep_the_wide_correction() -> None:
     found, _ = corrected(lost, short=True)
     assert found[0, 500].isnan().all()
     assert found.isnan().sum() == 2
-
-
-def test_each_image_pair_is_corrected_as_if_it_were_alone() -> None:
-    pairs = torch.cat([shown(55.0, 0.5)[1], shown(400.0, 0.1)[1]])
-    together = corrected(pairs, True, START.expand(2, -1, -1))
-    for k in range(2):
-        for one, alone in zip(together, corrected(pairs[k : k + 1], short=True), strict=True):
-            torch.testing.assert_close(one[k : k + 1], alone)

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.ops.tracking.track_points import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture, texture_image
@@ -26,6 +26,7 @@ def moved_by(shift: tuple[float, float]) -> Callable[[Tensor, Tensor], tuple[Ten
     return lambda x, y: (x - shift[0] * MM, y - shift[1] * MM)
 
 
+@cache
 def picture(shift: tuple[float, float], noise: float, seed: int) -> Tensor:
     clean = texture_image(grey, SHAPE, MM, moved_by(shift))
     generator = torch.Generator().manual_seed(seed)
@@ -52,7 +53,7 @@ def bound(points: Tensor, noise: float, window: int = 21) -> float:
     return float(covariance.diagonal(dim1=1, dim2=2).sum(-1).mean().sqrt())
 
 
-@pytest.mark.parametrize("noise", [0, 1, 2, 5])
+@pytest.mark.parametrize("noise", [0, 2, 5])
 @pytest.mark.parametrize("fraction", [0.0, 0.37])
 def test_error_is_at_the_bound_and_without_bias(points: Tensor, noise: float, fraction: float) -> None:
     """The error is below 1.1 of the Cramer-Rao bound and the bias below 0.001 px plus three standard errors of the
@@ -72,12 +73,6 @@ def test_error_is_at_the_bound_and_without_bias(points: Tensor, noise: float, fr
     assert (error.mean(0).abs() < 0.001 + 3 * error.std(0) / math.sqrt(len(error))).all()
 
 
-def test_equal_images_do_not_move(points: Tensor) -> None:
-    image = picture((0, 0), 2, 0)
-    tracks = track_points(image, image, points + 0.3)
-    torch.testing.assert_close(tracks.points, points + 0.3, atol=1e-4, rtol=0)
-
-
 def test_covariance_is_that_of_the_errors(points: Tensor) -> None:
     """The mean of e' C^-1 e is near 2, its expected value; smoothing makes the stated covariance slightly too large."""
     tracks = track_points(picture((0, 0), 2, 1), picture((0.4, 0.2), 2, 2), points)
@@ -87,7 +82,7 @@ def test_covariance_is_that_of_the_errors(points: Tensor) -> None:
 
 
 @pytest.mark.parametrize("search", [0, 64])
-@pytest.mark.parametrize("motion", [(5.0, 0.0), (4.0, 3.0), (50.0, 0.0), (40.0, 30.0)])
+@pytest.mark.parametrize("motion", [(4.0, 3.0), (40.0, 30.0)])
 def test_large_motion_is_found_or_flagged(points: Tensor, motion: tuple[float, float], search: int) -> None:
     tracks = track_points(picture((0, 0), 2, 3), picture(motion, 2, 4), points, search=search)
     tracked = tracks.status == TrackStatus.TRACKED
@@ -163,7 +158,7 @@ def status(tracks: Tracks) -> list[int]:
     return tracks.status[0].tolist()
 
 
-@pytest.mark.parametrize("contrast", [0.3, 0.1, 0.05])
+@pytest.mark.parametrize("contrast", [0.3, 0.05])
 def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
     """Points are tracked to 0.01 px without noise when the contrast fades, from initial positions 0.8 px away."""
     first, second = (texture_image(grey, SHAPE, MM, moved_by(shift)).float() for shift in ((0.0, 0.0), (0.7, -0.4)))
@@ -171,21 +166,6 @@ def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
     tracked = tracks.status == TrackStatus.TRACKED
     assert tracked.float().mean() > 0.95
     assert (tracks.points - points - torch.tensor((0.7, -0.4)))[tracked].abs().max() < 0.01
-
-
-@pytest.mark.parametrize("beside", [-0.3, -0.8, -1.5])
-def test_predictions_beyond_the_border(beside: float) -> None:
-    """Points inside both images are found although their predictions lie outside."""
-    down = torch.linspace(40, 360, 60)
-    start = torch.stack((torch.linspace(10.6, 11.1, 60), down), dim=-1)[None]
-    truth = start + torch.tensor((-0.4, 0.0))
-    found = [
-        track_points(picture((0, 0), 1, 0), picture((-0.4, 0), 1, 1), start, initial=near, passes=1)
-        for near in (truth, truth + torch.tensor((beside, 0.0)))
-    ]
-    at_truth, beyond = (int((one.status == TrackStatus.TRACKED).sum()) for one in found)
-    assert at_truth > 40
-    assert beyond > 0.9 * at_truth
 
 
 def test_nothing_to_track_is_said(points: Tensor) -> None:
@@ -196,18 +176,6 @@ def test_nothing_to_track_is_said(points: Tensor) -> None:
     assert TrackStatus.TRACKED not in status(track_points(noise, noise.flip(3), points))
     grating = (100 + 50 * torch.sin(torch.arange(SHAPE[1]) / 3.0)).expand(1, 1, *SHAPE)
     assert set(status(track_points(grating, grating, points))) == {TrackStatus.NO_TEXTURE}
-
-
-def test_one_bad_pixel_spoils_only_its_window(points: Tensor) -> None:
-    image = picture((0, 0), 1, 5).float()
-    for bad in (torch.nan, torch.inf):
-        spoiled = image.clone()
-        x, y = points[0, 0].long().tolist()
-        spoiled[0, 0, y, x] = bad
-        tracks = track_points(image, spoiled, points)
-        near = (points[0] - points[0, 0]).abs().amax(-1) <= 13
-        assert tracks.points[0, 0].isnan().all()
-        assert (tracks.status[0, ~near] == TrackStatus.TRACKED).all()
 
 
 def test_border_missing_points_and_batches(points: Tensor) -> None:
@@ -223,24 +191,10 @@ def test_border_missing_points_and_batches(points: Tensor) -> None:
     assert track_points(first[:0], second[:0], points[:0]).points.shape[0] == 0
 
 
-@pytest.mark.parametrize("bits", [10, 12, 16])
+@pytest.mark.parametrize("bits", [12, 16])
 def test_deep_images(points: Tensor, bits: int) -> None:
     scale = 2 ** (bits - 8)
     images = [(texture_image(grey, SHAPE, MM, lambda x, y, d=d: (x - d * MM, y)) * scale).round() for d in (0.0, 0.6)]
     for dtype in (torch.int32, torch.uint16, torch.float32):
         tracks = track_points(images[0].to(dtype), images[1].to(dtype), points)
         assert (tracks.points - points - torch.tensor((0.6, 0.0))).norm(dim=-1).max() < 0.01
-
-
-def test_noise_that_is_known(points: Tensor) -> None:
-    """The noise estimate passed as an argument gives the same tracks as the default; at a noise of 500 grey levels the
-    points have no texture.
-    """
-    images = picture((0, 0), 2, 0), picture((0.3, 0.2), 2, 1)
-    estimated = torch.maximum(*(estimate_noise(image) for image in images))
-    for given, by_default in zip(
-        track_points(*images, points, noise=estimated), track_points(*images, points), strict=True
-    ):
-        assert torch.equal(given, by_default)
-    loud = track_points(*images, points, noise=torch.tensor([500.0]))
-    assert (loud.status == TrackStatus.NO_TEXTURE).all()

@@ -149,8 +149,8 @@ class FieldsStage(Stage):
         times, window = self.inputs.times, self._settings.rate_window_s
         divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-        unknown = (divergence, self._known, gross, self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame)
-        self.warnings.extend(plausibility.of_unknown_fields(*unknown))
+        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_unknown_fields(divergence, self._known, gross, gauge, first_frame))
         self.results.put("median_divergence", divergence, self._gauge)
         self.results.put("median_divergence_std", self._median_std[:, 0])
         self.results.put("median_divergence_rate", rate(divergence, times, window))

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from fingerflow.models.partial_slip import (
@@ -23,7 +24,6 @@ from fingerflow.models.partial_slip import (
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
-from fingerflow.ops.contact.components import largest_component
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
@@ -392,7 +392,10 @@ def _settled(motion: NDArray[Any]) -> NDArray[Any]:
 
 
 def _largest(fine: Mask) -> Mask:
-    return np.asarray(largest_component(torch.from_numpy(fine)[None, None])[0, 0].numpy())
+    """Return the largest 8-connected part of a mask (H, W), or the first in reading order of equally large ones."""
+    parts, _ = label(fine, np.ones((3, 3)))
+    sizes = np.bincount(parts[fine], minlength=1)
+    return np.asarray(fine & (parts == sizes.argmax()))
 
 
 def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], grid: SlipGrid) -> tuple[float, ...]:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes
 
 from fingerflow.models.partial_slip.stick_border import BorderFit, RampResponse, border_level, fit_border
-from fingerflow.ops.contact.components import fill_holes
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 
@@ -185,8 +185,7 @@ class StuckBorder:
         slow = held & (component < clear)
         # A low level applies to a narrow annulus at the rim. A hole that does not reach the rim is no annulus: below
         # the level of a wide annulus it is noise.
-        filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
-        slow |= filled & held & (component < self.followed)
+        slow |= binary_fill_holes(slow) & held & (component < self.followed)
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:

@@ -1,0 +1,75 @@
+"""Tests of rules that hold for all ops: half precision is the rounded result of float32, and empty batches pass."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow import ops
+from fingerflow.ops.contact.otsu import histogram
+from fingerflow.ops.contact.real_contact_mask import real_contact_mask
+from fingerflow.ops.fields.strain import principal_strains, shear
+from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
+from tests.embedded import tensors_of
+
+FRAMES, POINTS = torch.rand(2, 1, 24, 30), torch.rand(2, 8, 2)
+TRIANGLES, NODES = torch.tensor([[0, 1, 2], [2, 3, 4]]), torch.linspace(0, 1, 3)
+EMPTY: dict[str, Callable[[], Any]] = {
+    "detect_corners": lambda: ops.detect_corners(FRAMES[:0], 7),
+    "find_outliers": lambda: find_outliers(find_neighbours(POINTS[:1], 1.0), POINTS[:0], POINTS[:0, :, 0]),
+    "helmholtz_hodge": lambda: ops.helmholtz_hodge(FRAMES[:0].expand(-1, 2, -1, -1)),
+    "histogram": lambda: histogram(FRAMES[:0], value_range=(0, 1)),
+    "local_gradients": lambda: ops.local_gradients(POINTS[:0], POINTS[:0], gauge_length=1.0),
+    "median_filter": lambda: ops.median_filter(FRAMES[:0], 5),
+    "normalize_illumination": lambda: ops.normalize_illumination(FRAMES[:0], FRAMES[:1]),
+    "otsu_threshold": lambda: ops.otsu_threshold(FRAMES[:0], value_range=(0, 1)),
+    "real_contact_mask": lambda: real_contact_mask(FRAMES[:0], FRAMES[:1], 0 * FRAMES[:1], torch.zeros(0)),
+    "scattered_to_grid": lambda: ops.scattered_to_grid(POINTS[:0], POINTS[:0], NODES, NODES, 1.0),
+    "strain": lambda: principal_strains(ops.green_lagrange(torch.zeros(0, 5, 2, 2))),
+    "track_points": lambda: ops.track_points(FRAMES[:0], FRAMES[:0], POINTS[:0]),
+    "triangle_gradients": lambda: ops.triangle_gradients(POINTS[:0], TRIANGLES, POINTS[:0]),
+}
+NONE: dict[str, tuple[Callable[[], Tensor], tuple[int, ...]]] = {
+    "corners": (lambda: ops.detect_corners(FRAMES, 0).points, (2, 0, 2)),
+    "queries": (lambda: ops.local_gradients(POINTS, POINTS, POINTS[:, :0], gauge_length=1.0).value, (2, 0, 2)),
+    "points of a fit": (lambda: ops.local_gradients(POINTS[:, :0], POINTS[:, :0], gauge_length=1.0).value, (2, 0, 2)),
+    "points tracked": (lambda: ops.track_points(FRAMES, FRAMES, POINTS[:, :0]).points, (2, 0, 2)),
+    "triangles": (lambda: ops.triangle_gradients(POINTS, TRIANGLES[:0], POINTS), (2, 0, 2, 2)),
+    "rows": (lambda: ops.median_filter(FRAMES[..., :0, :]), (2, 1, 0, 30)),
+}
+ROUNDED: dict[str, tuple[Callable[[Tensor, Tensor], Tensor], float]] = {
+    "local_gradients": (lambda points, values: ops.local_gradients(points, values, gauge_length=1.0).gradient, 0.0),
+    "triangle_gradients": (lambda points, values: ops.triangle_gradients(points, TRIANGLES, values), 0.0),
+    "median_filter": (lambda points, _: ops.median_filter(points[:, None], 3), 0.0),
+    **{
+        op.__name__: (lambda points, values, op=op: op(0.1 * points.reshape(2, 4, 2, 2)), 4.0)
+        for op in (ops.divergence, ops.curl, shear, ops.green_lagrange)
+    },
+}
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_a_batch_of_no_frames_gives_no_results(name: str) -> None:
+    for result in tensors_of(EMPTY[name]()):
+        assert len(result) == 0
+
+
+@pytest.mark.parametrize("name", NONE)
+def test_nothing_asked_gives_nothing(name: str) -> None:
+    call, shape = NONE[name]
+    assert call().shape == shape
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("name", ROUNDED)
+def test_half_precision_is_the_rounded_float32_result(name: str, dtype: torch.dtype) -> None:
+    """Results equal the rounded ones of float32 where sums are taken in float32, else to a few roundings."""
+    op, roundings = ROUNDED[name]
+    points, values = (3 * one.to(dtype) for one in (POINTS, POINTS.flip(1)))
+    found = op(points, values)
+    assert found.dtype == dtype
+    expected = op(points.float(), values.float())
+    limit = roundings * torch.finfo(dtype).eps
+    torch.testing.assert_close(found, expected.to(dtype), rtol=limit, atol=limit, equal_nan=True)
