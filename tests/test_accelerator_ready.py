@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
+from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.ops.tracking.outliers import find_neighbours
-from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES, cases
 
 pytestmark = pytest.mark.long

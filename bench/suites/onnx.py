@@ -36,9 +36,9 @@ from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build
 from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, recipe_of
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.tracking.corners import detect_corners
-from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe, recipe_of
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press

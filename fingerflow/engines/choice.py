@@ -6,12 +6,11 @@ import logging
 from functools import cache
 from typing import TYPE_CHECKING
 
-from fingerflow.engines.bundle import Bundle
+from fingerflow.engines.bundle import GRAPHS, Bundle
 from fingerflow.engines.check import both_numbers_of, built_in, check_engine, check_frames
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
-from fingerflow.schema.recipe import GRAPHS
 
 if TYPE_CHECKING:
     import torch

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from fingerflow.engines.engine import STEP
 from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import (
     AgreementGraph,
     Contact,
@@ -31,7 +32,6 @@ from fingerflow.ops.tracking.deformation import Supports, supports_of
 from fingerflow.ops.tracking.outliers import Neighbours
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
-from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 

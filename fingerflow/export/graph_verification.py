@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
+from fingerflow.export.recipe import Recipe
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.kernels.tracking_limits import Number
-from fingerflow.schema.recipe import Recipe
 
 
 class Difference(NamedTuple):

@@ -10,10 +10,10 @@ from fingerflow.engines.check import spread
 from fingerflow.engines.engine import ROWS
 from fingerflow.export.build import OF_FEW, Graph, build
 from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.templates import inverse_2x2
-from fingerflow.schema.recipe import GraphName, Recipe
 from fingerflow.synthetic import Camera, Press
 
 _SHIPPED = (512, 640)  # px (rows, columns), size of the views of the default press

@@ -24,10 +24,10 @@ from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.graph_verification import Difference, verify
 from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
-from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")

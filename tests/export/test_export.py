@@ -14,8 +14,8 @@ from fingerflow.engines.check import built_in
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
+from fingerflow.export.recipe import GRAPHS, load_recipe
 from fingerflow.export.verification_frames import cases, complete_inputs, inputs_of
-from fingerflow.schema.recipe import GRAPHS, load_recipe
 from fingerflow.schema.variables import VARIABLES
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
