@@ -27,10 +27,10 @@ from playwright.sync_api import sync_playwright
 import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
+from fingerflow.export.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.player import live_frames, page_token
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result
-from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
 from tests.own_press import press_of, write_raw_press

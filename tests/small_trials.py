@@ -17,8 +17,8 @@ from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
+from fingerflow.export.recipe import GRAPHS, Recipe, recipe_of
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
-from fingerflow.schema.recipe import GRAPHS, Recipe, recipe_of
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene

@@ -16,8 +16,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
 from fingerflow.export.build import graphs_of
+from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.ops.tracking.outliers import find_neighbours
-from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES
 
 pytestmark = pytest.mark.long

@@ -26,7 +26,7 @@ _TABLE = {
     "graphs": "kernels ops",
     "engines": "errors kernels schema",  # works on NumPy arrays
     "torch_engine": "engines errors graphs kernels ops tensors",  # see `_room`
-    "choice": "engines errors kernels schema tensors torch_engine",  # torch only for recordings
+    "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
     "models": "errors tensors",
     "calibration": "errors recordings results schema",

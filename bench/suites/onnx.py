@@ -35,9 +35,9 @@ from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import graphs_of
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, recipe_of
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.tracking.corners import detect_corners
-from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe, recipe_of
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press

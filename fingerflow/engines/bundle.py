@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -15,6 +15,29 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.errors import PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.keys import keys_of
+
+GraphName = Literal[
+    "light",
+    "contact",
+    "threshold",
+    "noise",
+    "detect",
+    "spline",
+    "prepare",
+    "renew",
+    "track",
+    "track_few",
+    "support",
+    "correct",
+    "outliers",
+    "search",
+    "windows",
+    "fields",
+    "fields_entered",
+    "fit",
+]
+#: Graphs of a bundle, in an order in which an engine can run them.
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 
 
 @dataclasses.dataclass(frozen=True)

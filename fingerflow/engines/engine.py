@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.schema.recipe import ContactCells
-from fingerflow.schema.scene_tables import FieldSettings, GaugeSettings, PointSettings
+from fingerflow.schema.scene_tables import ContactCells, FieldSettings, GaugeSettings, PointSettings
 
 Array = NDArray[Any]
 

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import (
     Contact,
     ContactGraph,
@@ -30,7 +31,6 @@ from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
-from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")

@@ -28,9 +28,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, graphs_of
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.portable import Portable, PortableSession
+from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
-from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")

@@ -120,6 +120,14 @@ class ContactSizes:
 
 
 @dataclass(frozen=True)
+class ContactCells(ContactSizes):
+    """Settings [contact] that recipes and engines share, and a scene does not have."""
+
+    stride_px: int = key("one line in so many counts for the threshold", 1, NumberType(least=1, most=16))
+    cell_px: Literal[4, 8] | None = key("side of the cells of the gross contact region")
+
+
+@dataclass(frozen=True)
 class ContactSettings(ContactSizes):
     """Settings in the table [contact] of a scene file: whether contact appears dark or bright, and the segmentation of
     the real and of the apparent (gross) contact area.

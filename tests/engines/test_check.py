@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch.utils._pytree import tree_map
 
-from fingerflow.engines.bundle import Bundle, load_bundle
+from fingerflow.engines.bundle import GRAPHS, Bundle, GraphName, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, both_numbers_of, built_in, check_engine, check_frames
 from fingerflow.engines.choice import open_onnx
 from fingerflow.engines.engine import Engine, EngineSettings
@@ -20,7 +20,6 @@ from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels import tensors as kernels
-from fingerflow.schema.recipe import GRAPHS, GraphName
 
 Array = np.ndarray[Any, Any]
 Change = Callable[[Any], Any]

@@ -11,7 +11,7 @@ import pytest
 from fingerflow.engines.check import TOLERANCES, built_in
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, as_text, export_bundle
-from fingerflow.schema.recipe import GRAPHS
+from fingerflow.export.recipe import GRAPHS
 from fingerflow.schema.variables import VARIABLES
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 

@@ -4,37 +4,17 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
+from fingerflow.engines.bundle import GRAPHS as GRAPHS
+from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, NumberType, Several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_of
 from fingerflow.schema.scene_check import TableCheck
-from fingerflow.schema.scene_tables import ContactSizes, GaugeSettings, PointSettings
+from fingerflow.schema.scene_tables import ContactCells, GaugeSettings, PointSettings
 
-GraphName = Literal[
-    "light",
-    "contact",
-    "threshold",
-    "noise",
-    "detect",
-    "spline",
-    "prepare",
-    "renew",
-    "track",
-    "track_few",
-    "support",
-    "correct",
-    "outliers",
-    "search",
-    "windows",
-    "fields",
-    "fields_entered",
-    "fit",
-]
-#: Graphs of a bundle, in an order in which an engine can run them.
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 _SIDE = NumberType(least=48, most=4096)  # px of a view: counts of pixels are exact in float32 up to 2^24
 
 
@@ -48,14 +28,6 @@ class ViewRecipe:
     height: int = key("of a view", type=_SIDE, needed_by=BOTH, unit="px")
     width: int = key("of a view", type=_SIDE, needed_by=BOTH, unit="px")
     bit_depth: int = key("bits of a pixel", 8, NumberType(least=8, most=16))
-
-
-@dataclass(frozen=True)
-class ContactCells(ContactSizes):
-    """Settings [contact] that recipes and engines share, beside those of a scene."""
-
-    stride_px: int = key("one line in so many counts for the threshold", 1, NumberType(least=1, most=16))
-    cell_px: Literal[4, 8] | None = key("side of the cells of the gross contact region")
 
 
 @dataclass(frozen=True)
