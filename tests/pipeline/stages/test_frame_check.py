@@ -16,7 +16,16 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS, LOADING
-from tests.small_trials import FRAMES, SPOILED, WIDTH, dim_contact, other_noise, scene_beside, warnings_of
+from tests.small_trials import (
+    SPOILED,
+    TRIALS,
+    WIDTH,
+    dim_contact,
+    other_noise,
+    scene_beside,
+    warnings_of,
+    write_scene_of_bundle,
+)
 
 Frame = np.ndarray[Any, Any]
 FAR = "jumps_and_returns"
@@ -45,8 +54,10 @@ class Clean(NamedTuple):
 
 @pytest.fixture(scope="module", params=["press", pytest.param("slide", marks=pytest.mark.long)])
 def clean(request: pytest.FixtureRequest, trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Clean:
-    measured = {"threshold = 0.27": 'threshold = "reference_frame"'}
-    scene = scene_beside(trials / request.param, tmp_path_factory.mktemp("clean"), measured)
+    folder, recording = tmp_path_factory.mktemp("clean"), trials / "press"
+    if request.param == "slide":
+        recording = write_scene_of_bundle(folder / "slide", replace(TRIALS["slide"], n_frames=120)).parent
+    scene = scene_beside(recording, folder, {"threshold = 0.27": 'threshold = "reference_frame"'})
     return Clean(scene, np.load(scene.recording.frames), process(scene))
 
 
@@ -71,14 +82,15 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, first: i
     entering = "slide" in str(clean.scene.recording.frames)
     assert status_of(clean.result) == {}
     assert "frame_status" not in warnings_of(clean.result)
-    kinds = dict(zip(range(9, FRAMES, 11), list(KINDS)[first::2], strict=False))
+    count = len(clean.frames)
+    kinds = dict(zip(range(9, count, 11), list(KINDS)[first::2], strict=False))
     assert len(kinds) == len(list(KINDS)[first::2])
     frames, places = clean.frames.copy(), list(kinds)
     for k, kind in kinds.items():
-        frames[k] = KINDS[kind][0](clean.frames[k], clean.frames[(k + FRAMES // 2) % FRAMES], k)
+        frames[k] = KINDS[kind][0](clean.frames[k], clean.frames[(k + count // 2) % count], k)
     result = process(with_frames(clean, frames, tmp_path))
     assert status_of(result) == {k: KINDS[kind][1] for k, kind in kinds.items()}
-    good = np.setdiff1d(np.arange(FRAMES), places)
+    good = np.setdiff1d(np.arange(count), places)
     for name, variable in result.data_vars.items():
         # Forces are known in bad frames too, and so are results of forces alone.
         if variable.dims[:1] == ("frame",) and variable.dtype.kind == "f" and name not in OF_FORCES:
@@ -106,21 +118,21 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, first: i
 
 def test_a_bad_first_and_last_frame(clean: Clean, tmp_path: Path) -> None:
     """Points are seeded in the first usable frame, and areas do not change; also without forces."""
-    frames = clean.frames.copy()
-    for k, kind in ((0, "dim contact view"), (FRAMES - 1, "rolled")):
+    frames, last = clean.frames.copy(), len(clean.frames) - 1
+    for k, kind in ((0, "dim contact view"), (last, "rolled")):
         frames[k] = SPOILED[kind][0](frames[k])
     scene = with_frames(clean, frames, tmp_path)
     for forces, expected in ((scene.forces, clean.result), (None, process(replace(clean.scene, forces=None), AREAS))):
         result = process(replace(scene, forces=forces), [*AREAS, "status"])
-        assert status_of(result) == {0: FAR, FRAMES - 1: FAR}
-        assert f": 0, {FRAMES - 1}. No result counts them" in warnings_of(result)
+        assert status_of(result) == {0: FAR, last: FAR}
+        assert f": 0, {last}. No result counts them" in warnings_of(result)
         assert (result["status"].values[1] == TrackStatus.TRACKED).all()
         for name in AREAS:
             np.testing.assert_allclose(result[name].values[1:-1], expected[name].values[1:-1], rtol=5e-3, err_msg=name)
 
 
 def test_a_frame_that_comes_twice_is_found(clean: Clean, tmp_path: Path) -> None:
-    frames, places = clean.frames.copy(), [13, 25, 37, FRAMES - 1]
+    frames, places = clean.frames.copy(), [13, 25, 37, len(clean.frames) - 1]
     for k in places:
         frames[k] = frames[k - 1]
     result = process(with_frames(clean, frames, tmp_path), ["frame_status"])
@@ -145,7 +157,8 @@ def test_whatever_the_way_of_tracking(clean: Clean, direction: str, template: st
 
 
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=rf"frames\.npy: no frame can be measured: {FRAMES} dark frames\. Check"):
+    message = rf"frames\.npy: no frame can be measured: {len(clean.frames)} dark frames\. Check"
+    with pytest.raises(FingerflowError, match=message):
         process(with_frames(clean, np.full_like(clean.frames, 8), tmp_path), ["real_contact_area"])
 
 
