@@ -1,24 +1,27 @@
-"""Test of the shipped recipes: each is exported, and its bundle is played as a separate process."""
+"""Test of the shipped recipes, played by the compiled library."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.streams import exported, play
-from fingerflow.results.stream_result import open_stream
+from fingerflow import player
+from fingerflow.export.recipe import load_recipe
+from fingerflow.kernels.library import is_present
+from tests.small_trials import write_library_bundle
 
 RECIPES = Path(__file__).parents[2] / "export"
 FRAMES = 260  # two presses of the synthetic source
 
 
 @pytest.mark.long
+@pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 @pytest.mark.parametrize("name", ["exact", "fast"])
 def test_a_shipped_recipe_measures_the_median_divergence_of_nearly_all_frames(name: str, tmp_path: Path) -> None:
-    with exported((RECIPES / f"{name}.toml").read_text(encoding="utf-8")) as bundle:
-        summary = play(bundle, frames=FRAMES, results=tmp_path / "results")
-    assert summary["processed"] == FRAMES
-    assert not summary["dropped"]
+    bundle = write_library_bundle(tmp_path / "bundle", load_recipe(RECIPES / f"{name}.toml"))
+    options = ["--source", "synthetic", "--frames", str(FRAMES), "--output", str(tmp_path / "out"), "--page", "off"]
+    assert player.main([str(bundle), *options]) == 0
     # Points are seeded in the contact after a few frames, which have no median.
-    median = open_stream(tmp_path / "results")["median_divergence"].to_numpy()
+    median = player.read_results(tmp_path / "out").records["median_divergence"]
+    assert len(median) == FRAMES
     assert np.isnan(median).mean() < 0.04

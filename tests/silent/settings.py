@@ -79,13 +79,13 @@ MISTAKES = (
 
 
 def cases(few: bool = False) -> Iterator[Case]:
-    """Yield the mistakes, and recordings without one, which must give no new warning."""
+    """Yield the mistakes, or every other one, and recordings without one, which must give no new warning."""
     with tempfile.TemporaryDirectory() as folder:
         press = Path(folder) / "press"
         write_recording(press, Press())
         frames = np.load(press / "frames.npy", mmap_mode="r")
         right = process(press / "scene.toml")
-        for mistake in MISTAKES:
+        for mistake in MISTAKES[:: 2 if few else 1]:
             yield try_mistake(mistake, press, frames, right)
         yield without_fault("press", right)
         if not few:

@@ -29,9 +29,10 @@ LIMITS = {
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 @pytest.mark.parametrize("group", ["contact", "frames", "mistakes", "points", "settings", "slip_flag"])
 def test_nothing_is_wrong_in_silence(group: str) -> None:
+    if group == "slip_flag" and not is_present():
+        pytest.skip("the compiled library was not built or is turned off")
     right = ("right", "warned", "refused", "told", "within deviations")
     assert [one for one in import_module(f"tests.silent.{group}").cases(few=True) if one.verdict not in right] == []
 
