@@ -286,7 +286,8 @@ class OnnxEngine:
             }
         given = self._pad_points(**{name: one for name, one in of_points.items() if one is not None})
         given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
-        found: dict[str, Any] = self._sessions["fields" if entered is None else "fields_entered"](given)
+        name = f"fields{'' if entered is None else '_entered'}{'' if covariance is None else '_std'}"
+        found: dict[str, Any] = self._sessions[name](given)
         of_frame = {name: found.pop(name) for name in ("median", "known_share")}
         of_frame["median_std"] = found.pop("median_std", None)
         std: dict[str, Any] = dict.fromkeys(("divergence_std", "curl_std"))

@@ -4,6 +4,7 @@ from frame to frame.
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from fingerflow.engines.native import NativeEngine
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
+from fingerflow.export.portable import PortableSession
+from fingerflow.export.recording_engine import ExportedGraph, RecordingEngine
 from fingerflow.kernels import tensors as kernels
 
 Array = np.ndarray[Any, Any]
@@ -94,6 +97,21 @@ def test_right_numbers_are_accepted(engine: Engine, frame: BuiltIn, expected: li
     assert all(np.isfinite(values).mean() > 0.6 for values in expected[0].values())
     for name in ("off_neighbours", "uncertain"):
         assert 3 <= expected[0][name].sum() < 0.2 * len(frame.points)
+
+
+def test_graphs_of_a_recording_give_the_numbers(
+    frame: BuiltIn, expected: list[dict[str, Array]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The graphs that `process --engine onnx` exports give all numbers, deviations included; torch runs them here."""
+
+    def run_by_torch(graph: ExportedGraph, arrays: dict[str, Array]) -> Any:
+        session = PortableSession(graph._graph)
+        inputs = [SimpleNamespace(name=name) for name in arrays]
+        return SimpleNamespace(get_inputs=lambda: inputs, run=lambda _, feed: list(session(feed).values()))
+
+    monkeypatch.setattr(ExportedGraph, "_exported", run_by_torch)
+    with torch.inference_mode():
+        check_frames(RecordingEngine(SETTINGS, 1), frame, expected)
 
 
 def test_the_truth_of_both_motions(frame: BuiltIn, expected: list[dict[str, Array]]) -> None:
