@@ -128,5 +128,4 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
 
 
 def _touching(presses: SimulatedPresses) -> NDArray[np.bool_]:
-    touching: NDArray[np.bool_] = presses.chain.normal_force.numpy()[-1] > CONTACT_N
-    return touching
+    return np.asarray(presses.chain.normal_force[-1] > CONTACT_N)
