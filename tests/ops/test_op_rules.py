@@ -39,14 +39,17 @@ NONE: dict[str, tuple[Callable[[], Tensor], tuple[int, ...]]] = {
     "triangles": (lambda: ops.triangle_gradients(POINTS, TRIANGLES[:0], POINTS), (2, 0, 2, 2)),
     "rows": (lambda: ops.median_filter(FRAMES[..., :0, :]), (2, 1, 0, 30)),
 }
+
+
+def of_gradients(op: Callable[[Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
+    return lambda points, _: op(0.1 * points.reshape(2, 4, 2, 2))
+
+
 ROUNDED: dict[str, tuple[Callable[[Tensor, Tensor], Tensor], float]] = {
     "local_gradients": (lambda points, values: ops.local_gradients(points, values, gauge_length=1.0).gradient, 0.0),
     "triangle_gradients": (lambda points, values: ops.triangle_gradients(points, TRIANGLES, values), 0.0),
     "median_filter": (lambda points, _: ops.median_filter(points[:, None], 3), 0.0),
-    **{
-        op.__name__: (lambda points, values, op=op: op(0.1 * points.reshape(2, 4, 2, 2)), 4.0)
-        for op in (ops.divergence, ops.curl, shear, ops.green_lagrange)
-    },
+    **{op.__name__: (of_gradients(op), 4.0) for op in (ops.divergence, ops.curl, shear, ops.green_lagrange)},
 }
 
 
