@@ -29,13 +29,13 @@ docs: $(VENV)/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d docs/site/.doctrees docs docs/site
 	@echo "open docs/site/index.html"
 
-# Builds the wheel of this platform, installs it into an empty environment and checks its kernels there.
-wheel: $(BIN)/python
+# Builds the wheel of this platform and checks its kernels in an empty folder, beside the packages installed for the demo.
+wheel: $(VENV)/installed
 	rm -rf dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist .
-	$(BIN)/python -m venv dist/empty
-	dist/empty/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt dist/*.whl
-	cd dist && empty/bin/fingerflow --version && empty/bin/python ../tests/kernels/wheel_check.py
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target dist/empty dist/*.whl
+	cd dist && PYTHONPATH=empty $(abspath $(BIN))/python -m fingerflow --version
+	cd dist && PYTHONPATH=empty $(abspath $(BIN))/python ../tests/kernels/wheel_check.py
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python -m bench
