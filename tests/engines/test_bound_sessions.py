@@ -183,32 +183,3 @@ def left_to_the_processor(path: Path, folder: Path) -> set[tuple[str, str]]:
 def test_a_gpu_leaves_no_node_to_the_processor(bundle: Bundle, tmp_path: Path) -> None:
     """CUDA computes every node of every graph, so that each can be captured, and none copies a value to the host."""
     assert not {name: left for name, path in bundle.files.items() if (left := left_to_the_processor(path, tmp_path))}
-
-
-def test_nodes_of_the_processor_are_noticed(tmp_path: Path) -> None:
-    """Operators and types that CUDA does not compute are found: an angle, a comparison of bytes, a loop over
-    a number of steps, and indices of values that are not zero.
-    """
-    parser = """<ir_version: 9, opset_import: ["" : 18]>
-    graph (float[4] x, uint8[4] bytes, int64 steps) => (float[4] a, bool[4] b, float[4] d, int64[1, n] e) {
-        a = Atan (x)
-        b = Greater (bytes, bytes)
-        go = Cast <to = 9> (steps)
-        d = Loop (steps, go, x) <body = body (int64 number, bool before, float[4] old) => (bool after, float[4] new) {
-            after = Identity (before)
-            new = Add (old, old)
-        }>
-        e = NonZero (x)
-    }"""
-    onnx.save(onnx.parser.parse_model(parser), tmp_path / "model.onnx")
-    (tmp_path / "simple").mkdir()
-    left = left_to_the_processor(tmp_path / "model.onnx", tmp_path / "simple")
-    expected = {("Atan", "FLOAT"), ("Greater", "UINT8"), ("Loop", "INT64"), ("NonZero", "FLOAT")}
-    assert left == expected
-
-
-def test_sessions_of_the_processor_share_their_memory(bundle: Bundle) -> None:
-    """All sessions of an engine on the processor take memory from one pool."""
-    for session in sessions.open_sessions(bundle.files).values():
-        options = session._session.get_session_options()
-        assert options.get_session_config_entry("session.use_env_allocators") == "1"

@@ -262,23 +262,6 @@ def test_points_searched_for(engines: Both, points: Array) -> None:
     assert returns.mean() > 0.5
 
 
-def test_windows_sampled(engines: Both, points: Array) -> None:
-    """Both engines sample the same windows to 2e-3 grey levels: positions are rounded to 1e-5 px, on slopes of 50 grey
-    levels per px.
-    """
-    warp = (np.eye(2) + 0.1 * np.random.default_rng(0).normal(size=(len(points), 2, 2))).astype(np.float32)
-
-    def windows(engine: Any) -> Any:
-        images = engine.images(view("topography", FRAME))
-        return (engine.windows(images, np.zeros(len(points), np.int64), points + np.float32(0.37), warp, 3),)
-
-    ((ours, theirs),) = both(engines, windows)
-    same(ours, theirs, 2e-3)
-    assert np.isfinite(ours).any(1).mean() > 0.6
-    with pytest.raises(ValueError, match="a grid of 5 px"):
-        engines.onnx.windows(engines.onnx.images(view("topography", KEY)), points, points, warp, 5)
-
-
 @pytest.mark.parametrize("contact", [True, False])
 def test_fields(engines: Both, points: Array, contact: bool) -> None:
     reference = (MM * points).astype(np.float32)
@@ -298,15 +281,6 @@ def test_fields(engines: Both, points: Array, contact: bool) -> None:
             same(one, other)
         assert np.isfinite(ours.median).all() == contact
         assert np.isfinite(ours.divergence[:, ~np.isnan(moved[:, 0])]).mean() > 0.8
-
-
-def test_local_fits(engines: Both, points: Array) -> None:
-    places = (MM * points).astype(np.float64)
-    values = (0.05 * places + 0.01 * np.sin(places[:, ::-1]))[None]
-    queries = places[10:30] + 0.1
-    ours, theirs = (engine.fit(places, values, queries, 1.6).gradient for engine in engines)
-    same(ours, theirs, 1e-5)
-    assert np.isfinite(ours).any()
 
 
 def test_frames_in_two_threads_are_those_one_after_the_other(engines: Both, points: Array) -> None:
@@ -344,14 +318,6 @@ def test_what_the_graphs_do_not_take_is_named(engines: Both, points: Array) -> N
         engine.prepare(engine.key(engine.images(frame)), np.zeros((POINTS + 1, 2), np.float32))
     with pytest.raises(ValueError, match="variances"):
         engine.fit(points, points[None], points, 1.6, points[None, :, 0])
-
-
-@pytest.mark.parametrize(("name", "change"), [("real_area_px", 30.0), ("found", 0.003), ("found", np.nan)])
-def test_other_numbers_are_named(engines: Both, bundle: Bundle, name: str, change: float) -> None:
-    numbers = dict(bundle.expected["numbers"])
-    numbers[name] = (np.array(numbers[name], float) + change).tolist()
-    with pytest.raises(FingerflowError, match=rf"engine onnx \(CPUExecutionProvider\).*{name} is (off by|known)"):
-        check_engine(engines.onnx, {**bundle.expected, "numbers": numbers})
 
 
 def test_damaged_numbers_are_named(engines: Both, bundle: Bundle) -> None:

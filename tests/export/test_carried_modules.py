@@ -82,14 +82,6 @@ def test_a_library_that_is_not_there_is_named(bundle: Path, tmp_path: Path) -> N
     assert "its format needs the library tifffile: `pip install tifffile`" in ended.stderr
 
 
-def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
-    (tmp_path / "a.cine").write_bytes(b"CI" + bytes(20))
-    ended = _play(bundle, tmp_path / "a.cine")
-    assert ended.stderr.startswith("said: ")
-    assert "a.cine: not a Phantom recording" in ended.stderr
-    assert "Traceback" not in ended.stderr
-
-
 def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
     """A damaged frame of a recording ends the stream at once; a lost camera would be tried again for half a minute."""
     file = _sample("cine", tmp_path)

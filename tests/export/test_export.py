@@ -12,7 +12,6 @@ from fingerflow.engines.check import TOLERANCES, built_in
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, as_text, export_bundle
 from fingerflow.export.recipe import GRAPHS
-from fingerflow.schema.variables import VARIABLES
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """
@@ -65,22 +64,6 @@ def test_graph_is_standard_and_says_what_it_is(name: str, bundle_of_trials: Path
     named = {one.name for one in (*model.graph.input, *model.graph.output)}
     assert named <= set(json.loads(facts["fingerflow.units"]))
     assert {"fingerflow.version", "fingerflow.recipe", "fingerflow.coordinates", "fingerflow.hash"} <= set(facts)
-
-
-def test_the_readme_states_deformation_in_the_unit_of_the_page(bundle_of_trials: Path) -> None:
-    text, unit = (bundle_of_trials / "README.md").read_text(encoding="utf-8"), VARIABLES["divergence"].shown_unit
-    assert unit.percent is not None
-    assert (
-        f"0.01 here is {0.01 * unit.factor:g} {unit.name} on the page, whose button shows {unit.percent.name}" in text
-    )
-
-
-def test_pixels_are_gathered_by_short_numbers(bundle_of_trials: Path) -> None:
-    nodes = onnx.load(bundle_of_trials / "track.onnx").graph.node
-    gathers = {node.input[1] for node in nodes if node.op_type == "GatherElements"}
-    casts = [node for node in nodes if node.op_type == "Cast"]
-    assert gathers
-    assert not gathers & {node.output[0] for node in casts if node.attribute[0].i == onnx.TensorProto.INT64}
 
 
 def test_the_verification_is_returned(bundle_of_trials: Path) -> None:

@@ -10,9 +10,7 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from fingerflow.graphs import Contact, ContactGraph
-from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
-from tests.ops.contact.test_apparent_contact import by_scipy
 
 PERIOD_PX = 14.0  # period of ridges 0.45 mm apart
 EDGE_PX = 0.35  # width of the logistic blur of an edge in focus
@@ -117,19 +115,6 @@ def test_threshold_without_valleys(noise: float) -> None:
     assert float(measured(light, noise).threshold) == pytest.approx(0.25, abs=0.008)
 
 
-def test_otsu_alone_would_lie_lower() -> None:
-    """The midpoint between the means of Otsu's classes is too low a threshold, because empty glass is brighter than
-    skin between ridges.
-    """
-    light, real_area = drawn((120, 95))
-    reference = torch.full_like(light, 180.0)
-    frames = (180 * light).round().to(torch.uint8)
-    at_means = found(frames, reference, threshold=torch.tensor([0.235])).contact.real_area_px / real_area - 1
-    own = found(frames, reference).contact.real_area_px / real_area - 1
-    assert float(at_means) > 0.015
-    assert abs(float(own)) < 0.005
-
-
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 @pytest.mark.parametrize("semi_axes", [(170, 140), (100, 80)])
 def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
@@ -167,17 +152,6 @@ def test_larger_medians_round_the_ends_of_ridges(size: int) -> None:
     light, real_area = drawn((150, 120))
     lost = 1 - float(measured(light, graph=ContactGraph(size)).contact.real_area_px) / real_area
     assert {5: 0.003, 9: 0.015}[size] < lost < {5: 0.02, 9: 0.06}[size]
-
-
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.int32, torch.float32, torch.float64])
-def test_dtype_changes_nothing(dtype: torch.dtype) -> None:
-    light, _ = drawn((60, 50))
-    frames = (180 * light).round()
-    reference = torch.full_like(light, 180.0)
-    expected, _ = found(frames.to(torch.uint8), reference)
-    contact, _ = found(frames.to(dtype), reference)
-    assert torch.equal(contact.real_contact_mask, expected.real_contact_mask)
-    torch.testing.assert_close(contact.density_margin, expected.density_margin)
 
 
 @pytest.mark.parametrize("level", [0, 180, 255])
@@ -249,20 +223,3 @@ def test_a_stride_has_nearly_the_threshold_of_all_pixels(stride: int) -> None:
     light, _ = drawn((120, 95))
     exact, coarse = (measured(light, 2.0, ContactGraph(3, stride_px=step)).threshold for step in (1, stride))
     torch.testing.assert_close(coarse, exact, rtol=0, atol=0.001 * stride)
-
-
-def test_region_is_that_of_all_pixels() -> None:
-    """The gross contact area by cells has the mean error of that by all pixels over the phases of the ridges, and no
-    larger errors.
-    """
-    cells, pixels = [], []
-    for phase in np.arange(6) / 6:
-        contact, _ = measured(drawn((100, 80), float(phase))[0])
-        exact = torch.from_numpy(by_scipy(contact.real_contact_mask[0, 0].numpy(), 8))
-        truth = math.pi * 100 * 80
-        cells.append(float(contact.gross_area_px) / truth - 1)
-        pixels.append(float(exact.sum()) / truth - 1)
-        overlap = mask_of(contact.density_margin, 4, *exact.shape)[0, 0]
-        assert float((overlap != exact).sum()) < 0.012 * truth
-    assert np.mean(cells) == pytest.approx(np.mean(pixels), abs=0.004)
-    assert np.abs(cells).max() < np.abs(pixels).max() + 0.003

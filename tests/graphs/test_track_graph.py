@@ -1,4 +1,4 @@
-"""Tests of what the tracking graph adds to single points: deformation, its effect on positions, and neighbours."""
+"""Tests of what the tracking graph adds to single points: deformation and its effect on positions."""
 
 from typing import Any
 
@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, Number, TrackStatus
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.tracking.deformation import correct_points
-from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
 from fingerflow.ops.tracking.templates import Found, Templates, find_templates, inverse_2x2, prepare_templates
 from fingerflow.synthetic import RidgeTexture, texture_image
 
@@ -88,32 +87,3 @@ def test_the_stated_deviation_does_not_count_the_deformation_as_noise(gain_offse
     assert naive > 4 * known_variance
     assert 0.9 < corrected_variance / known_variance < 1.15
     assert 0.99 < known_corrected / known_variance <= 1  # a known deformation changes nothing
-
-
-def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() -> None:
-    points = grid()
-    clean = picture(torch.eye(2, dtype=torch.float64))
-    templates = prepare_templates(clean, points, 25, noise=torch.full((1,), 0.5))
-    noise = torch.randn(clean.shape, generator=torch.Generator().manual_seed(1))
-    found = find_templates(templates, clean + noise, points)
-    turned = torch.tensor([[1.3, 0.0], [0.0, 1.3]]).expand(1, points.shape[1], 2, 2)
-    corrected, *_ = corrected_for_deformation(points, found, templates, turned)
-    of_key = 0.25 * templates.numbers[..., Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1 : 2].mean(-1)
-    # A deformation that contradicts the displacements leaves no smooth field, which adds to some variances.
-    assert (corrected.variance / of_key).min() > 1 - 1e-3
-
-
-def test_points_elsewhere_and_unsure_ones_are_told_apart() -> None:
-    start = grid()
-    generator = torch.Generator().manual_seed(0)
-    count = start.shape[1]
-    points = start + 0.01 * (start - 150) + 0.01 * torch.randn(3, count, 2, generator=generator)
-    points[1, 100] += 3.0
-    points[0, 7] = torch.nan
-    deviation = torch.full((3, count), 1e-2)
-    deviation[2, 200] = 0.05**0.5
-    judged = find_outliers(find_neighbours(start, 120.0), points - start, deviation)
-    off_neighbours, uncertain = (torch.zeros(3, count, dtype=torch.bool) for _ in range(2))
-    off_neighbours[1, 100] = uncertain[2, 200] = True
-    assert torch.equal(judged.off_neighbours, off_neighbours)
-    assert torch.equal(judged.uncertain, uncertain)

@@ -1,7 +1,6 @@
 """One call of every function of kernels, with work for several threads.
 
-Tests of faults, of NumPy arrays and of the compiler use these calls. A new function gets a row in `kernel_calls`;
-tests/kernels/hostile_calls.py names kernels that no call reaches.
+Tests of faults, of NumPy arrays and of the compiler use these calls. A new function gets a row in `kernel_calls`.
 """
 
 from collections.abc import Callable, Iterator

@@ -18,7 +18,6 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.contact.apparent_contact import apparent_contact
-from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.tracking.search import search_windows
 from fingerflow.ops.tracking.templates import find_templates, prepare_templates
@@ -191,22 +190,6 @@ def test_windows_searched_outside_the_image(portable: Portable, size: tuple[int,
             return search_windows(first, second, index, points, guess, window, radius)  # noqa: B023
 
         torch.testing.assert_close(call(), portable(call), rtol=1e-5, atol=2e-2)
-
-
-@pytest.mark.parametrize("radius", [1, 8, 12])
-def test_illumination_gain_of_small_images(portable: Portable, radius: int) -> None:
-    known = 0
-    for height, width in product(range(34), (0, 15, 16, 17, 40)):
-        light = torch.full((1, 1, height, width), 105.0)
-        frames = 100 + 4 * torch.rand(2, 1, height, width, generator=torch.Generator().manual_seed(height))
-
-        def call() -> Any:
-            return illumination_gain(frames, light, 0 * light, radius)  # noqa: B023
-
-        found = call()
-        torch.testing.assert_close(found, portable(call), rtol=1e-5, atol=0.0, equal_nan=True)
-        known += int(found.isfinite().all())
-    assert known > 10
 
 
 def test_cells_wider_than_a_byte_counts() -> None:

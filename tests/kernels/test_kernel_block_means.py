@@ -56,15 +56,6 @@ def test_views_and_threads(monkeypatch: pytest.MonkeyPatch) -> None:
         torch.set_num_threads(before)
 
 
-def test_what_is_not_finite_stays_in_its_own_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = images((1, 512, 640), torch.float32, "random").numpy()[:, 0].copy()
-    frames[0, 2 + 4 * 8, 2 + 4 * 20], frames[0, 2 + 4 * 50, 2 + 4 * 3] = np.nan, np.inf
-    for found in (block_means(frames), portable(frames, monkeypatch)):
-        assert np.argwhere(np.isnan(found.blocks[0])).tolist() == [[1, 2]]
-        assert np.argwhere(np.isinf(found.blocks[0])).tolist() == [[6, 0]]
-        assert np.isnan(found.lines[0]).nonzero()[0].tolist() == [8]
-
-
 def test_frames_of_another_shape_are_refused() -> None:
     for shape in ((60, 70), (2, 0, 70), (2, 1, 60, 70)):
         with pytest.raises(ValueError, match=r"give \(n, H, W\)"):

@@ -50,14 +50,6 @@ def test_compiled_contact_agrees_with_its_graph(instruction_set: int, dtype: tor
         assert np.isfinite(found.gains).any()
 
 
-def test_without_a_limit_nothing_touches() -> None:
-    """Without a threshold no pixel is in contact, not even one darker than the dark frame."""
-    frames, light, black = (tensor.numpy() for tensor in contact_frames(1, 130, 170, torch.uint8))
-    limits = np.full(1, np.nan, np.float32)
-    found = contact_of_frames(0 * frames, light, black + 5, limits, median_px=3, radius=8, cell=4)
-    assert not found.real_contact_mask.any()
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_same_contact_of_any_image(shape: tuple[int, int, int]) -> None:
     """Both agree on images without visible empty glass, half of whose pixels are in contact."""

@@ -11,7 +11,6 @@ import torch
 from fingerflow.kernels import library
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import HEADER, read
-from fingerflow.kernels.library import entry
 from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import kernel_calls
 
@@ -102,28 +101,7 @@ for threads in (1, 3):
     assert ran.stdout.count("kernel search_windows: no memory") == 2, ran.stdout
 
 
-def test_arguments_go_by_the_names_of_the_header() -> None:
-    with pytest.raises(TypeError, match=r"kernel covered .*'transform'"):
-        entry("covered")(points=None)
-    names = ("density_margin", "batch", "down", "across", "side", "points", "count", "transforms", "covered")
-    with pytest.raises(KeyError, match="transform"):
-        entry("covered")(**dict.fromkeys(names, 0))
-
-
 def test_every_declaration_is_in_the_library() -> None:
     declared = read(HEADER.read_text(encoding="utf-8"))
     assert len(declared) > 20
     assert set(library._library() or ()) == set(declared)
-
-
-@pytest.mark.parametrize(
-    ("declaration", "said"),
-    [
-        ("void fingerflow_f(std::size_t count);", "numbers"),
-        ("void fingerflow_f(const float** rows);", "a kind, perhaps"),
-        ("struct fingerflow_s { int a; };\nvoid fingerflow_f(const fingerflow_s* s, int a);", "'a'"),
-    ],
-)
-def test_a_declaration_that_cannot_be_packed_is_refused(declaration: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        read(declaration)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
-from fingerflow.ops.tracking import outliers
 from fingerflow.ops.tracking.search import search_and_return
 from tests.kernels.twins import places_in_skin, skin
 from tests.ops.tracking import test_outliers as fields
@@ -69,16 +68,6 @@ def test_few_points_and_points_that_are_none() -> None:
     assert nothing.uncertain.shape == (0, 700)
 
 
-def test_the_same_neighbours() -> None:
-    expected = outliers.find_neighbours(fields.POINTS, 120.0)
-    found = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
-    count = fields.POINTS.shape[1]
-    np.testing.assert_array_equal(found.number[:, :count], expected.number[0].numpy())
-    np.testing.assert_array_equal(found.within[:, :count], expected.within[0].numpy())
-    np.testing.assert_array_equal(found.x[:, :count], expected.offset[0, ..., 0].numpy())
-    np.testing.assert_array_equal(found.y[:, :count], expected.offset[0, ..., 1].numpy())
-
-
 @pytest.mark.parametrize(("window", "radius"), [(25, 8), (21, 6), (9, 1), (15, 24)])
 def test_the_same_search_both_ways(window: int, radius: int, instruction_set: int, torch_threads: Threads) -> None:
     """Bit for bit the same windows are found, there and back, in images of 8 and 16 bit and floating ones, because the
@@ -106,16 +95,6 @@ def test_the_same_search_both_ways(window: int, radius: int, instruction_set: in
             np.testing.assert_array_equal(found[0], expected[0].numpy())
             np.testing.assert_array_equal(found[1], expected[1].numpy())
     assert found[1].any()
-
-
-def test_a_search_without_points_and_in_a_blank_image() -> None:
-    image, places = np.zeros((1, 1, 20, 24), np.uint8), np.zeros((3, 2), np.float32)
-    settings: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
-    found, returns = native.search_and_return(image, image, places[:0], places[:0], **settings)
-    assert found.shape == (0, 2)
-    assert returns.shape == (0,)
-    found, returns = native.search_and_return(image, image, places, places + 1, **settings)  # blank image
-    np.testing.assert_array_equal(found, places + 1)
 
 
 def topography(press: Any) -> Array:
@@ -174,23 +153,6 @@ def test_the_same_points_are_chosen(name: str, instruction_set: int, torch_threa
             assert np.isnan(found.points[number:]).all()
             assert (np.diff(found.response[:number]) <= 0).all()
     assert not number  # the last mask is empty
-
-
-def test_points_of_views_and_of_equal_strength() -> None:
-    """Of points of equal strength in copies of one tile those that come first by rows are taken; views give the same
-    points.
-    """
-    tile = PICTURES["8 bit"][0, 0, 40:70, 40:70]
-    frame = np.tile(tile, (5, 6))[None, None]
-    everywhere = np.ones(frame.shape[2:], bool)
-    first = native.detect_points(frame, everywhere, 12, min_distance_px=6.0, window=15)
-    wide = np.repeat(frame, 2, axis=2)[:, :, ::2], np.repeat(everywhere, 2, axis=1)[:, ::2]
-    again = native.detect_points(*wide, 12, min_distance_px=6.0, window=15)
-    for one, other in zip(first, again, strict=True):
-        np.testing.assert_array_equal(one, other)
-    strongest = first.points[first.response == first.response[0]]
-    assert len(strongest) > 4
-    np.testing.assert_array_equal(strongest, strongest[np.lexsort((strongest[:, 0], strongest[:, 1]))])
 
 
 def chosen(points: Array) -> set[tuple[float, float]]:

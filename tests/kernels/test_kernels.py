@@ -16,11 +16,6 @@ needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled ker
 
 
 @needs_kernels
-def test_plain_tensors_are_served() -> None:
-    assert kernels.serve(FRAME, None, FRAME.float())
-
-
-@needs_kernels
 def test_autograd_and_other_devices_are_not() -> None:
     weights = torch.zeros(3, requires_grad=True)
     assert not kernels.serve(FRAME, weights)

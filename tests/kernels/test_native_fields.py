@@ -106,21 +106,3 @@ def test_compiled_fields_agree_with_the_portable_form(
     # A position at a limit may count in one form only: one rank of 800, and its share.
     limits = {"": 1e-5, "median": 1e-4, "median_std": 1e-4, "known_share": 3 / 800}
     same(found, portable(lambda: case.expected(measure, torch.float64)), limits, 1e-3)
-
-
-def test_views(torch_threads: Callable[[int], None]) -> None:
-    """Views of any strides and read-only arrays give the same fields, with any number of threads."""
-    case = Case(700, noisy=True, entered=True)
-    whole = case.found("green_lagrange")
-    views = Case(700, noisy=True, entered=True)
-    for name in ("reference", "displacement", "covariance"):
-        wide = np.full((*getattr(case, name).shape, 2), np.inf, np.float32)
-        wide[..., 0] = getattr(case, name)
-        wide.setflags(write=False)
-        setattr(views, name, wide[..., 0])
-    assert case.entered is not None
-    views.entered = EnteredPoints(*(np.moveaxis(np.moveaxis(one, 0, -1).copy(), -1, 0) for one in case.entered))  # type: ignore[arg-type,type-var]
-    for threads in (1, 3):
-        torch_threads(threads)
-        for one, other in zip(views.found("green_lagrange"), whole, strict=True):
-            assert np.array_equal(one, other, equal_nan=True)

@@ -44,17 +44,6 @@ def test_a_uniform_strip_to_12_digits(z: float, load: str) -> None:
         assert found == pytest.approx(strip_exactly(y, z, load), rel=1e-12, abs=0), y
 
 
-def test_many_strips_are_the_sum_of_each() -> None:
-    generator = torch.Generator().manual_seed(1)
-    edges = torch.rand(12, generator=generator, dtype=torch.float64).cumsum(0)
-    pressure, traction = torch.rand(2, 11, generator=generator, dtype=torch.float64)
-    y, z = torch.linspace(-1, 7, 9)[:, None], torch.tensor([0.1, 2.0])
-    whole = torch.stack(stress(y, z, edges, pressure, traction))
-    assert whole.shape == (3, 9, 2)
-    each = sum(torch.stack(stress(y, z, edges[k : k + 2], pressure[k : k + 1], traction[k : k + 1])) for k in range(11))
-    torch.testing.assert_close(whole, each, rtol=1e-12, atol=1e-14)
-
-
 def test_batches_and_depth_maps_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Loads (time, set, M) on moving edges give the same stresses at a map of positions in one piece and in many."""
     generator = torch.Generator().manual_seed(2)

@@ -56,18 +56,6 @@ def test_an_area_that_fades_is_not_taken_for_one_that_vanishes(mu_k: float) -> N
     assert np.isnan(verdict.collapse_ms)
 
 
-@pytest.mark.parametrize(("rate", "noise", "loading"), [(60, 0.0, 3.0), (60, 0.02, 1.5), (300, 0.02, 3.0)])
-def test_the_papers_own_fading_line_diminishes(rate: float, noise: float, loading: float) -> None:
-    """The paper's line d^2 = 1 - T/(mu N), which enters the corridor at 0.05, diminishes by every rule."""
-    draw = np.random.default_rng(1)
-    time = np.arange(0, loading + 1, 1 / rate)
-    load = np.minimum(time / loading, 1)
-    area = np.clip(1 - load + noise * draw.standard_normal(time.size), 0, 1)
-    verdict = judge_trial(area, load * (1 + noise / 4 * draw.standard_normal(time.size)), time)
-    assert verdict.outcome == verdict.printed_outcome == verdict.model_outcome == "diminishes"
-    assert verdict.corridor_area == pytest.approx(0.05, abs=0.012 + 3 * noise)
-
-
 @pytest.mark.parametrize(("rate", "collapse_ms"), [(60, 310), (300, 130)])
 @pytest.mark.parametrize("last", [0.10, 0.15, 0.22, 0.34])
 def test_an_area_that_falls_in_a_straight_line(last: float, collapse_ms: float, rate: float) -> None:

@@ -12,7 +12,7 @@ from chains import begun, chain_of, constant_load, energy, nodes_of, runge_kutta
 
 from fingerflow.models import skin_implicit
 from fingerflow.models.skin_chain import PressedChain, follow, press
-from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
+from fingerflow.models.skin_parameters import PARAMETERS
 
 LAB = PARAMETERS["lab"]
 FRICTIONS = torch.tensor([0.0, 0.05, 0.2, 0.6, 1.5], dtype=torch.float64)
@@ -76,17 +76,6 @@ def test_a_batch_is_its_presses_one_by_one() -> None:
         assert together.steps[k] == alone.steps
 
 
-def test_parameter_sets_in_a_batch() -> None:
-    both = SkinParameters(**{
-        name: torch.tensor([getattr(LAB, name), getattr(PARAMETERS["paper"], name)]) for name in
-        LAB.__dataclass_fields__
-    })  # fmt: skip
-    found = press(torch.tensor([[0.1], [0.5]], dtype=torch.float64), both, elements=61)
-    assert found.position.shape == (2, 2, 61, 2)
-    alone = press(0.5, "paper", elements=61)
-    torch.testing.assert_close(found.position[1, 1], alone.position, rtol=1e-6, atol=1e-12)
-
-
 def test_forces_balance_in_every_member_of_a_batch() -> None:
     """Forces balance to 1e-6 of each member's load, although loads differ by 30 and stiffnesses by 4."""
     load = torch.logspace(-1, 0.5, 4, dtype=torch.float64)
@@ -112,32 +101,6 @@ def test_converges_with_the_number_of_elements() -> None:
     order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
     assert 1.3 < order < 2.7, errors
     assert errors[-1] < 2e-8
-
-
-def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With even steps of a rising load without new contact, errors fall by 4 with each halving of the step, friction
-    included.
-    """
-    chain = chain_of(elements=41)._replace(bone_damping=1.0)
-    mu = np.full(41, 0.05)
-    first = begun(chain)
-    skin_implicit.advance(chain, first, mu, constant_load(3.0), 0.2, 1e-9, 0.0)
-    load = skin_implicit.Load(np.array([0.0, -3.0]), np.array([0.02, -2.95]))
-    monkeypatch.setattr(skin_implicit, "NEWTON", 1e-15)  # relative to a tolerance of 1 m
-    monkeypatch.setattr(skin_implicit, "_step_factor", lambda error: 1.0)
-
-    def end(count: int) -> np.ndarray:
-        state = replace(first, step=0.02 / count)
-        skin_implicit.advance(chain, state, mu, load, 0.02, 1.0, 0.0)
-        assert state.steps - first.steps == count
-        assert (state.nodes[:-1, 1] < 0).sum() == (first.nodes[:-1, 1] < 0).sum() == 5
-        return state.nodes
-
-    fine = end(640)
-    errors = [np.abs(end(count) - fine).max() for count in (20, 40, 80)]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (orders > 1.8).all(), (errors, orders)
-    assert (orders < 2.3).all(), (errors, orders)
 
 
 def test_the_same_rest_by_explicit_runge_kutta() -> None:

@@ -1,6 +1,4 @@
-"""Tests of forces against their energy, of the matrix against forces, of the undeformed chain, and of
-parameter sets.
-"""
+"""Tests of forces against their energy, of the undeformed chain, and of parameter sets."""
 
 from dataclasses import replace
 
@@ -8,9 +6,7 @@ import numpy as np
 import pytest
 from chains import bent, chain_of, energy, nodes_of
 
-from fingerflow.models.friction import Friction, dahl_friction
-from fingerflow.models.skin_forces import elastic_forces, half_circle
-from fingerflow.models.skin_implicit import Arrow
+from fingerflow.models.skin_forces import elastic_forces
 from fingerflow.models.skin_parameters import PARAMETERS, parameter_set
 
 
@@ -29,48 +25,6 @@ def test_forces_are_minus_the_slopes_of_the_energy() -> None:
 def test_undeformed_is_at_rest() -> None:
     chain = chain_of()
     assert np.abs(elastic_forces(chain, nodes_of(chain))).max() < 1e-11
-
-
-def test_the_matrix_is_the_slope_of_the_forces() -> None:
-    """The matrix damping I + c K equals finite differences of the forces, and the solution solves its equations."""
-    chain = chain_of(elements=9)
-    nodes = bent(chain)
-    before = 1e-3 * np.random.default_rng(3).standard_normal(9)
-    old = nodes[:-1] + 1e-6 * np.random.default_rng(4).standard_normal((9, 2))
-    steep, c = np.full(9, 0.4 * chain.contact), 0.7
-
-    def rubbed(nodes: np.ndarray) -> Friction:
-        return dahl_friction(before, old, nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
-
-    def forces(nodes: np.ndarray) -> np.ndarray:
-        found = elastic_forces(chain, nodes)
-        found[:-1, 0] -= rubbed(nodes).force
-        return found.ravel()
-
-    matrix = np.diag(np.broadcast_to(chain.dampers, (10, 2)).ravel())
-    step = 1e-11
-    for k in range(20):
-        off = np.zeros(20)
-        off[k] = step
-        slope = (forces(nodes + off.reshape(10, 2)) - forces(nodes - off.reshape(10, 2))) / (2 * step)
-        matrix[:, k] -= c * slope
-    rubbing = rubbed(nodes)
-    assert (rubbing.along > 0).any()
-    assert (rubbing.above != 0).any()
-    side = np.random.default_rng(5).standard_normal(20)
-    found = Arrow(chain, nodes, rubbing, c).solve(side.reshape(10, 2)).ravel()
-    exact = np.linalg.solve(matrix, side)
-    np.testing.assert_allclose(found, exact, rtol=2e-4, atol=2e-5 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize("count", [4, 5, 40, 501])
-def test_the_half_circle_is_mirrored_to_the_last_bit(count: int) -> None:
-    place = half_circle(count, 8e-3)
-    assert (place[:, 0] == -place[::-1, 0]).all()
-    assert (place[:, 1] == place[::-1, 1]).all()
-    np.testing.assert_allclose(np.hypot(place[:, 0], place[:, 1] - 8e-3), 8e-3, rtol=1e-14)
-    lengths = np.hypot(*np.diff(place, axis=0).T)
-    np.testing.assert_allclose(lengths, 2 * 8e-3 * np.sin(np.pi / 2 / (count - 1)), rtol=1e-11)
 
 
 def test_parameter_sets_are_those_of_print_and_of_the_lab() -> None:

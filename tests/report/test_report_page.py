@@ -17,7 +17,7 @@ from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
 from fingerflow.report.key_numbers import key_numbers, scatter
-from fingerflow.report.settings_table import settings_tables, transform_rows
+from fingerflow.report.settings_table import transform_rows
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -121,25 +121,7 @@ def test_frames_are_chosen_by_what_happens() -> None:
     assert key_frames(nothing) == []
 
 
-def test_settings_are_sentences() -> None:
-    stored = {
-        "path": "scene.toml",
-        "recording": {"frames": "a.npy", "frame_rate": 300.0, "last_frame": None},
-        "views": {"contact": {"rows": [0, 512], "columns": [640, 1280]}},
-        "tracking": {"window_px": 25, "gain_offset": True, "points_from": "recorded"},
-        "fields": {"strain": "green_lagrange", "gauge_length_mm": 1.6, "young_modulus_mpa": 1.0},
-        "slip": {"stuck_mm": None},
-    }
-    assert settings_tables(json.dumps(stored)) == {
-        "recording": [("recording", "a.npy"), ("frame rate", "300 Hz")],
-        "views": [("contact", "rows 0 to 511, columns 640 to 1279")],
-        "tracking": [
-            ("side of windows", "25 px"),
-            ("allow for changes of light", "yes"),
-            ("picture for seeding", "recorded"),
-        ],
-        "fields": [("measure of strain", "green lagrange"), ("gauge length", "1.6 mm"), ("Young's modulus", "1 MPa")],
-    }
+def test_a_transform_is_told_by_its_parts() -> None:
     turned = 1.01 * np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     rows = dict(transform_rows(json.dumps(np.hstack((turned, [[3.4], [-6.2]])).tolist())))
     assert rows["topography to contact view: magnified"] == "1.0100 ×"

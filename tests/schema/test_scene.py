@@ -125,13 +125,3 @@ def test_a_scene_says_what_it_has(folder: Path) -> None:
     assert not scene.has("views.markers")  # a view of another kind of scene
     with pytest.raises(AttributeError):
         scene.has("tracking.pionts")
-
-
-def test_views_have_names(folder: Path) -> None:
-    scene = load_scene(write(folder))
-    assert scene.views.names() == ("contact", "topography")
-    assert scene.views["contact"] == scene.views.contact
-    bare = load_scene(write(folder, TOPOGRAPHY_TABLE, ""))
-    assert bare.views.names() == ("contact",)
-    with pytest.raises(KeyError, match="no view 'topography'; it has contact"):
-        bare.views["topography"]

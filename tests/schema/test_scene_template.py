@@ -69,10 +69,6 @@ def test_what_is_given_is_written_and_nothing_else_of_an_optional_table() -> Non
     assert "criterion" in written["slip"]
 
 
-def test_lines_of_the_file_are_no_longer_than_120_characters() -> None:
-    assert max(map(len, scene_text(forces="forces.csv", region=REGION).splitlines())) <= 120
-
-
 def test_the_form_of_the_page_and_the_list_of_keys_have_the_same_help_and_default() -> None:
     listed = {key.name: key for key in key_list()}
     assert set(listed) == set(ENTRIES)

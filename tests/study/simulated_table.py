@@ -18,7 +18,6 @@ from fingerflow.models.skin_parameters import parameter_set
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
-_POINTS = 4001  # points of the integrals, which extend eight deviations beyond the means
 
 
 @dataclass(frozen=True)

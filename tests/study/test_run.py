@@ -14,14 +14,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from typer.testing import CliRunner
 
-from fingerflow.cli import app
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, read_own
 from fingerflow.study import trial as worker
-from fingerflow.study.cluster import Interrupted
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.report import write_study_report
 from fingerflow.study.row import DESCRIBED, READ, measure
@@ -164,16 +161,6 @@ def test_a_page_of_nothing_is_refused_in_a_sentence(study: Manifest) -> None:
     with pytest.raises(FingerflowError, match="no trial has been measured"):
         write_study_report(study, progress=False)
     assert "metric" in pd.read_csv(write_tables(study).curves).columns
-
-
-def test_an_interrupted_page_is_told_in_a_sentence(study: Manifest, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: Any, **__: Any) -> None:
-        raise Interrupted("interrupted. What is finished is kept")
-
-    monkeypatch.setattr("fingerflow.study.report.write_study_report", interrupted)
-    ended = CliRunner().invoke(app, ["study", "report", str(study.path)])
-    assert ended.exit_code == 130
-    assert ended.output == "no page: interrupted. What is finished is kept\n"
 
 
 def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,8 +25,6 @@ from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table
 
-_STUDIES = 20
-
 
 def _statistics(seed: int, resamples: int = 500) -> dict:
     frame = pd.DataFrame(simulate_table(TableDesign(seed=seed)))
