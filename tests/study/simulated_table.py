@@ -1,12 +1,11 @@
 """A table of trials with known truth, without recordings, for the statistics alone.
 
 Divergence is that of the skin chain at the friction of a condition and the softness of a participant, times a factor
-per participant, plus variation from trial to trial. The true values of the statistics follow by integration:
-`truth_of`.
+per participant, plus variation from trial to trial.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,17 @@ Values = NDArray[np.float64]
 _LOAD_N = 3.0
 
 
+_AMPLITUDES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])  # µm of vibration, one per condition
+_FRICTION = 0.9, 0.03  # coefficient without vibration and at the largest amplitude; between, it falls geometrically
+
+
+@cache
+def divergences(softness: float) -> Values:
+    """Return the divergence (C,) by condition at 3 N of skin whose printed stiffnesses are divided by `softness`."""
+    friction = torch.from_numpy(_FRICTION[0] * (_FRICTION[1] / _FRICTION[0]) ** (_AMPLITUDES / _AMPLITUDES.max()))
+    return np.asarray(press(friction, parameter_set("paper").softer(softness), load_n=_LOAD_N).divergence)
+
+
 @dataclass(frozen=True)
 class TableDesign:
     """Design of a study whose observer answers "more slippery" to one stimulus, and how divergence varies.
@@ -27,9 +37,7 @@ class TableDesign:
     Attributes:
         participants: the second half of them has softer skin.
         trials: of each participant in each condition.
-        amplitudes: µm of vibration, one per condition.
-        friction: coefficient without vibration, and at the largest amplitude; between them it falls geometrically.
-        softness: of firmer and softer skin: divisors of the chain's printed stiffnesses.
+        softness: of firmer and softer skin.
         criterion: divergence above which the observer answers "more slippery".
         noise: standard deviation of the perceived divergence.
         seed: of all random numbers.
@@ -39,8 +47,6 @@ class TableDesign:
 
     participants: int = 16
     trials: int = 14
-    amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-    friction: tuple[float, float] = (0.9, 0.03)
     softness: tuple[float, float] = (1.0, 2.2)
     criterion: float = 0.022
     noise: float = 0.006
@@ -51,14 +57,6 @@ class TableDesign:
     def is_soft(self) -> NDArray[np.bool_]:
         """Return a mask (P,) of the participants with softer skin."""
         return np.arange(self.participants) >= self.participants // 2
-
-    @cached_property
-    def divergences(self) -> Values:
-        """Return the divergence (2, C) of firmer and softer skin by condition, at 3 N."""
-        amplitudes, (low, high) = np.asarray(self.amplitudes), self.friction
-        friction = torch.from_numpy(low * (high / low) ** (amplitudes / amplitudes.max()))
-        skins = [parameter_set("paper").softer(soft) for soft in self.softness]
-        return np.asarray(torch.stack([press(friction, skin, load_n=_LOAD_N).divergence for skin in skins]))
 
 
 def simulate_table(design: TableDesign) -> dict[str, Any]:
@@ -71,19 +69,19 @@ def simulate_table(design: TableDesign) -> dict[str, Any]:
     who, condition, trial = (
         one.ravel()
         for one in np.meshgrid(
-            np.arange(design.participants), np.arange(len(design.amplitudes)), np.arange(design.trials), indexing="ij"
+            np.arange(design.participants), np.arange(_AMPLITUDES.size), np.arange(design.trials), indexing="ij"
         )
     )
     count = who.size
     factor = 1 + design.own * draw.standard_normal(design.participants)
-    mean = design.divergences[design.is_soft().astype(int)[who], condition]
+    mean = np.stack([*map(divergences, design.softness)])[design.is_soft().astype(int)[who], condition]
     divergence = mean * factor[who] + design.spread * draw.standard_normal(count)
     answer = divergence + design.noise * draw.standard_normal(count) > design.criterion
     force = draw.normal(5.5, 1.0, count).clip(1.0)
     return {
         "participant": np.array([f"{number + 1:02d}" for number in range(design.participants)])[who],
         "trial": condition * design.trials + trial + 1,
-        "condition": np.asarray(design.amplitudes)[condition],
+        "condition": _AMPLITUDES[condition],
         "answer": answer,
         "status": np.full(count, "measured"),
         "divergence": divergence,

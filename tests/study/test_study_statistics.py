@@ -26,13 +26,9 @@ from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table
 
 
-def _statistics(seed: int, resamples: int = 500) -> dict:
-    frame = pd.DataFrame(simulate_table(TableDesign(seed=seed)))
-    return statistics_of(sample_of(frame), resamples=resamples)
-
-
 def test_one_study_whole() -> None:
-    found = _statistics(3, resamples=200)
+    table = simulate_table(TableDesign(seed=3))
+    found = statistics_of(sample_of(pd.DataFrame(table)), resamples=200)
     others = {name: one for name, one in found["observer"]["metrics"].items() if name != "divergence"}
     # The design makes divergence the best predictor: no other metric comes near in the same trials.
     assert len(others) >= 10
@@ -48,9 +44,8 @@ def test_one_study_whole() -> None:
     assert (found["force_rate"]["trials"], found["force_rate"]["unit"]) == (16 * 14 * 5, "per N/s")
     test = found["by_condition"]["divergence"]
     assert (test["degrees"], test["as_printed"]["degrees"]) == ([6, 6 * 15], [6, 1568 - 7])
-    for table in ("by_condition", "by_answer", "shares"):
-        assert all(one["p_holm"] >= one["p"] for one in found[table].values())
-    table = simulate_table(TableDesign(seed=3))
+    for kind in ("by_condition", "by_answer", "shares"):
+        assert all(one["p_holm"] >= one["p"] for one in found[kind].values())
     chosen = table["answer"] & (table["global_displacement"] <= 0.2)
     criterion, truth = found["observer"]["metrics"]["divergence"]["criterion"], table["divergence"][chosen]
     assert criterion["unit"] == "µm/mm"

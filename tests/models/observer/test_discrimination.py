@@ -108,8 +108,8 @@ def test_degenerate_input_has_a_clear_answer() -> None:
 
 
 def test_permutations_within_participants() -> None:
-    """A metric that differs between participants alone is not significant, one that differs within them is; p is
-    uniform where there is nothing.
+    """A metric that differs between participants alone is not significant, one that differs within them is.
+    `test_error_rates` has the share of p below 0.05 where there is nothing.
     """
     draw = np.random.default_rng(8)
     who = np.repeat([0, 1], 100)
@@ -119,9 +119,6 @@ def test_permutations_within_participants() -> None:
     assert auc(metric[right], metric[~right], groups).value > 0.7
     assert permutation_p(metric[right], metric[~right], groups, 999) > 0.05
     assert permutation_p(metric[right], metric[~right], (0 * groups[0], 0 * groups[1]), 999) == 0.001
-    values = [permutation_p(*drawn(seed, 0.0, participants=8), 199, seed) for seed in range(200)]
-    assert np.mean(np.array(values) <= 0.1) == pytest.approx(0.1, abs=0.06)
-    assert np.median(values) == pytest.approx(0.5, abs=0.12)
     assert math.isnan(permutation_p([1.0, 2.0], [], ([0, 1], [])))
 
 
