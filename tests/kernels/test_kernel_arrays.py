@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import arrays, contact, fields, flow, library, tracking
+from fingerflow.kernels import contact, fields, flow, library, tracking
 from fingerflow.kernels import tensors as kernels
 from tests.kernels.kernel_calls import calls
 
@@ -123,7 +123,6 @@ def test_views_that_torch_negates_are_written_out() -> None:
     conjugate = torch.complex(frames, -frames).conj().imag
     assert conjugate.is_neg()
     assert torch.equal(kernels.halve(conjugate), kernels.halve(frames))
-    assert not arrays.may_be_written(conjugate)
 
 
 def test_other_dtypes_are_refused() -> None:
@@ -133,14 +132,6 @@ def test_other_dtypes_are_refused() -> None:
         tracking.halve(FRAME.astype(">u2"))
     with pytest.raises(ValueError, match="points is float64"):
         followed(FRAME, POINTS.astype(np.float64), ONES)
-
-
-def test_a_state_that_cannot_be_written_to_is_refused() -> None:
-    protected, columns_first, written = np.zeros((4, 6)), np.zeros((4, 6), order="F"), np.zeros((4, 6))
-    protected.flags.writeable = False
-    assert not arrays.may_be_written(protected)
-    assert not arrays.may_be_written(columns_first)
-    assert arrays.may_be_written(written)
 
 
 def test_threads_are_those_of_torch(torch_threads: Callable[[int], None]) -> None:
