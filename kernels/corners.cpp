@@ -10,7 +10,6 @@
 // response in the upper half and row * width + column in the lower: ascending keys are descending responses. Keys of a
 // piece of kRows rows lie where its pixels would.
 #include <math.h>
-#include <cstdint>
 #include <cstring>
 
 #include "floats.h"

@@ -1,8 +1,6 @@
 // Presses of skin chains, one chain or a vector of chains at a time (skin_chain_press.cpp).
 #pragma once
 
-#include <cstdint>
-
 #include "instruction_sets.h"
 #include "interface.h"
 
