@@ -9,7 +9,6 @@
 // that they stay in a cache.
 #include <math.h>
 #include <string.h>
-#include <cstdint>
 #include <cstring>
 #include <initializer_list>
 

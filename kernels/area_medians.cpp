@@ -9,7 +9,6 @@
 // block with its own copy of the points within a radius. Sensitivities of a point are kAreaShares floats, two components
 // a field.
 #include <math.h>
-#include <cstdint>
 
 #include "floats.h"
 #include "instruction_sets.h"

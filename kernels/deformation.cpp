@@ -8,7 +8,6 @@
 // Layout: points are their own queries, in blocks of kFitBlock, one a lane; `Columns` transposes [point][component] to
 // [component][point] and back. `second_` is (frames, points, 4 gradient components, 2 directions).
 #include <math.h>
-#include <cstdint>
 
 #include "instruction_sets.h"
 #include "interface.h"

@@ -10,7 +10,6 @@
 // with a border of zeros around the part, products in a ring of five rows; corners sorted by response in linked lists of
 // cells of kCell px.
 #include <math.h>
-#include <cstdint>
 #include <cstring>
 
 #include "instruction_sets.h"

@@ -1,8 +1,6 @@
 // Row loops of the multigrid of dense flow, A = J + L with tensor J and Laplacian L (flow_multigrid.cpp).
 #pragma once
 
-#include <cstdint>
-
 #include "instruction_sets.h"
 #include "interface.h"
 

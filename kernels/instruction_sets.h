@@ -11,38 +11,24 @@
 #define FINGERFLOW_JOIN(one, other) FINGERFLOW_JOINED(one, other)
 #define FINGERFLOW_ONCE FINGERFLOW_JOIN(FINGERFLOW_ONCE_, FINGERFLOW_ISA)
 
-// Number of sets that are compiled; a set that is not is replaced by the next narrower one.
-#ifndef FINGERFLOW_SETS
-#define FINGERFLOW_SETS 1
-#endif
+// FINGERFLOW_SETS sets are compiled; the next narrower one takes the place of a set that is not.
 #if FINGERFLOW_SETS > 1
-#define FINGERFLOW_IN_AVX2(declaration) \
-    namespace avx2 {                    \
-    declaration                         \
-    }
+#define FINGERFLOW_IN_AVX2(declaration) namespace avx2 { declaration }
 #define FINGERFLOW_OF_AVX2(function) avx2::function
 #else
 #define FINGERFLOW_IN_AVX2(declaration)
 #define FINGERFLOW_OF_AVX2(function) baseline::function
 #endif
 #if FINGERFLOW_SETS > 2
-#define FINGERFLOW_IN_AVX512(declaration) \
-    namespace avx512 {                    \
-    declaration                           \
-    }
+#define FINGERFLOW_IN_AVX512(declaration) namespace avx512 { declaration }
 #define FINGERFLOW_OF_AVX512(function) avx512::function
 #else
 #define FINGERFLOW_IN_AVX512(declaration)
 #define FINGERFLOW_OF_AVX512(function) FINGERFLOW_OF_AVX2(function)
 #endif
-#define FINGERFLOW_FOR_EACH_SET(declaration) \
-    namespace baseline {                     \
-    declaration                              \
-    }                                        \
-    FINGERFLOW_IN_AVX2(declaration) FINGERFLOW_IN_AVX512(declaration)
-#define FINGERFLOW_OTHER_SETS(function)                         \
-    FINGERFLOW_IN_AVX2(decltype(baseline::function) function;) \
-    FINGERFLOW_IN_AVX512(decltype(baseline::function) function;)
+#define FINGERFLOW_OTHERS(declaration) FINGERFLOW_IN_AVX2(declaration) FINGERFLOW_IN_AVX512(declaration)
+#define FINGERFLOW_FOR_EACH_SET(declaration) namespace baseline { declaration } FINGERFLOW_OTHERS(declaration)
+#define FINGERFLOW_OTHER_SETS(function) FINGERFLOW_OTHERS(decltype(baseline::function) function;)
 #define FINGERFLOW_PICK(function) \
     (fingerflow::pick(baseline::function, FINGERFLOW_OF_AVX2(function), FINGERFLOW_OF_AVX512(function)))
 

@@ -7,7 +7,6 @@
 // Layout: one tile a lane. Lines of the frame, of 8 or 16 bit, are padded by half a window and, for tiles of two columns,
 // split into even and odd columns. Workspace: rings of kept rows, scratch slots, one line, the prepared lines. A band and
 // its kept planes fit into a second-level cache, and its rows are a multiple of 8.
-#include <cstdint>
 #include <cstring>
 
 #include "instruction_sets.h"

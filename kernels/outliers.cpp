@@ -7,7 +7,6 @@
 // Layout: kOutlierColumns columns of `stride` floats a frame, one a point (OutlierFrame); neighbours are (neighbours,
 // stride). Pieces of eight blocks of kJudged points, one a lane.
 #include <math.h>
-#include <cstdint>
 
 #include "instruction_sets.h"
 #include "interface.h"

@@ -1,8 +1,6 @@
 // Spline coefficients of a small rectangle, computed from the pixels on demand, since windows cover less than a frame.
 #pragma once
 
-#include <cstdint>
-
 #include "floats.h"
 #include "pixels.h"
 

@@ -1,16 +1,11 @@
 // Vectors of pixels, as wide as the instruction set's registers.
 #pragma once
 
-#include <string.h>
-
-#include <cstdint>
-
-#if defined(__GNUC__) || defined(__clang__)
-#define FINGERFLOW_PIXEL_VECTORS
 #if defined(__AVX512BW__)
 #include <immintrin.h>
 #endif
-#endif
+
+#include "floats.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -24,32 +19,20 @@ inline long whole_lanes(long count) {
     return (count + kLanes<Pixel> - 1) / kLanes<Pixel> * kLanes<Pixel>;
 }
 
-#if defined(__AVX512BW__)
-constexpr int kRegisterBytes = 64;
-#elif defined(__AVX2__)
-constexpr int kRegisterBytes = 32;
-#else
-constexpr int kRegisterBytes = 16;
-#endif
-
 // A vector of pixels; a single one where the compiler has no vectors, but makes them of a loop.
 template <class Pixel>
 struct Lanes {
-#if defined(FINGERFLOW_PIXEL_VECTORS)
-    typedef Pixel Value __attribute__((vector_size(kRegisterBytes)));
+#if defined(FINGERFLOW_VECTORS)
+    using Value = Register<Pixel, static_cast<int>(sizeof(Floats) / sizeof(Pixel))>;
 #else
     using Value = Pixel;
 #endif
     static constexpr long kStep = static_cast<long>(sizeof(Value) / sizeof(Pixel));
-    static Value load(const Pixel* from) {
-        Value value;
-        memcpy(&value, from, sizeof value);
-        return value;
-    }
-    static void store(Pixel* to, Value value) { memcpy(to, &value, sizeof value); }
+    static Value load(const Pixel* from) { return loaded<Value>(from); }
+    static void store(Pixel* to, Value value) { std::memcpy(to, &value, sizeof value); }
     static Value lesser(Value a, Value b) { return a < b ? a : b; }
     static Value greater(Value a, Value b) { return a > b ? a : b; }
-#if defined(FINGERFLOW_PIXEL_VECTORS) && defined(__AVX512BW__)
+#if defined(FINGERFLOW_VECTORS) && defined(__AVX512BW__)
     // Intel processors have one port for minima of 64 bytes and two for sums: a share of the pairs of minimum and
     // maximum is computed by a saturating difference, max(a - b, 0), and two sums, so that both ports are busy.
     static Value excess(Value a, Value b) {

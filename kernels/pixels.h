@@ -1,8 +1,6 @@
 // Number types of pixels, as coded by fingerflow/kernels.
 #pragma once
 
-#include <cstdint>
-
 #include "interface.h"
 
 namespace fingerflow {

@@ -8,7 +8,6 @@
 #include <float.h>
 #include <math.h>
 #include <string.h>
-#include <cstdint>
 
 #include "instruction_sets.h"
 #include "interface.h"

@@ -2,7 +2,6 @@
 // Layout: windows (windows, samples) of floats, those around each of them (4, windows, samples); few, one after the other.
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <vector>
 
 #include "interface.h"

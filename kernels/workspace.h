@@ -15,15 +15,11 @@ inline void* workspace(std::size_t bytes) {
     static thread_local struct Memory {
         unsigned char* begin = nullptr;
         std::size_t size = 0;
-        void free() {
-            delete[] begin;
-            begin = nullptr;
-            size = 0;
-        }
-        ~Memory() { free(); }
+        ~Memory() { delete[] begin; }
     } memory;
     if (memory.size < bytes) {
-        memory.free();
+        delete[] memory.begin;
+        memory.begin = nullptr, memory.size = 0;  // should there be no memory
         memory.begin = new unsigned char[bytes + 63]();
         memory.size = bytes;
     }

@@ -33,7 +33,7 @@ _TABLE = {
     "stages": "choice engines errors export graphs kernels models ops recordings results schema torch_engine tracker",
     "pipeline": "__init__ choice engines errors recordings results schema stages tensors torch_engine",
     "synthetic": "errors models ops schema",
-    "plot": "errors graphs recordings results schema stages",
+    "plot": "errors graphs ops recordings results schema stages",
     "report": "errors models plot recordings results schema",
     "export": "__init__ engines errors graphs kernels ops schema tensors torch_engine",
     "player": "choice engines errors kernels recordings results schema tracker",

@@ -25,7 +25,8 @@ def covered(density_margin: Array, points: Array, topography_to_contact: Array, 
     """
     matrix = np.asarray(topography_to_contact, np.float32)
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
-    x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
+    with np.errstate(invalid="ignore", over="ignore"):  # positions may be infinite
+        x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
     height, width = density_margin.shape[-2:]
     known = np.isfinite(x) & np.isfinite(y)
     column, row = (

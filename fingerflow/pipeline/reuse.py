@@ -32,6 +32,7 @@ _TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
 _PICTURES = ("background.frames", "background.dark")
 _CODE = (
     "engines",
+    "export",
     "graphs",
     "kernels",
     "models",

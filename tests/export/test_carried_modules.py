@@ -112,10 +112,7 @@ def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
     package, carried = carried_modules.PACKAGE, carried_modules.modules_to_carry()
     files = [file for room in ("player", "engines", "tracker", "schema") for file in (package / room).rglob("*.py")]
     left_out = {str(file.relative_to(package)) for file in files if file not in carried.values()}
-    with_torch = {"capture", "points_graph", "torch", "transfers"}
-    assert left_out == {f"engines/{name}.py" for name in with_torch}, (
-        f"they need more to load than {carried_modules.ON_THE_LAB_PC}"
-    )
+    assert left_out == {"engines/torch.py"}, f"they need more to load than {carried_modules.ON_THE_LAB_PC}"
     assert "fingerflow.kernels.tensors" not in carried
 
 

@@ -6,7 +6,7 @@ import runpy
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -16,74 +16,43 @@ pytestmark = pytest.mark.long
 HERE = Path(__file__).parent
 ROOT = HERE.resolve().parents[1]
 
-ISA = "-DFINGERFLOW_ISA=baseline"  # namespace of sources compiled for each instruction set
 SANITIZERS = {"memory": "address,undefined", "threads": "thread"}
 
 
-def compiler_of(flags: tuple[str, ...], folder: Path) -> tuple[str, ...]:
-    """Return the command that compiles with a sanitizer; skip the test if there is none."""
-    compiler = shutil.which(os.environ.get("CXX", "g++"))
-    if compiler is None:
-        pytest.skip("no C++ compiler here")
-    command = (compiler, "-std=c++17", "-fno-sanitize-recover=all", "-pthread", *flags)
-    empty, program = folder / "empty.cpp", folder / "empty"
-    empty.write_text("int main() {}\n")
-    if subprocess.run([*command, str(empty), "-o", str(program)], capture_output=True).returncode:
-        pytest.skip("this compiler has no such sanitizer")
-    if subprocess.run([str(program)], capture_output=True).returncode:
-        pytest.skip("this system does not run programs with such a sanitizer")
-    includes = [f"-I{place}" for place in (ROOT / "kernels", ROOT / "fingerflow" / "kernels", folder)]
-    return (*command, *includes)
-
-
-def compiled(sources: Sequence[Path], command: tuple[str, ...], folder: Path) -> list[str]:
-    """Compile the sources in a new folder; return the paths of the objects."""
-    folder.mkdir()
-    subprocess.run([*command, "-c", *map(str, sources)], cwd=folder, check=True)
-    return sorted(map(str, folder.glob("*.o")))
-
-
-def run(program: Path) -> None:
-    """Run a program and assert that it has no failures.
+def run_sanitized(sanitizer: str, flags: tuple[str, ...], sources: Iterable[Path], folder: Path) -> None:
+    """Compile a program with a sanitizer, run it and assert that it has no failures; skip without the sanitizer.
 
     The thread sanitizer must not end the program for threads of a forked child, which the program tests.
     """
+    compiler = shutil.which(os.environ.get("CXX", "g++"))
+    if compiler is None:
+        pytest.skip("no C++ compiler here")
+    flags = (f"-fsanitize={SANITIZERS[sanitizer]}", "-fno-sanitize-recover=all", "-pthread", *flags)
+    command = [compiler, "-std=c++17", *flags, "-o", str(folder / "program")]
+    program, empty = str(folder / "program"), folder / "empty.cpp"
+    empty.write_text("int main() {}\n")
+    for attempt in ([*command, str(empty)], [program]):
+        if subprocess.run(attempt, capture_output=True).returncode:
+            pytest.skip("this compiler or system has no such sanitizer")
+    includes = [f"-I{place}" for place in (ROOT / "kernels", ROOT / "fingerflow" / "kernels", folder)]
+    subprocess.run([*command, *includes, *map(str, sources)], check=True)
     environment = {**os.environ, "TSAN_OPTIONS": "die_after_fork=0"}
-    ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=300, env=environment)
+    ran = subprocess.run([program], capture_output=True, text=True, timeout=300, env=environment)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert ran.stdout == "0 failures\n"
 
 
-def kernel_sources(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Return the sources that are compiled for each instruction set, and all others with the generated source and the
-    program.
+@pytest.mark.parametrize("sanitizer", SANITIZERS)
+def test_sanitizers_find_no_wrong_access_and_no_race(sanitizer: str, tmp_path: Path) -> None:
+    """There is no access outside the images, whose memory ends right behind them, with the widest vectors of this
+    processor, which reach furthest; and no race of threads.
     """
     for path in (ROOT / "kernels").glob("generate_*.py"):
         generator = runpy.run_path(str(path))
-        (folder / generator["GENERATES"]).write_text(generator["source"](), encoding="utf-8")
-    sources = sorted((ROOT / "kernels").glob("*.cpp"))
-    hot = [one for one in sources if "FINGERFLOW_ISA" in one.read_text(encoding="utf-8")]
-    return hot, [*(one for one in sources if one not in hot), folder / "entries.cpp", HERE / "sanitized.cpp"]
-
-
-def test_sanitizers_find_no_wrong_access(tmp_path: Path) -> None:
-    """The address sanitizer finds no access outside the images, whose memory ends right behind them, for the baseline
-    and for the widest vectors of this processor.
-    """
-    hot, plain = kernel_sources(tmp_path)
-    command = compiler_of(("-O0", f"-fsanitize={SANITIZERS['memory']}"), tmp_path)
-    of_all = compiled(plain, command, tmp_path / "plain")
-    for name, more in {"baseline": (), "native": ("-march=native",)}.items():
-        objects = compiled(hot, (*command, ISA, *more), tmp_path / name)
-        subprocess.run([*command, *of_all, *objects, "-o", str(tmp_path / "sanitized")], check=True)
-        run(tmp_path / "sanitized")
-
-
-def test_sanitizer_finds_no_race(tmp_path: Path) -> None:
-    sources = [one for part in kernel_sources(tmp_path) for one in part]
-    command = compiler_of(("-O0", f"-fsanitize={SANITIZERS['threads']}"), tmp_path)
-    subprocess.run([*command, ISA, *map(str, sources), "-o", str(tmp_path / "sanitized")], check=True)
-    run(tmp_path / "sanitized")
+        (tmp_path / generator["GENERATES"]).write_text(generator["source"](), encoding="utf-8")
+    sources = [*(ROOT / "kernels").glob("*.cpp"), tmp_path / "entries.cpp", HERE / "sanitized.cpp"]
+    widest = ("-march=native",) if sanitizer == "memory" else ()
+    run_sanitized(sanitizer, ("-O0", "-DFINGERFLOW_ISA=baseline", *widest), sources, tmp_path)
 
 
 @pytest.mark.parametrize("sanitizer", SANITIZERS)
@@ -91,10 +60,7 @@ def test_pool_of_threads(sanitizer: str, tmp_path: Path) -> None:
     """The pool of threads has no race and no wrong access with faults in any piece of any thread, parallel callers,
     nested calls and forks.
     """
-    command = compiler_of(("-O1", f"-fsanitize={SANITIZERS[sanitizer]}"), tmp_path)
-    sources = (ROOT / "kernels" / "parallel.cpp", HERE / "pool.cpp")
-    subprocess.run([*command, *map(str, sources), "-o", str(tmp_path / "pool")], check=True)
-    run(tmp_path / "pool")
+    run_sanitized(sanitizer, ("-O1",), (ROOT / "kernels" / "parallel.cpp", HERE / "pool.cpp"), tmp_path)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools is not installed")

@@ -175,7 +175,7 @@ def test_keys_know_all_code_that_stages_run() -> None:
     reached, known = set[str](), {*fingerflow.pipeline.reuse._CODE, "stages"}
     left = ["stages"]
     while left:
-        for room in ARROWS[left.pop()] - reached:
+        for room in ARROWS[left.pop()] - reached - {"__init__"}:  # the version
             reached.add(room)
             left.append(room)
     parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines", "stages": "pipeline/stages"}

@@ -163,7 +163,7 @@ def test_frames_of_another_moment_count_in_no_number(small: Small, noise: Any, s
     assert sorted(told) == places
     assert set(told.values()) <= {status, "jumps_and_returns"}
     _assert_unknown(played.records, places)
-    _assert_others_as_before(small, played.records, places, late=3)
+    _assert_others_as_before(small, played.records, places, late=6)  # those of all three runs add up
     assert list(played.records["frame"]) == list(range(FRAMES))
 
 

@@ -118,13 +118,13 @@ def test_a_stream_equals_the_recording_bit_for_bit(
     The median divergence is compared in frames without a passing touch: a recording knows the end of such a touch and
     counts from the last touch.
     """
-    made = Inputs.__post_init__
+    made = Inputs.__init__
 
-    def as_a_stream(inputs: Inputs) -> None:
-        made(inputs)
+    def as_a_stream(inputs: Inputs, *arguments: Any, **named: Any) -> None:
+        made(inputs, *arguments, **named)
         inputs.knowledge = STREAM
 
-    monkeypatch.setattr(Inputs, "__post_init__", as_a_stream)
+    monkeypatch.setattr(Inputs, "__init__", as_a_stream)
     recorded, records = fingerflow.process(played[kind].scene), played[kind].play()
     points, frames = recorded.sizes["point"], int((records["key_frame"] == 0).sum())
     assert frames > 25

@@ -188,7 +188,9 @@ class StrainStage(Stage):
         counts &= np.isfinite(between)[:, None]
 
         def since_growth(some: NDArray[np.intp]) -> NDArray[np.float64]:
-            moved: NDArray[np.float64] = position[some] - self.results["position"][self._grown[frames[some]]]
+            grown, number = np.unique(self._grown[frames[some]], return_inverse=True)
+            then = np.concatenate([self.results["position"][slice(k, k + 1)] for k in grown.tolist()])
+            moved: NDArray[np.float64] = position[some] - then[number]
             return moved
 
         whole = self._whole.of_frames(position, displacement, variance, counts, border, since_growth)
