@@ -170,15 +170,6 @@ def test_a_similarity_is_the_best_one_and_no_reflection() -> None:
         fit_affine([(0, 0), (1, 0)], [(0, 0), (1, 0)])
 
 
-@pytest.mark.parametrize("radius", [24.7, 41.3, 80.2])
-def test_scale_of_a_ring(radius: float) -> None:
-    """The radius is found to 0.03 px at a noise of 1 grey level and an edge step of 50 grey levels."""
-    found = calibrate(None, ring(radius), {"contact": View((0, 256), (0, 272))}, hole_radius_mm=2.75)
-    assert found.mm_per_px == pytest.approx(2.75 / radius, rel=0.03 / radius)
-    assert found.discs == ()
-    assert found.topography_to_contact is None
-
-
 def test_calibration_frames_that_cannot_be_are_refused() -> None:
     whole = {"contact": View((0, 256), (0, 272))}
     with pytest.raises(FingerflowError, match="'topography' is missing; views given: 'contact'"):

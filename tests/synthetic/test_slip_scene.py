@@ -74,12 +74,3 @@ def test_jumps_that_would_tear_the_skin_are_refused() -> None:
     for early in (0.0, 0.3):
         with pytest.raises(ValueError, match=f"jumps has {early} s: .* of the contact slip then.* make it later"):
             PartialSlip(jumps=(early,))
-
-
-def test_forces_drift() -> None:
-    plain, drifting = (PartialSlip(force_drift=drift, n_frames=60).forces() for drift in (0.0, 0.02))
-    late = plain.time > 0
-    for name in ("normal_force", "tangential_force"):
-        difference = getattr(drifting, name) - getattr(plain, name)
-        np.testing.assert_allclose(difference[late], 0.02 * plain.time[late], atol=1e-12)
-        assert (difference[~late] == 0).all()

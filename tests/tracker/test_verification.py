@@ -19,7 +19,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker import window_match
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.subset_verification import Verification
-from fingerflow.tracker.window_match import compare, fit_shifts
+from fingerflow.tracker.window_match import fit_shifts
 from tests.small_trials import SMALL_PRESS, warnings_of, write_small
 
 Array = NDArray[Any]
@@ -75,20 +75,6 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
         pytest.skip("the compiled library is not there")
     monkeypatch.setattr(window_match, "is_present", lambda: request.param == "compiled")
     return str(request.param)
-
-
-@pytest.mark.parametrize("samples", [1, 81])
-def test_windows_are_compared_as_by_numpy_and_blank_ones_have_no_correlation(samples: int) -> None:
-    one, other = np.random.default_rng(0).normal(100, 20, (2, 30, samples)).astype(np.float32)
-    found = compare(one, other)
-    for k, (then, now) in enumerate(zip(one, other, strict=True)):
-        if samples > 1:
-            left = now - np.polyval(np.polyfit(then.astype(np.float64), now, 1), then)
-            np.testing.assert_allclose(found.correlation[k], np.corrcoef(then, now)[0, 1], rtol=0, atol=1e-5)
-            np.testing.assert_allclose(found.residual[k], np.sqrt(np.square(left).mean()), rtol=1e-4)
-            np.testing.assert_allclose(found.largest[k], np.abs(left).max(), rtol=1e-4)
-    assert np.isnan(compare(one, np.full_like(one, 3.0)).correlation).all()
-    assert np.isnan(compare(np.full_like(one, 3.0), one).residual).all()
 
 
 @pytest.mark.usefixtures("form")

@@ -1,8 +1,5 @@
 """Tests of the quotient of a frame and the empty glass, and of the byte that encodes the contact signal."""
 
-from pathlib import Path
-
-import cv2
 import pytest
 import torch
 
@@ -67,16 +64,6 @@ def test_signal_relative_to_the_first_contact() -> None:
     assert (contact_signal(later, first)[:, 0, 3, 4] == 0).all()
 
 
-def test_gradient_of_the_quotient() -> None:
-    light = lamp(4, 5)
-    light[0, 0, 0, 0] = 0
-    frames = (light * 0.3).requires_grad_()
-    normalize_illumination(frames, light).frames.sum().backward()
-    assert frames.grad is not None
-    expected = torch.where(light > 0, 1 / light.clamp(min=1), 0.0)
-    assert torch.allclose(frames.grad, expected)
-
-
 def test_levels_round_trip_within_half_a_level() -> None:
     signal = torch.linspace(-0.25, 1.0, 1001, dtype=torch.float64)
     levels = quantize(signal)
@@ -84,26 +71,6 @@ def test_levels_round_trip_within_half_a_level() -> None:
     assert levels[0] == 0
     assert levels[-1] == 255
     assert (dequantize(levels) - signal).abs().max() <= 1.25 / 255 / 2 + 1e-6
-
-
-def test_rig_background_does_not_explode(shared_data: Path) -> None:
-    """Hundreds of pixels of the rig's empty image are 0 or nearly so, where a plain division is infinite: they are
-    masked.
-    """
-    empty, target = (
-        torch.from_numpy(cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE)[:, 640:].copy())[None, None]
-        for name in ("empty.jpg", "piece.jpg")
-    )
-    black = empty == 0
-    assert (target.float() / empty.float()).isinf().any()
-    normalized = normalize_illumination(target, empty)
-    assert black.sum() > 500
-    assert not normalized.valid[black].any()
-    assert normalized.valid[..., 156:356, 220:420].all()  # the lit disc
-    assert (normalized.frames[~normalized.valid] == 1).all()
-    # The brightest pixel has 101 counts; the darkest valid light is 5 % of about 120 counts.
-    assert normalized.frames.max() < 101 / (0.05 * 115)
-    assert torch.equal(normalize_illumination(empty, empty).frames, torch.ones(1, 1, 512, 640))
 
 
 def test_levels_of_what_is_no_number() -> None:

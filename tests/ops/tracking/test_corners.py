@@ -51,27 +51,6 @@ def test_selection_equals_the_greedy_rule(distance: float) -> None:
         assert torch.equal(corners.response[b][corners.valid[b]], response[b, 0, y, x])
 
 
-def test_greedy_rule_among_equals() -> None:
-    """Among dots with equal responses the reading order decides."""
-    frame = np.zeros((60, 60), dtype=np.uint8)
-    frame[5::6, 5::6] = 200
-    tensor = torch.from_numpy(frame)[None, None].float()
-    response = corner_response(tensor, 3)
-    corners = detect_corners(tensor, 500, 7.0, window=3, noise=0.0)
-    expected = greedy(response[0, 0].numpy(), 0.01 * response.max().item(), 500, 7.0)
-    assert corners.points[0][corners.valid[0]].tolist() == [list(map(float, point)) for point in expected]
-
-
-def test_corners_of_a_square_are_found() -> None:
-    frame = torch.zeros(1, 1, 60, 70)
-    frame[..., 20:40, 15:45] = 100
-    corners = detect_corners(frame, 10, 10, noise=0.5)
-    assert corners.valid.sum() == 4
-    expected = torch.tensor([[15.0, 20], [44, 20], [15, 39], [44, 39]])
-    # The response is flat over a corner's window: its largest value is within half a window.
-    assert torch.cdist(corners.points[0, :4], expected).amin(1).max() <= 3 * math.sqrt(2)
-
-
 def test_mask_and_border_hold() -> None:
     frame = torch.from_numpy(texture(4))[None, None]
     mask = torch.zeros(1, 1, 120, 150, dtype=torch.bool)
@@ -86,11 +65,6 @@ def test_mask_and_border_hold() -> None:
     assert points[:, 0].max() <= 150 - 16
     assert points[:, 1].min() >= 15
     assert points[:, 1].max() <= 120 - 16
-
-
-def test_gradient_of_the_response() -> None:
-    frame = torch.rand(1, 1, 7, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(7)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda x: corner_response(x, 3), frame)
 
 
 @pytest.mark.parametrize("window", [3, 7, 21])

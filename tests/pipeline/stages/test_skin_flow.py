@@ -41,14 +41,6 @@ def followed(flow: SkinFlow, shift: tuple[float, float], seed: int = 1) -> NDArr
     return flow.follow(picture(shift, seed), PLACES, points(shift), lambda: even(shift)).displacement
 
 
-def test_nothing_is_known_outside_the_skin_and_rest_is_rest() -> None:
-    flow = SkinFlow(picture((0, 0)), INSIDE, APART)
-    motion = flow.follow(picture((0, 0)), PLACES, points((0, 0)), lambda: even((0, 0)))
-    assert np.isnan(motion.displacement[~INSIDE]).all()
-    assert np.abs(motion.displacement[INSIDE]).max() == 0
-    assert np.isfinite(motion.variance[INSIDE]).all()
-
-
 def test_a_jump_of_5_px_in_a_frame_with_and_without_points() -> None:
     """A jump of 5 px in one frame, over a third of the ridge period, is found to 0.06 px RMS with tracked points;
     without points fewer than 2 % of the pixels are more than 2 px off.
