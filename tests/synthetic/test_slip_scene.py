@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, stuck_area
+from fingerflow.models.partial_slip import critical_load_ratio, stuck_area
 from fingerflow.synthetic import Ellipse, PartialSlip
 
 ABRUPT = PartialSlip()
@@ -28,16 +28,6 @@ def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
     np.testing.assert_allclose(area[loading], stuck_area(load[loading], *friction), rtol=0, atol=1e-12)
     assert load.max() == pytest.approx(float(critical_load_ratio(*friction)))
     assert load[-1] == pytest.approx(trial.kinetic_friction)
-
-
-def test_the_critical_area_collapses_in_its_time() -> None:
-    area, _ = area_and_load(ABRUPT)
-    critical = float(critical_stuck_area(0.8, 0.4))
-    collapsing = area[(area < critical) & (area > 0)]
-    # 0.2 s at 60 frames/s, in even steps.
-    assert len(collapsing) == 12
-    np.testing.assert_allclose(np.diff(collapsing), -critical / 12, rtol=1e-9)
-    assert (area[ABRUPT.progress(ABRUPT.times) >= 0.75] == 0).all()
 
 
 @TRIALS

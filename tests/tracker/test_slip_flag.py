@@ -89,22 +89,6 @@ def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
     assert raised == [False, False, True, True]
 
 
-def test_other_points_and_points_that_leave_start_anew() -> None:
-    flag = SlipFlag()
-    flag.see(POINTS, STD, COVERED)
-    elsewhere = POINTS[:, ::-1].copy()
-    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # how far the new points have moved is unknown
-    states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
-    assert states[-1].residual == 0
-    assert not states[-1].slipping
-    flag.see(POINTS, STD, np.zeros(400, np.uint8))
-    assert all(flag.see(POINTS, STD, COVERED).residual == 0 for _ in range(3))
-    few = POINTS.copy()
-    few[7:] = np.nan  # too few points say nothing
-    states = [flag.see(few, STD, COVERED) for _ in range(5)]
-    assert all(math.isnan(state.residual) and not state.slipping for state in states)
-
-
 def test_the_flag_outlives_a_choice_of_other_points() -> None:
     """After points are seeded again, new points take over the displacement of the nearest old points, and flag and
     residual stay: on skin whose rim is 3 px ahead, to 0.3 px, the error of a mean of four neighbours some 15 px away.

@@ -205,16 +205,6 @@ def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make
     assert 0.1 < float(np.sqrt(2 * near.variance[some].mean())) < 0.3
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_points_without_neighbours_are_followed(make_engine: Make, count: int) -> None:
-    engine = make_engine(EngineSettings())
-    view = picture(UNMOVED, (0, 0), 0.0, 1)
-    start = np.array([[100, 80]], np.float32)[:count]
-    found = Points(engine, engine.images(view), start).follow(engine.images(np.roll(view, 1, axis=2)))
-    assert (found.status == TrackStatus.TRACKED).all()
-    np.testing.assert_allclose(found.points[0], start + np.float32([1, 0]), atol=1e-3)
-
-
 def test_points_that_fail_have_no_position_and_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three points that the tracker gives 5 px off from the tenth frame on have the status `window_differs` and no
     position, and are counted in `window_differs_share`; without them no point of the press is rejected.

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from fingerflow.engines.cells import covered
-from fingerflow.ops.contact.cells import cell_means, largest_around, mask_of
+from fingerflow.ops.contact.cells import cell_means, mask_of
 
 
 @pytest.mark.parametrize("cell", [1, 2, 4, 8])
@@ -34,8 +34,3 @@ def test_a_border_is_found_to_a_fraction_of_a_pixel(cell: int) -> None:
     assert mask.shape == (1, 1, 28, 40)
     assert mask[..., :22].all()
     assert not mask[..., 22:].any()
-
-
-def test_neighbourhoods() -> None:
-    cells = torch.rand(2, 1, 6, 5, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(largest_around(cells), torch.nn.functional.max_pool2d(cells, 3, 1, 1))

@@ -49,19 +49,6 @@ def test_the_mask_is_the_median_of_the_intensity_loss_above_0(
     assert not found[..., shape[1] // 8 :, :].all()
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
-def test_without_a_limit_nothing_counts(dtype: torch.dtype) -> None:
-    """With a limit of NaN no pixel counts, not even a lit pixel darker than the dark image, which a limit
-    of 0 counts.
-    """
-    light, black = torch.full((1, 1, 20, 70), 90.0), torch.full((1, 1, 20, 70), 12.0)
-    light[..., :5] = 0
-    frames = torch.full((2, 1, 20, 70), 8).to(dtype)
-    counted = real_contact_mask(frames, light, black, torch.tensor([torch.nan, 0.0]), 3)
-    assert not counted[0].any()
-    assert torch.equal(counted[1], light[0] > 0)
-
-
 def test_nan_and_infinite_pixels_are_above() -> None:
     light = torch.full((1, 1, 12, 14), 100.0)
     frames = torch.full((1, 1, 12, 14), 20.0)

@@ -88,14 +88,6 @@ def test_a_sinusoid_is_attenuated_as_the_docstring_says(waves_per_gauge: float) 
     assert height == pytest.approx(48 * jv(3, argument) / argument**3, abs=1e-8)
 
 
-def test_a_missing_query_is_nan_and_no_other() -> None:
-    points = cloud()
-    queries = torch.tensor([[[3.0, 3.0], [math.nan, 3.0], [3.0, math.inf]]], dtype=torch.float64)
-    fit = local_gradients(points, points, queries, gauge_length=GAUGE)
-    assert fit.gradient.isnan().all(-1).all(-1).tolist() == [[False, True, True]]
-    assert fit.point_count[0, 1:].tolist() == [0, 0]
-
-
 LINE = [[-0.4, -0.2], [-0.2, -0.1], [0.0, 0.0], [0.2, 0.1], [0.4, 0.2], [0.6, 0.3]]
 
 

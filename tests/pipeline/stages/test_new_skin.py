@@ -8,7 +8,6 @@ import xarray as xr
 
 from bench.contact_grid import skin_in_contact
 from fingerflow import process
-from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
 
@@ -80,20 +79,3 @@ def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
     z = (result["median_divergence"].values[3:] - true) / result["median_divergence_std"].values[3:]
     assert np.nanmean(np.abs(z) < 2) > 0.85
     assert np.nanmax(np.abs(z)) < 4
-
-
-def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
-    """Points seeded later err by less than 0.1 px (median) from the frame of their seeding on, as points
-    of a press do.
-    """
-    status, pixels, errors = result["status"].values, result["position_px"].values, []
-    for point in np.flatnonzero(status[0] == NOT_YET):
-        seeded = int(np.argmax(status[:, point] != NOT_YET))
-        assert np.isnan(pixels[:seeded, point]).all()
-        assert not result["in_contact"].values[:seeded, point].any()
-        if status[LAST, point] == TrackStatus.TRACKED:
-            true = TRUTH.follow(pixels[seeded, point][None], seeded, LAST)[0]
-            errors.append(np.linalg.norm(pixels[LAST, point] - true))
-    assert len(errors) > 40
-    assert np.median(errors) < 0.1
-    assert np.mean(np.array(errors) < 0.5) > 0.95

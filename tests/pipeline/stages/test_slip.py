@@ -105,34 +105,6 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
     assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
-def test_registered_positions_show_the_mean_displacement_of_their_windows(slip_trials: Path) -> None:
-    """Without the correction for deformation, points move by the mean displacement over their windows; with it, by that
-    of the windows' centres.
-
-    The mean error along the pull is 0.016 px of the window means and 0.011 px of the centres, each with a standard
-    deviation of 0.007 px by the noise of 146 points. Means and centres differ by 0.07 px.
-    """
-    scene, trial = load_scene(slip_trials / "abrupt" / "scene.toml"), rebuild_scene(slip_trials / "abrupt")
-    assert isinstance(trial, PartialSlip)
-    result = process(scene, ["position_px", "deformation_correction_px"])
-    pixels, correction = (result[name].values for name in ("position_px", "deformation_correction_px"))
-    frame = int(np.argmin(np.abs(shares(slip_trials / "abrupt") - 0.4)))
-    reach = np.arange(scene.tracking.window_px) - scene.tracking.window_px // 2
-    window = pixels[0][:, None] + np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
-    moved = (trial.truth.follow(window, 0, frame) - window) @ (math.cos(trial.direction), math.sin(trial.direction))
-    mean, centre = moved.mean(1), moved[:, len(reach) ** 2 // 2]
-    tracked = (pixels[frame] - pixels[0]) @ (math.cos(trial.direction), math.sin(trial.direction))
-    registered = tracked + correction[frame] @ (math.cos(trial.direction), math.sin(trial.direction))
-    compared = np.isfinite(tracked) & (np.abs(mean - centre) > 0.03)
-    assert compared.sum() > 100
-
-    def error(found: NDArray[np.float64], true: NDArray[np.float64]) -> float:
-        return abs(float((found - true)[compared].mean()))
-
-    assert error(registered, mean) < 0.035 < error(registered, centre)
-    assert error(tracked, centre) < 0.035 < error(tracked, mean)
-
-
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
 def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
     """The verdict is that of the truth, and the outputs agree with each other."""

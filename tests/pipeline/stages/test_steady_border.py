@@ -51,13 +51,3 @@ def test_frames_of_other_contacts_do_not_count() -> None:
         found = steady_border(other, TIMES)
         np.testing.assert_allclose(found.semi_axes[:50], steady_border(growing(50), TIMES[:50]).semi_axes, atol=1e-6)
         np.testing.assert_allclose(found.semi_axes[50:], other.semi_axes[50:], atol=1e-9)
-
-
-def test_frames_without_contact_stay_unknown_and_single_ones_as_they_are() -> None:
-    given = growing()
-    axes = given.semi_axes.copy()
-    axes[:20] = axes[21:] = np.nan
-    alone = Border(np.where(np.isfinite(axes), given.center, np.nan), axes, np.where(FRAMES == 20, 0.4, np.nan))
-    found = steady_border(alone, TIMES)
-    for one, other in zip(found, alone, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-9)

@@ -16,16 +16,14 @@ from stages_alone import inputs_of, run, trial_of, values_of
 
 from fingerflow.graphs.fields_graph import Fields
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
 from fingerflow.pipeline.stages.fields.median_bias import MedianBias, rank_variance
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain_stage as strain
-from fingerflow.pipeline.stages.strain.contact_energy import perimeter
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # SPEED is that of the border, mm per frame
 WINDOW_PX, COPIES = 25, 40
@@ -234,26 +232,6 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     assert np.isfinite(moved[1:, 0]).all()
 
 
-def test_there_is_no_energy_only_where_nothing_touches() -> None:
-    """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest the
-    energy is below its deviation.
-    """
-    motion, points = Motion((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), 0.05), material()
-    energies = []
-    for seed in range(20):
-        trial = measured(tracked(motion, points, seed))
-        energies.append([values_of(trial, name)[-1] for name in NAMES["energy"]])
-    energy, deviation = np.array(energies).T
-    assert abs(energy.mean()) < 0.75 * deviation.mean()
-    for kept in (0, 3 * len(points) // 10):
-        lost = tracked(motion, points, 0, known=20, kept=kept)
-        lost.stage(ContactStage).series["gross_contact_area"][3] = 0
-        found = values_of(measured(lost), "strain_energy")
-        assert np.isnan(found[20:]).all()
-        assert found[3] == 0
-        assert np.isfinite(found[15:20]).all()
-
-
 def test_medians_state_what_is_not_known_of_the_contact() -> None:
     """The deviation of a median includes the unknown share of the contact.
 
@@ -278,26 +256,6 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
     np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
     nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
     assert (rank_variance(nothing) == 0).all()
-
-
-def test_energy_in_a_strip_along_the_border() -> None:
-    """The energy in a strip along the border is perimeter times width at a uniform 1 mJ/mm^3; the perimeter is 9.6884
-    mm for semi-axes of 2 and 1 mm (complete elliptic integral). Excluded triangles, and frames without any, add
-    nothing.
-    """
-    places = np.random.default_rng(2).uniform(-2, 2, (1, 400, 2))
-    inside = np.hypot(*np.moveaxis(places, -1, 0) / np.array([2.0, 1.0])[:, None, None]) < 1
-    density = np.where(inside, 1.0, np.nan).repeat(3, axis=0)
-    density[1] *= 7.0 * (places[0, :, 0] < 0)
-    density[2] = np.nan
-    quarter = np.stack((-places[..., 1], places[..., 0]), axis=-1)
-    center, semi_axes, angle = np.tile([3.0, -1.0], (3, 1)), np.tile([2.0, 1.0], (3, 1)), np.array([0, np.pi / 2, 0])
-    at = np.concatenate([places, quarter, places]) + np.array([3.0, -1.0])
-    border = Border(center, semi_axes, angle)
-    found = BORDER_MM * perimeter(semi_axes) * strain.border_density(density, np.ones(400), at, border, reach_mm=0.4)
-    assert found[0] == pytest.approx(9.6884 * BORDER_MM, rel=1e-4)
-    assert 2 < found[1] / found[0] < 5  # half of the border has a density of 7, the other half 0
-    assert found[2] == 0
 
 
 def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() -> None:
