@@ -37,9 +37,8 @@ def test_noise_free_discs_are_exact() -> None:
         assert same.edge_rms_px < 0.02
 
 
-@pytest.mark.parametrize("seed", range(1))
-def test_camera_noise_leaves_a_twentieth_of_a_pixel(seed: int) -> None:
-    check_found(camera(draw(TARGET), noise=2, seed=seed), 0.05)
+def test_camera_noise_leaves_a_twentieth_of_a_pixel() -> None:
+    check_found(camera(draw(TARGET), noise=2), 0.05)
 
 
 def test_center_sigma_is_the_scatter() -> None:
@@ -80,14 +79,6 @@ def test_clutter_is_no_disc() -> None:
     assert center_errors(found, TARGET).max() < 0.05
 
 
-@pytest.mark.parametrize(("dtype", "factor"), [(np.uint16, 256), (np.float32, 1 / 255)])
-def test_the_number_type_and_range_do_not_matter(dtype: type, factor: float) -> None:
-    eight_bit = camera(draw(TARGET), noise=2)
-    found = find_discs((eight_bit * np.float64(factor)).astype(dtype))
-    expected = find_discs(eight_bit)
-    np.testing.assert_allclose([disc.center for disc in found], [disc.center for disc in expected], atol=1e-3)
-
-
 def test_what_is_in_the_background_belongs_to_the_rig() -> None:
     stain = DrawnDisc(200.0, 200.0, 20, 20)
     frame = camera(draw((*TARGET, stain)), noise=1)
@@ -98,21 +89,16 @@ def test_what_is_in_the_background_belongs_to_the_rig() -> None:
     assert center_errors(found, TARGET).max() < 0.05
 
 
-@pytest.mark.parametrize(("level", "noise"), [(0, 0), (255, 0), (100, 0.3), (100, 20)])
-def test_views_of_nothing_but_noise_have_no_disc(level: float, noise: float) -> None:
-    assert find_discs(camera(np.full((240, 320), float(level)), noise)) == []
-
-
-def test_a_ramp_and_a_single_pixel_have_no_disc() -> None:
+def test_what_is_no_disc_is_not_found() -> None:
+    """Views of one grey level or noise, a ramp and a single pixel show no disc. A disc cut in half by the border is left
+    out, because half a contour gives a doubtful centre.
+    """
+    views = [camera(np.full((240, 320), float(level)), noise) for level, noise in ((0, 0), (255, 0), (100, 20))]
     ramp = np.tile(np.linspace(0, 255, 240), (200, 1))
-    assert find_discs(ramp) == []
-    ramp[100, 100] = 0
-    assert find_discs(ramp) == []
-
-
-def test_a_disc_cut_in_half_by_the_border_is_left_out() -> None:
-    """A disc cut in half by the border is left out, because half a contour gives a doubtful centre."""
-    assert find_discs(draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))) == []
+    pixel = ramp.copy()
+    pixel[100, 100] = 0
+    for view in (*views, ramp, pixel, draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))):
+        assert find_discs(view) == []
 
 
 def test_images_that_cannot_be_are_refused() -> None:

@@ -99,15 +99,6 @@ def test_where_nothing_is_known_nothing_is_said() -> None:
     assert medians(places, still, (2.0, 2.0), center=(500.0, 500.0)).median.isnan().all()
     assert medians(places, still, angle=torch.nan).median.isnan().all()
     assert medians(places, still).median.eq(0).all()
-    none = area_medians(
-        torch.zeros(1, 5, 2),
-        torch.zeros(0, 5, 2),
-        torch.zeros(0, 2),
-        torch.zeros(0, 2),
-        torch.zeros(0),
-        gauge_length=1.0,
-    )
-    assert none.median.shape == (0, 5)
     assert medians(places[:0], still[:0]).median.isnan().all()
 
 
@@ -155,16 +146,3 @@ def test_the_stated_deviation_is_that_of_noisy_copies(curvature: float, noise: f
     ratio = found.median.std(0) / found.std.square().mean(0).sqrt()
     assert ratio.min() > 0.8
     assert ratio.max() < 1.25
-
-
-def test_points_without_a_covariance_take_no_part() -> None:
-    places = cloud()
-    covariance = torch.eye(2).repeat(1, len(places), 1, 1) * 1e-6
-    u = 0.03 * places
-    bad = torch.arange(len(places)) % 7 == 0
-    covariance[0, bad] = torch.nan
-    u[bad] += 5.0
-    found = medians(places, u, covariance=covariance)
-    assert found.median[0, 0].item() == pytest.approx(0.06, abs=1e-5)
-    assert found.std is not None
-    assert found.std.isfinite().all()
