@@ -90,8 +90,8 @@ def test_what_is_in_the_background_belongs_to_the_rig() -> None:
 
 
 def test_what_is_no_disc_is_not_found() -> None:
-    """Views of one grey level or noise, a ramp and a single pixel show no disc. A disc cut in half by the border is left
-    out, because half a contour gives a doubtful centre.
+    """Views of one grey level or noise, a ramp and a single pixel show no disc. A disc cut in half by the border is
+    left out, because half a contour gives a doubtful centre.
     """
     views = [camera(np.full((240, 320), float(level)), noise) for level, noise in ((0, 0), (255, 0), (100, 20))]
     ramp = np.tile(np.linspace(0, 255, 240), (200, 1))

@@ -23,9 +23,7 @@ FRAMES, POINTS = torch.rand(2, 1, 24, 30), torch.rand(2, 8, 2)
 TRIANGLES, NODES = torch.tensor([[0, 1, 2], [2, 3, 4]]), torch.linspace(0, 1, 3)
 NONE_2 = torch.zeros(0, 2)
 EMPTY: dict[str, Callable[[], Any]] = {
-    "area_medians": lambda: area_medians(
-        POINTS[:1], POINTS[:0], *torch.zeros(2, 0, 2), torch.zeros(0), gauge_length=1.0
-    ),
+    "area_medians": lambda: area_medians(POINTS[:1], POINTS[:0], NONE_2, NONE_2, torch.zeros(0), gauge_length=1.0),
     "detect_corners": lambda: ops.detect_corners(FRAMES[:0], 7),
     "find_outliers": lambda: find_outliers(find_neighbours(POINTS[:1], 1.0), POINTS[:0], POINTS[:0, :, 0]),
     "helmholtz_hodge": lambda: ops.helmholtz_hodge(FRAMES[:0].expand(-1, 2, -1, -1)),

@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 
@@ -32,18 +30,3 @@ def test_times_count_from_the_trigger(kind: type[SyntheticScene]) -> None:
     edge = np.flatnonzero(np.diff(forces.trigger))
     assert forces.time[edge + 1] == pytest.approx([0.0], abs=1e-12)
     assert set(forces.trigger) == {0.0, 5.0}
-
-
-def test_press_force_rises_smoothly_and_area_follows_it() -> None:
-    scene = Press()
-    forces = scene.forces()
-    before, after = forces.time < 0.02, forces.time > 0.93
-    assert forces.normal_force[before].mean() == pytest.approx(0, abs=0.002)
-    assert forces.normal_force[before].std() == pytest.approx(0.005, rel=0.15)
-    assert forces.normal_force[after].mean() == pytest.approx(5, abs=0.002)
-    assert forces.tangential_force[after].mean() == pytest.approx(0.15, abs=0.002)
-    force = scene.normal_force(scene.times)
-    area = np.array([scene.truth.gross_contact_area_mm2(frame) for frame in range(scene.n_frames)])
-    # Semi-axes grow as force^(1/4).
-    np.testing.assert_allclose(area, math.pi * 5.5 * 4.5 * np.sqrt(force / 5), rtol=1e-12)
-    assert (area == 0).sum() > 12

@@ -27,18 +27,6 @@ def test_spectrum_ends_below_half_of_the_nyquist_limit(seed: int) -> None:
     assert power[frequency > 0.26].sum() < 1e-8 * power.sum()
 
 
-def test_ridges_have_their_period() -> None:
-    points = field_of_view(20000)
-    points = points[(points - torch.tensor([10.4, 8.3])).norm(dim=1) > 1.5].requires_grad_()
-    phase = RidgeTexture(centre=(10.4, 8.3), period=0.5).ridge_phase(points[:, 0], points[:, 1])
-    (slope,) = torch.autograd.grad(phase.sum(), points)
-    periods = 2 * math.pi / slope.norm(dim=1)
-    assert periods.median() == pytest.approx(0.5, rel=0.05)
-    # 0.36 mm leaves a contact stripe 5.5 px wide, more than half of a 9 x 9 median window.
-    assert periods.min() > 0.36
-    assert periods.max() < 0.8
-
-
 @pytest.mark.parametrize("share", [0.15, 0.5])
 def test_margin_of_a_ridge_is_the_distance_from_its_edge(share: float) -> None:
     """The margin is the distance from the edge of the touching part all over ridge and valley: half of its width on the

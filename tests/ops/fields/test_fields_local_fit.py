@@ -149,16 +149,3 @@ def test_float32_far_from_the_origin() -> None:
     # eps x displacement of 0.5 over a spread of at least 0.1, some tens of roundings; raw moments would err by 1e2.
     torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=2e-5, rtol=0, equal_nan=True)
     torch.testing.assert_close(fit.value.double(), truth.value, atol=2e-6, rtol=0, equal_nan=True)
-
-
-def test_the_centroid_offset_tells_the_border() -> None:
-    radius = GAUGE / 2
-    points = dense_lattice(radius / 40, radius)
-    half = points[points[..., 0] >= 0][None]
-    query = torch.zeros(1, 1, 2, dtype=torch.float64)
-    assert local_gradients(points, points, query, gauge_length=GAUGE).centroid_offset.item() == pytest.approx(
-        0, abs=1e-12
-    )
-    # (2/3 - 4/5 + 2/7) / (pi/6) = 0.291 of the radius in the continuous limit; the lattice misses by half a spacing.
-    offset = local_gradients(half, half, query, gauge_length=GAUGE).centroid_offset.item()
-    assert offset == pytest.approx(0.291 * radius, abs=radius / 60)

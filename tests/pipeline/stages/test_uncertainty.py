@@ -192,27 +192,26 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
         assert LEAST[kind] < z < MOST[kind].get(name.split()[0], 1.25), (name, z)
 
 
-@pytest.mark.parametrize("template", ["keyframe", "previous"])
-def test_noise_of_the_template_falls_out(template: str) -> None:
+@pytest.mark.parametrize(
+    ("template", "variance", "expected"),
+    [
+        ("keyframe", [0, 2, 2, 2], [[0, 2], [2, 0.5], [2, 1.5], [2, 1.5]]),
+        ("previous", [0, 2, 4, 6], [[0, 2], [2, 0.5], [4, 2.5], [6, 4.5]]),  # variances add up
+    ],
+)
+def test_noise_of_the_template_falls_out(template: str, variance: list[float], expected: list[list[float]]) -> None:
     """Noise of the template cancels in differences of positions with key frame 0: a position has the variance 2, half
     from the template, and a difference of two positions 1 + 1.
 
     The other point touches half way between the key frame and the next frame, so its reference has half of that noise.
     """
-    deviation = np.sqrt(np.array([[0, 0], [2, 2], [2, 2], [2, 2]], np.float32))
-    if template == "previous":  # variances add up
-        deviation = np.sqrt(np.array([[0, 0], [2, 2], [4, 4], [6, 6]], np.float32))
+    deviation = np.sqrt(np.array([variance, variance], np.float32).T)
     position = np.zeros((4, 2, 2))
     covered = np.array([[1, 0], [1, 1], [1, 1], [1, 1]], bool)
     given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
     trial = trial_of(inputs(template), contact(), 4, **given)
     run(trial, DisplacementStage(trial))
     found = values_of(trial, "displacement_std") ** 2 / MM_PER_PX**2
-    by_template = {
-        "keyframe": [[0, 2], [2, 0.5], [2, 1.5], [2, 1.5]],
-        "previous": [[0, 2], [2, 0.5], [4, 2.5], [6, 4.5]],
-    }
-    expected = by_template[template]
     np.testing.assert_allclose(found[:, 0], np.array(expected)[:, 0], rtol=1e-5)
     np.testing.assert_allclose(found[1:, 1], np.array(expected)[1:, 1], rtol=1e-5, atol=1e-6)
 
