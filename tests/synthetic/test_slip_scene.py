@@ -12,14 +12,10 @@ FADING = PartialSlip(static_friction=0.6, kinetic_friction=0.8)
 TRIALS = pytest.mark.parametrize("trial", [ABRUPT, FADING], ids=["abrupt", "fading"])
 
 
-def area_and_load(trial: PartialSlip) -> tuple[np.ndarray, np.ndarray]:
-    area = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
-    return area, trial.tangential_force(trial.times) / trial.force
-
-
 @TRIALS
 def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
-    area, load = area_and_load(trial)
+    area = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
+    load = trial.tangential_force(trial.times) / trial.force
     friction = trial.static_friction, trial.kinetic_friction
     end = trial.full_slip - (0.2 / trial.times[-1] if trial is ABRUPT else 0)
     loading = trial.progress(trial.times) < end

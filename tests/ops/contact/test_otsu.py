@@ -26,15 +26,6 @@ def test_threshold_equals_opencv_on_random_frames() -> None:
     assert len(set(expected)) > 20
 
 
-def test_mask_is_the_same_as_cutting_out() -> None:
-    frame = torch.from_numpy(two_classes(np.random.default_rng(2), (64, 80)))[None, None]
-    mask = torch.zeros(1, 1, 64, 80, dtype=torch.bool)
-    mask[..., 10:50, 5:60] = True
-    cut = frame[..., 10:50, 5:60]
-    assert torch.equal(histogram(frame, mask), histogram(cut))
-    assert torch.equal(otsu_threshold(frame, mask), otsu_threshold(cut))
-
-
 @pytest.mark.parametrize("bins", [256, 100, 7])
 def test_histogram_equals_numpy(bins: int) -> None:
     values = torch.rand(3, 1, 40, 50, dtype=torch.float64, generator=torch.Generator().manual_seed(5)) * 2 - 1

@@ -53,17 +53,6 @@ def test_hot_pixels_do_not_set_the_level() -> None:
     assert normalize_illumination(reference / 2, reference).valid.all()
 
 
-def test_signal_relative_to_the_first_contact() -> None:
-    light = lamp()
-    first = normalize_illumination(0.9 * light, light)
-    later = normalize_illumination(torch.cat([0.9 * light, 0.4 * light]), light)
-    signal = contact_signal(later, first)
-    assert signal[0].abs().max() < 1e-12
-    assert (signal[1] - 0.5).abs().max() < 1e-12
-    first.valid[0, 0, 3, 4] = False
-    assert (contact_signal(later, first)[:, 0, 3, 4] == 0).all()
-
-
 def test_levels_round_trip_within_half_a_level() -> None:
     signal = torch.linspace(-0.25, 1.0, 1001, dtype=torch.float64)
     levels = quantize(signal)
@@ -71,9 +60,3 @@ def test_levels_round_trip_within_half_a_level() -> None:
     assert levels[0] == 0
     assert levels[-1] == 255
     assert (dequantize(levels) - signal).abs().max() <= 1.25 / 255 / 2 + 1e-6
-
-
-def test_levels_of_what_is_no_number() -> None:
-    levels = quantize(torch.tensor([torch.nan, torch.inf, -torch.inf, -3.0, 7.0]))
-    assert levels.tolist() == [0, 255, 0, 0, 255]
-    assert dequantize(torch.tensor([torch.nan])).isnan().all()

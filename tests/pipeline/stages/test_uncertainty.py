@@ -14,11 +14,10 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.graphs.fields_graph import Fields
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
-from fingerflow.pipeline.stages.fields.median_bias import MedianBias, rank_variance
+from fingerflow.pipeline.stages.fields.median_bias import MedianBias
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain_stage as strain
@@ -229,32 +228,6 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     assert values_of(trial, "onset_frame").tolist() == [1, -1, -1]
     assert np.isnan(moved[:, 1:]).all()
     assert np.isfinite(moved[1:, 0]).all()
-
-
-def test_medians_state_what_is_not_known_of_the_contact() -> None:
-    """The deviation of a median includes the unknown share of the contact.
-
-    Fields are evenly spread from 0 to 100. If a fifth is unknown, the median is off by up to 1/8 of the rest, 12.5: a
-    deviation of 12.5 / sqrt(3). The median is that of the area, not of the points. Advected points increase the
-    deviation.
-    """
-    values = torch.arange(101.0)[None]
-    every = values[..., None].expand(-1, -1, 3)
-
-    def found(share: float, median: float) -> Fields:
-        known = torch.tensor([share])
-        return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
-
-    np.testing.assert_allclose(np.sqrt(rank_variance(found(0.8, 50.0))), 12.5 / np.sqrt(3), rtol=0.05)
-    assert (rank_variance(found(1.0, 50.0)) == 0).all()
-    near_the_end = np.sqrt(rank_variance(found(0.8, 98.0))) * np.sqrt(3)
-    np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
-    # With 16 advected points the rank varies by 4 points, and evenly spread fields by 4.
-    np.testing.assert_allclose(np.sqrt(rank_variance(found(1.0, 50.0), np.array([16]))), 4.0)
-    both = np.sqrt(rank_variance(found(0.8, 50.0), np.array([16])))
-    np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
-    nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
-    assert (rank_variance(nothing) == 0).all()
 
 
 def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() -> None:
