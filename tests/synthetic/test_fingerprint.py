@@ -13,7 +13,6 @@ from fingerflow.synthetic import FingerprintTexture, texture_image
 
 pytestmark = pytest.mark.long
 
-PATTERNS = ("loop", "whorl", "arch")
 MM_PER_PX = 0.0325
 SHAPE = (480, 480)
 MIDDLE = 240 * MM_PER_PX

@@ -49,14 +49,6 @@ def test_the_mask_is_the_median_of_the_intensity_loss_above_0(
     assert not found[..., shape[1] // 8 :, :].all()
 
 
-def test_nan_and_infinite_pixels_are_above() -> None:
-    light = torch.full((1, 1, 12, 14), 100.0)
-    frames = torch.full((1, 1, 12, 14), 20.0)
-    frames[..., 3, 4], frames[..., 8, 8] = torch.nan, torch.inf
-    assert real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 3).all()
-    assert (~real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 1)).sum() == 2
-
-
 def test_the_light_of_the_empty_glass() -> None:
     empty = torch.full((1, 1, 64, 80), 210.0)
     empty[..., :8], empty[..., 20, 20] = 12.0, torch.nan

@@ -118,16 +118,6 @@ def test_what_is_off_is_found(name: str, size: float) -> None:
     assert off[~wrong].float().mean() < 3e-3
 
 
-def test_one_alone_is_found_and_a_patch_is_taken_for_a_front() -> None:
-    moved, position_std = measured(press)
-    nearest = find_neighbours(POINTS, GAUGE).number[0, :, 300]  # neighbours of a point in the middle
-    for others, found in ((0, True), (8, False)):
-        patch = torch.cat((torch.tensor([300]), nearest[:others]))
-        given = moved.clone()
-        given[:, patch] += 4.0
-        assert bool(find(given, position_std).off_neighbours[:, 300].all()) == found
-
-
 def test_points_without_enough_neighbours_are_kept() -> None:
     moved, position_std = measured(press)
     moved[:, 7] += 20.0
