@@ -83,11 +83,6 @@ def similarity(degrees: float, scale: float, center: tuple[float, float], to: tu
     return np.column_stack([linear, np.array(to) - linear @ np.array(center)])
 
 
-def turned(discs: tuple[DrawnDisc, ...], degrees: float, center: tuple[float, float]) -> tuple[DrawnDisc, ...]:
-    """Return the discs turned about a point, from x towards y."""
-    return moved(discs, similarity(degrees, 1.0, center, center))
-
-
 def as_found(discs: tuple[DrawnDisc, ...]) -> list[Disc]:
     """Return the discs as a finder without error gives them; larger discs are more significant."""
     return [

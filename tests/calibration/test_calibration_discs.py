@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_discs import BLUR_PX, TARGET, Array, DrawnDisc, camera, draw, turned
+from drawn_discs import TARGET, Array, DrawnDisc, camera, draw
 from numpy.typing import ArrayLike
 
 from fingerflow.calibration import Disc, find_discs, find_hole
@@ -37,20 +37,8 @@ def test_noise_free_discs_are_exact() -> None:
         assert same.edge_rms_px < 0.02
 
 
-@pytest.mark.parametrize("seed", range(1))
-def test_camera_noise_leaves_a_twentieth_of_a_pixel(seed: int) -> None:
-    check_found(camera(draw(TARGET), noise=2, seed=seed), 0.05)
-
-
-@pytest.mark.parametrize("contrast", [6, 10])
-def test_low_contrast_stays_near_the_bound(contrast: int) -> None:
-    """The error at low contrast is below four times the Cramer-Rao bound: a blurred edge of step C has a summed squared
-    slope of C^2 pi R / (2 sqrt(pi) blur) along x.
-
-    Four times is for the worst of six coordinates, in two directions and with an edge finder that is not optimal.
-    """
-    information = contrast**2 * np.pi * 21 / (2 * np.sqrt(np.pi) * BLUR_PX) / (2**2 + 1 / 12)
-    check_found(camera(draw(TARGET, bright=100, dark=100 - contrast), noise=2), 4 / np.sqrt(information))
+def test_camera_noise_leaves_a_twentieth_of_a_pixel() -> None:
+    check_found(camera(draw(TARGET), noise=2), 0.05)
 
 
 def test_center_sigma_is_the_scatter() -> None:
@@ -76,12 +64,6 @@ def test_uneven_light_costs_little() -> None:
         check_found(camera(draw(TARGET, dark=dark) * light, noise=0.5), 0.2)
 
 
-@pytest.mark.parametrize("degrees", [37, 180, 261])
-def test_a_turned_target_is_found(degrees: float) -> None:
-    discs = turned(TARGET, degrees, (130.3, 119.6))
-    check_found(camera(draw(discs), noise=2), 0.05, discs)
-
-
 def test_clutter_is_no_disc() -> None:
     """The three discs remain the best with dust, scratches, a bright disc, a square and the edge of the lit field."""
     levels = draw(TARGET)
@@ -97,22 +79,6 @@ def test_clutter_is_no_disc() -> None:
     assert center_errors(found, TARGET).max() < 0.05
 
 
-def test_a_ragged_edge_with_a_tail_shifts_the_center_little() -> None:
-    """The fit leaves out a blob on the edge of a printed disc, a twelfth of its contour."""
-    discs = (DrawnDisc(100.3, 99.8, 25, 25), DrawnDisc(100.3, 124.8, 6, 6))
-    found = find_discs(camera(draw(discs, (200, 200)), noise=2), count=1)
-    assert center_errors(found, discs[:1]).max() < 0.25
-    assert found[0].coverage < 0.98
-
-
-@pytest.mark.parametrize(("dtype", "factor"), [(np.uint16, 256), (np.float32, 1 / 255)])
-def test_the_number_type_and_range_do_not_matter(dtype: type, factor: float) -> None:
-    eight_bit = camera(draw(TARGET), noise=2)
-    found = find_discs((eight_bit * np.float64(factor)).astype(dtype))
-    expected = find_discs(eight_bit)
-    np.testing.assert_allclose([disc.center for disc in found], [disc.center for disc in expected], atol=1e-3)
-
-
 def test_what_is_in_the_background_belongs_to_the_rig() -> None:
     stain = DrawnDisc(200.0, 200.0, 20, 20)
     frame = camera(draw((*TARGET, stain)), noise=1)
@@ -123,21 +89,16 @@ def test_what_is_in_the_background_belongs_to_the_rig() -> None:
     assert center_errors(found, TARGET).max() < 0.05
 
 
-@pytest.mark.parametrize(("level", "noise"), [(0, 0), (255, 0), (100, 0.3), (100, 20)])
-def test_views_of_nothing_but_noise_have_no_disc(level: float, noise: float) -> None:
-    assert find_discs(camera(np.full((240, 320), float(level)), noise)) == []
-
-
-def test_a_ramp_and_a_single_pixel_have_no_disc() -> None:
+def test_what_is_no_disc_is_not_found() -> None:
+    """Views of one grey level or noise, a ramp and a single pixel show no disc. A disc cut in half by the border is
+    left out, because half a contour gives a doubtful centre.
+    """
+    views = [camera(np.full((240, 320), float(level)), noise) for level, noise in ((0, 0), (255, 0), (100, 20))]
     ramp = np.tile(np.linspace(0, 255, 240), (200, 1))
-    assert find_discs(ramp) == []
-    ramp[100, 100] = 0
-    assert find_discs(ramp) == []
-
-
-def test_a_disc_cut_in_half_by_the_border_is_left_out() -> None:
-    """A disc cut in half by the border is left out, because half a contour gives a doubtful centre."""
-    assert find_discs(draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))) == []
+    pixel = ramp.copy()
+    pixel[100, 100] = 0
+    for view in (*views, ramp, pixel, draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))):
+        assert find_discs(view) == []
 
 
 def test_images_that_cannot_be_are_refused() -> None:

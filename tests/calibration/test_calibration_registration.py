@@ -150,33 +150,18 @@ def test_too_few_discs_in_a_frame_are_said_with_what_was_found() -> None:
         calibrate(target, frame_of_ring, VIEWS)
 
 
-def test_a_similarity_is_the_best_one_and_no_reflection() -> None:
+def test_a_similarity_is_exact_and_no_reflection() -> None:
     random = np.random.default_rng(0)
     source = random.uniform(0, 200, (6, 2))
     matrix = similarity(133, 0.7, (10, 20), (3, 4))
     exact = fit_similarity(source, applied(matrix, source))
     np.testing.assert_allclose(exact.matrix, matrix, atol=1e-10)
-    noisy = applied(matrix, source) + random.normal(0, 1, (6, 2))
-    best = fit_similarity(source, noisy)
-    for step in 1e-3 * np.eye(4):
-        a, b, x, y = step + np.append(best.matrix[:, 0], best.matrix[:, 2])
-        worse = noisy - applied(np.array([[a, -b, x], [b, a, y]]), source)
-        assert np.sum(worse**2) > np.sum(best.residuals_px**2)
     assert np.linalg.det(fit_similarity(source, applied(MIRROR, source)).matrix[:, :2]) > 0
     assert fit_similarity(source, applied(MIRROR, source)).rms_px > 10
     with pytest.raises(FingerflowError, match="coincide"):
         fit_similarity([(1, 2), (1, 2)], [(0, 0), (1, 1)])
     with pytest.raises(FingerflowError, match=r"shapes \(2, 2\) and \(2, 2\).*at least 3"):
         fit_affine([(0, 0), (1, 0)], [(0, 0), (1, 0)])
-
-
-@pytest.mark.parametrize("radius", [24.7, 41.3, 80.2])
-def test_scale_of_a_ring(radius: float) -> None:
-    """The radius is found to 0.03 px at a noise of 1 grey level and an edge step of 50 grey levels."""
-    found = calibrate(None, ring(radius), {"contact": View((0, 256), (0, 272))}, hole_radius_mm=2.75)
-    assert found.mm_per_px == pytest.approx(2.75 / radius, rel=0.03 / radius)
-    assert found.discs == ()
-    assert found.topography_to_contact is None
 
 
 def test_calibration_frames_that_cannot_be_are_refused() -> None:

@@ -31,14 +31,3 @@ def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path)
     again = Calibration.from_toml(tmp_path / "calibration.toml")
     assert again.mm_per_px == found.mm_per_px
     np.testing.assert_array_equal(again.topography_to_contact, found.topography_to_contact)
-
-
-def test_noise_moves_nothing(frames: dict[str, np.ndarray]) -> None:
-    """Noise of two grey levels moves the centres of the discs by less than 0.3 px."""
-    noise = np.random.default_rng(0).normal(scale=2, size=frames["target"].shape)
-    noisy = np.clip(np.round(frames["target"] + noise), 0, 255).astype(np.uint8)
-    plain = calibrate(frames["target"], frames["ring"], VIEWS, background=frames["empty"])
-    other = calibrate(noisy, frames["ring"], VIEWS, background=frames["empty"])
-    for pair, again in zip(plain.discs, other.discs, strict=True):
-        for disc, same in zip(pair, again, strict=True):
-            assert np.hypot(*np.subtract(disc.center, same.center)) < 0.3

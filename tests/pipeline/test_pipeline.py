@@ -6,7 +6,7 @@ tests/test_press_accuracy.py compares the numbers with truth.
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
@@ -203,26 +202,6 @@ def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scen
         errors.append(np.nanmedian(np.linalg.norm(pixels[-1] - last, axis=-1)))
     assert not np.array_equal(plain["position_px"].values[0], enhanced["position_px"].values[0])
     assert errors[1] < 1.2 * errors[0]
-
-
-@pytest.fixture
-def torch_defaults() -> Iterator[None]:
-    yield
-    torch.set_default_dtype(torch.float32)
-    torch.set_default_device(None)
-
-
-@pytest.mark.usefixtures("torch_defaults")
-def test_foreign_defaults_change_no_result(scene: Scene) -> None:
-    some = replace(scene, recording=replace(scene.recording, first_frame=10, last_frame=13))
-    outputs = ["median_divergence", "strain_energy", "principal_strains", "printed_real_contact_area", "stuck_ratio"]
-    wanted = process(some, outputs)
-    for dtype, device in ((torch.float64, None), (torch.float32, "meta")):
-        torch.set_default_dtype(dtype)
-        torch.set_default_device(device)
-        found = process(some, outputs)
-        xr.testing.assert_equal(found, wanted)
-        assert {name: one.dtype for name, one in found.items()} == {name: one.dtype for name, one in wanted.items()}
 
 
 def test_frames_that_cannot_be_read_are_not_blamed_on_the_result(

@@ -30,16 +30,6 @@ def test_noise_is_the_stated_deviation_at_half_of_the_range_and_shot_noise_grows
     assert float(Camera(noise=3.0, shot_share=0.0).variance(torch.tensor(250.0))) == pytest.approx(9.0)
 
 
-def test_noise_is_white_in_space_and_between_pictures() -> None:
-    camera = Camera(bit_depth=12)
-    clean = camera.expose(torch.full(SHAPE, 100.0))
-    first, second = (camera.read_out(clean, picture).astype(float) for picture in (4, 5))
-    first, second = ((frame - frame.mean()) / frame.std() for frame in (first, second))
-    # Five standard deviations of a correlation of 200 000 pairs.
-    for other, itself in ((second, first), (first[1:], first[:-1]), (first[:, 1:], first[:, :-1])):
-        assert abs((other * itself).mean()) < 5 / first.size**0.5
-
-
 def test_other_cameras_are_refused() -> None:
     with pytest.raises(ValueError, match=r"bit_depth is 7.*8 to 16"):
         Camera(bit_depth=7)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, stuck_area
+from fingerflow.models.partial_slip import critical_load_ratio, stuck_area
 from fingerflow.synthetic import Ellipse, PartialSlip
 
 ABRUPT = PartialSlip()
@@ -12,14 +12,10 @@ FADING = PartialSlip(static_friction=0.6, kinetic_friction=0.8)
 TRIALS = pytest.mark.parametrize("trial", [ABRUPT, FADING], ids=["abrupt", "fading"])
 
 
-def area_and_load(trial: PartialSlip) -> tuple[np.ndarray, np.ndarray]:
-    area = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
-    return area, trial.tangential_force(trial.times) / trial.force
-
-
 @TRIALS
 def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
-    area, load = area_and_load(trial)
+    area = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
+    load = trial.tangential_force(trial.times) / trial.force
     friction = trial.static_friction, trial.kinetic_friction
     end = trial.full_slip - (0.2 / trial.times[-1] if trial is ABRUPT else 0)
     loading = trial.progress(trial.times) < end
@@ -28,16 +24,6 @@ def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
     np.testing.assert_allclose(area[loading], stuck_area(load[loading], *friction), rtol=0, atol=1e-12)
     assert load.max() == pytest.approx(float(critical_load_ratio(*friction)))
     assert load[-1] == pytest.approx(trial.kinetic_friction)
-
-
-def test_the_critical_area_collapses_in_its_time() -> None:
-    area, _ = area_and_load(ABRUPT)
-    critical = float(critical_stuck_area(0.8, 0.4))
-    collapsing = area[(area < critical) & (area > 0)]
-    # 0.2 s at 60 frames/s, in even steps.
-    assert len(collapsing) == 12
-    np.testing.assert_allclose(np.diff(collapsing), -critical / 12, rtol=1e-9)
-    assert (area[ABRUPT.progress(ABRUPT.times) >= 0.75] == 0).all()
 
 
 @TRIALS
@@ -74,12 +60,3 @@ def test_jumps_that_would_tear_the_skin_are_refused() -> None:
     for early in (0.0, 0.3):
         with pytest.raises(ValueError, match=f"jumps has {early} s: .* of the contact slip then.* make it later"):
             PartialSlip(jumps=(early,))
-
-
-def test_forces_drift() -> None:
-    plain, drifting = (PartialSlip(force_drift=drift, n_frames=60).forces() for drift in (0.0, 0.02))
-    late = plain.time > 0
-    for name in ("normal_force", "tangential_force"):
-        difference = getattr(drifting, name) - getattr(plain, name)
-        np.testing.assert_allclose(difference[late], 0.02 * plain.time[late], atol=1e-12)
-        assert (difference[~late] == 0).all()

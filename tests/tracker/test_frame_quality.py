@@ -68,17 +68,6 @@ def test_frames_of_another_moment_are_told(length: int, later: int) -> None:
     assert found == ["usable"] * 30 + ["jumps_and_returns"] * length + ["usable"] * (20 - length)
 
 
-def test_a_bad_frame_behind_a_jump_of_the_skin_is_told() -> None:
-    """A frame of other skin two frames after a jump of the skin is recognised, while the jump itself is still in doubt.
-
-    In the frame right after the jump a step of this length is not yet unusual.
-    """
-    skin = _skin()
-    skins = [_moved(skin, 2 + 0.1 * k + 5 * (k >= 20)) for k in range(40)]
-    skins[22] = _skin(3)[:, :240]
-    assert [k for k, one in enumerate(_statuses(skins)) if one != "usable"] == [22]
-
-
 def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
     """Frames that jump and return are bad until the fourth within sixteen frames, which is motion; a jump in the last
     frame, after which nothing is known, is bad.

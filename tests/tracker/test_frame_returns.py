@@ -115,14 +115,3 @@ def test_a_copy_of_an_earlier_or_later_frame_is_found(skin: Frames, places: list
     assert copied(frames) == places
     frames[[20, 21, 22]] = skin[[50, 51, 52]]
     assert copied(frames) == [20, 21, 22, *places]
-
-
-def test_copies_of_skin_at_rest(skin: Frames) -> None:
-    """Of two equal frames of skin at rest both count as copies, because nothing shows which was recorded at its
-    place. All frames but the first of a still picture without noise are copies, which `frame_check` attributes to the
-    camera.
-    """
-    still = np.repeat(skin[:1], 40, 0) + 2 * np.random.default_rng(3).standard_normal(skin[:40].shape)
-    still[30] = still[10]
-    assert copied(still) == [10, 30]
-    assert copied(np.repeat(skin[:1], 20, 0)) == list(range(1, 20))

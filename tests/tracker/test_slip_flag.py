@@ -33,48 +33,6 @@ def test_the_residual_is_that_of_the_op() -> None:
     assert rigid_residual_rms(before, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
 
 
-def _sees(flag: SlipFlag, after: np.ndarray, covered: np.ndarray = COVERED) -> bool:
-    return flag.see(after + noise(), STD, covered).slipping
-
-
-@pytest.mark.parametrize("motion", ["spread", "shear and twist", "shift while it grows", "press, then roll"])
-def test_motion_of_a_press_is_no_slip(motion: str) -> None:
-    """The flag stays off in 400 frames, with noise of 0.03 px, while skin spreads, shears and twists, moves with a
-    growing contact, or is rolled over after it was pressed and shifted.
-    """
-    flag, about = SlipFlag(), POINTS - 150
-    for step in np.linspace(0, 1, 400):
-        radius = 30 + 120 * step
-        centre = np.array([150.0, 150.0])
-        moved = np.zeros_like(POINTS)
-        if motion == "spread":
-            moved = 0.06 * step * about * (1 + np.square(about).sum(1, keepdims=True) / 150**2)
-        elif motion == "shear and twist":
-            moved = step * about @ np.array([[0.02, 0.05], [-0.03, -0.02]])
-        elif motion == "shift while it grows":
-            moved = np.broadcast_to(step * np.array([4.0, -2.0]), POINTS.shape)
-        else:
-            radius, centre = 80, np.array([80 + 140 * step, 150.0])
-            moved = min(step / 0.1, 1) * (0.03 * (POINTS - [80, 150]) + [3.0, -1.0])
-        covered = (np.square(POINTS - centre).sum(1) < radius**2).astype(np.uint8)
-        assert not _sees(flag, POINTS + moved, covered), step
-
-
-def test_slip_after_a_press_is_seen_once_the_rim_has_gone_further_than_skin_has_spread() -> None:
-    """After skin has spread by 1 px at the rim, the flag is raised once the rim has been pulled to one side by 1 to
-    3.2 px.
-    """
-    flag, about = SlipFlag(), (POINTS - 150) / 150
-    flag.see(POINTS, STD, COVERED)
-    square = np.square(about).sum(1, keepdims=True)
-    raised = [_sees(flag, POINTS + about + pull * square * [1.0, 0.0]) for pull in np.linspace(0, 4, 80)]
-    pull = np.linspace(0, 4, 80)[int(np.argmax(raised))]
-    assert 1 < pull < 3.2
-    assert all(raised[int(np.argmax(raised)) :])
-    # The whole contact then slides, and the rim keeps its lead.
-    assert all(_sees(flag, POINTS + about + [far, 0.0] + 4 * square * [1.0, 0.0]) for far in range(1, 20))
-
-
 def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
     flag, radius = SlipFlag(), np.linalg.norm(POINTS - 150, axis=1) / 150
     for frame in range(60):
@@ -87,22 +45,6 @@ def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
         state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
         raised.append(state.slipping)
     assert raised == [False, False, True, True]
-
-
-def test_other_points_and_points_that_leave_start_anew() -> None:
-    flag = SlipFlag()
-    flag.see(POINTS, STD, COVERED)
-    elsewhere = POINTS[:, ::-1].copy()
-    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # how far the new points have moved is unknown
-    states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
-    assert states[-1].residual == 0
-    assert not states[-1].slipping
-    flag.see(POINTS, STD, np.zeros(400, np.uint8))
-    assert all(flag.see(POINTS, STD, COVERED).residual == 0 for _ in range(3))
-    few = POINTS.copy()
-    few[7:] = np.nan  # too few points say nothing
-    states = [flag.see(few, STD, COVERED) for _ in range(5)]
-    assert all(math.isnan(state.residual) and not state.slipping for state in states)
 
 
 def test_the_flag_outlives_a_choice_of_other_points() -> None:

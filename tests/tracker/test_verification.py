@@ -19,7 +19,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker import window_match
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.subset_verification import Verification
-from fingerflow.tracker.window_match import compare, fit_shifts
+from fingerflow.tracker.window_match import fit_shifts
 from tests.small_trials import SMALL_PRESS, warnings_of, write_small
 
 Array = NDArray[Any]
@@ -75,20 +75,6 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
         pytest.skip("the compiled library is not there")
     monkeypatch.setattr(window_match, "is_present", lambda: request.param == "compiled")
     return str(request.param)
-
-
-@pytest.mark.parametrize("samples", [1, 81])
-def test_windows_are_compared_as_by_numpy_and_blank_ones_have_no_correlation(samples: int) -> None:
-    one, other = np.random.default_rng(0).normal(100, 20, (2, 30, samples)).astype(np.float32)
-    found = compare(one, other)
-    for k, (then, now) in enumerate(zip(one, other, strict=True)):
-        if samples > 1:
-            left = now - np.polyval(np.polyfit(then.astype(np.float64), now, 1), then)
-            np.testing.assert_allclose(found.correlation[k], np.corrcoef(then, now)[0, 1], rtol=0, atol=1e-5)
-            np.testing.assert_allclose(found.residual[k], np.sqrt(np.square(left).mean()), rtol=1e-4)
-            np.testing.assert_allclose(found.largest[k], np.abs(left).max(), rtol=1e-4)
-    assert np.isnan(compare(one, np.full_like(one, 3.0)).correlation).all()
-    assert np.isnan(compare(np.full_like(one, 3.0), one).residual).all()
 
 
 @pytest.mark.usefixtures("form")
@@ -175,19 +161,6 @@ def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(
     np.testing.assert_array_equal(verification.check(image, beside[None], status, unknown).differs, only)
 
 
-def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -> None:
-    engine = make_engine(SETTINGS)
-    then, now = points(GRADIENT, (0.0, 0.0))
-    verification = Verification(engine, engine.images(picture(UNMOVED, (0, 0), 2.0, 1)), then)
-    sharp = np.pad(picture(GRADIENT, (0.0, 0.0), 2.0, 2)[0], 2, mode="edge")
-    blurred = np.lib.stride_tricks.sliding_window_view(sharp, (5, 5)).mean((2, 3))[None]
-    status = np.zeros((1, len(then)), np.uint8)
-    images = engine.images((0.6 * blurred + 30).astype(np.float32))
-    found = verification.check(images, now[None], status, warps(GRADIENT, len(then)))
-    assert not (found.differs | found.held).any()
-    assert float(found.variance.max()) < 0.1**2
-
-
 def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make) -> None:
     """Points held back by specks at rest, while the skin moves by 3 px, are found: a point 0.6 px back is marked as
     held, and the shift of a point 0.2 px back is in its variance.
@@ -217,16 +190,6 @@ def test_points_that_a_speck_on_the_glass_holds_back_are_found(make_engine: Make
     assert far.held[~some].mean() < 0.05
     assert not near.held[some].any()
     assert 0.1 < float(np.sqrt(2 * near.variance[some].mean())) < 0.3
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_points_without_neighbours_are_followed(make_engine: Make, count: int) -> None:
-    engine = make_engine(EngineSettings())
-    view = picture(UNMOVED, (0, 0), 0.0, 1)
-    start = np.array([[100, 80]], np.float32)[:count]
-    found = Points(engine, engine.images(view), start).follow(engine.images(np.roll(view, 1, axis=2)))
-    assert (found.status == TrackStatus.TRACKED).all()
-    np.testing.assert_allclose(found.points[0], start + np.float32([1, 0]), atol=1e-3)
 
 
 def test_points_that_fail_have_no_position_and_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,31 +55,6 @@ def by_scipy(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
     return np.asarray((parts == 1 + np.argmax(np.bincount(parts.flat)[1:])) if parts.any() else parts > 0)
 
 
-def test_full_disc_keeps_its_area() -> None:
-    """The area of a full disc is found to 2 %, and to 0.6 % on average; a threshold at half of the density alone would
-    lose 3 %, as the border is curved.
-    """
-    sizes = [disc(200, radius) for radius in np.linspace(38, 42, 9)]
-    errors = [float(apparent_contact(full, 8).area_px) / float(full.sum()) - 1 for full in sizes]
-    assert abs(np.mean(errors)) < 0.006  # the position of the cells at the border changes the area by 1 %
-    assert np.abs(errors).max() < 0.02
-    full = sizes[4]
-    smooth = torch.from_numpy(scipy.ndimage.uniform_filter(full[0, 0].numpy().astype(float), 17, mode="constant"))
-    for _ in range(2):
-        smooth = torch.from_numpy(scipy.ndimage.uniform_filter(smooth.numpy(), 17, mode="constant"))
-    assert float((smooth > 0.5).sum()) / float(full.sum()) < 0.97
-
-
-@pytest.mark.parametrize(("cell", "each", "mean"), [(None, 0.04, 0.008), (8, 0.04, 0.008)])
-def test_spans_stripes_and_their_gaps(cell: int | None, each: float, mean: float) -> None:
-    """The region of a striped disc has the area of the disc, to 4 % for any direction of the stripes: a straight stripe
-    along the border covers more or less of the border depending on its phase.
-    """
-    areas = [float(apparent_contact(disc(260, 100, 14, angle), 8, cell).area_px) for angle in np.arange(6) / 4]
-    assert np.mean(areas) == pytest.approx(math.pi * 100**2, rel=mean)
-    assert np.ptp(areas) / np.mean(areas) < each
-
-
 @pytest.mark.parametrize("radius", [2, 8, 20])
 @pytest.mark.parametrize("period", [None, 1.7])
 def test_same_region_pixel_by_pixel(period: float | None, radius: int) -> None:

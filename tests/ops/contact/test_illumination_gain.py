@@ -54,16 +54,6 @@ def test_no_glass_no_gain(angle: float, valley: float) -> None:
         assert illumination_gain(view, light * 0.9, torch.full_like(light, 6.0)).isnan().all()
 
 
-def test_a_reflection_and_dirt_do_not_count() -> None:
-    light = 0.8 * glass(512, 640)
-    share = kept(512, 640, 0.4, 0.3, 0.04)
-    share[..., 10:60, 20:70] = 1.25
-    share[..., 400:440, 600:630] = 0.7
-    view = frame(light, share, 0.95)
-    view[..., ::53, ::31] = 255  # salt noise
-    assert float(illumination_gain(view, light, torch.full_like(light, 6.0))) == pytest.approx(0.95, rel=0.003)
-
-
 def test_hard_frames_have_no_gain() -> None:
     """Blank, saturated and NaN frames have no gain; neither have frames whose light changed so far that the change
     could be contact.

@@ -1,13 +1,10 @@
 """Tests of Otsu's threshold against OpenCV and of histograms against NumPy, with hard frames."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops.contact import otsu
 from fingerflow.ops.contact.otsu import histogram, otsu_threshold
 
 
@@ -29,43 +26,11 @@ def test_threshold_equals_opencv_on_random_frames() -> None:
     assert len(set(expected)) > 20
 
 
-@pytest.mark.parametrize("name", ["empty", "piece", "triangle1"])
-def test_threshold_equals_opencv_on_the_rig(shared_data: Path, name: str) -> None:
-    frame = cv2.imread(str(shared_data / "rig" / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)
-    for view in (frame, frame[:, 640:].copy()):
-        assert otsu_threshold(torch.from_numpy(view)[None, None]).item() == opencv_threshold(view)
-
-
-def test_mask_is_the_same_as_cutting_out() -> None:
-    frame = torch.from_numpy(two_classes(np.random.default_rng(2), (64, 80)))[None, None]
-    mask = torch.zeros(1, 1, 64, 80, dtype=torch.bool)
-    mask[..., 10:50, 5:60] = True
-    cut = frame[..., 10:50, 5:60]
-    assert torch.equal(histogram(frame, mask), histogram(cut))
-    assert torch.equal(otsu_threshold(frame, mask), otsu_threshold(cut))
-
-
 @pytest.mark.parametrize("bins", [256, 100, 7])
 def test_histogram_equals_numpy(bins: int) -> None:
     values = torch.rand(3, 1, 40, 50, dtype=torch.float64, generator=torch.Generator().manual_seed(5)) * 2 - 1
     expected = np.stack([np.histogram(v, bins, (-1, 1))[0] for v in values.numpy()])
     assert np.array_equal(histogram(values, bins=bins, value_range=(-1, 1)).numpy(), expected)
-
-
-def test_histogram_of_integers_counts_each_level() -> None:
-    values = torch.randint(0, 4096, (2, 1, 100, 100), generator=torch.Generator().manual_seed(6))
-    expected = np.stack([np.bincount(v.ravel(), minlength=4096) for v in values.numpy()])
-    for dtype in (torch.uint16, torch.int16, torch.int64):
-        assert np.array_equal(histogram(values.to(dtype), bins=4096, value_range=(-1, 4095)).numpy(), expected)
-
-
-@pytest.mark.parametrize("bins", [256, 30])
-def test_exported_histogram_is_the_same(monkeypatch: pytest.MonkeyPatch, bins: int) -> None:
-    frames = torch.randint(0, 256, (2, 1, 33, 47), dtype=torch.uint8, generator=torch.Generator().manual_seed(7))
-    mask = frames > 20
-    counted = histogram(frames, mask, bins, (-1, 255))
-    monkeypatch.setattr(otsu.torch.compiler, "is_exporting", lambda: True)
-    assert torch.equal(histogram(frames, mask, bins, (-1, 255)), counted)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (0, 255), (100, 101), (254, 255), (3, 200)])

@@ -6,7 +6,7 @@ import scipy.ndimage
 import torch
 from torch import Tensor
 
-from fingerflow.ops.contact.real_contact_mask import majority, real_contact_mask
+from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.filters.illumination import glass_light
 
 pytestmark = pytest.mark.usefixtures("each_form")
@@ -47,43 +47,6 @@ def test_the_mask_is_the_median_of_the_intensity_loss_above_0(
         assert np.array_equal(found[k, 0].numpy(), (median > 0) & lit)
     assert found.any()
     assert not found[..., shape[1] // 8 :, :].all()
-
-
-def test_a_limit_between_whole_numbers_and_on_one() -> None:
-    light, black = torch.full((1, 1, 1, 4), 100.0), torch.full((1, 1, 1, 4), 10.0)
-    frames = torch.tensor([59, 60, 61, 62], dtype=torch.uint8)[None, None, None]
-    for limit, expected in ((0.5, 1), (0.505, 2), (0.51, 2), (0.52, 3)):
-        for some in (frames, frames.float(), frames.to(torch.uint16)):
-            assert int(real_contact_mask(some, light, black, torch.tensor([limit]), 1).sum()) == expected
-
-
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
-def test_without_a_limit_nothing_counts(dtype: torch.dtype) -> None:
-    """With a limit of NaN no pixel counts, not even a lit pixel darker than the dark image, which a limit
-    of 0 counts.
-    """
-    light, black = torch.full((1, 1, 20, 70), 90.0), torch.full((1, 1, 20, 70), 12.0)
-    light[..., :5] = 0
-    frames = torch.full((2, 1, 20, 70), 8).to(dtype)
-    counted = real_contact_mask(frames, light, black, torch.tensor([torch.nan, 0.0]), 3)
-    assert not counted[0].any()
-    assert torch.equal(counted[1], light[0] > 0)
-
-
-def test_nan_and_infinite_pixels_are_above() -> None:
-    light = torch.full((1, 1, 12, 14), 100.0)
-    frames = torch.full((1, 1, 12, 14), 20.0)
-    frames[..., 3, 4], frames[..., 8, 8] = torch.nan, torch.inf
-    assert real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 3).all()
-    assert (~real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 1)).sum() == 2
-
-
-@pytest.mark.parametrize("size", [3, 21])
-def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
-    holds = torch.rand(2, 1, 53, 31, generator=torch.Generator().manual_seed(size)) < 0.5
-    for k in range(2):
-        expected = scipy.ndimage.median_filter(holds[k, 0].numpy().astype(np.uint8), size, mode="nearest")
-        assert np.array_equal(majority(holds, size)[k, 0].numpy(), expected > 0)
 
 
 def test_the_light_of_the_empty_glass() -> None:

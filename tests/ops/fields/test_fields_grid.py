@@ -36,27 +36,6 @@ def test_a_linear_field_is_exact_and_rows_are_y() -> None:
     torch.testing.assert_close(field[0, 1][known], rows[known], atol=1e-11, rtol=0)
 
 
-def test_a_smooth_field_comes_back_to_the_smoothing_of_its_gauge() -> None:
-    """A smooth field is reproduced to 0.02: its Laplacian is below 0.46, and the fit adds R^2 / 16 times the Laplacian,
-    0.016.
-    """
-    points = disc_cloud()
-    grid_x, grid_y = axes()
-    rows, columns = torch.meshgrid(grid_y, grid_x, indexing="ij")
-
-    def truth(x: Tensor, y: Tensor) -> Tensor:
-        return torch.exp(torch.sin(2 * math.pi * x / 12) * torch.cos(2 * math.pi * y / 12) / 2)
-
-    values = truth(points[..., 0], points[..., 1])[..., None]
-    field = scattered_to_grid(points, values, grid_x, grid_y, GAUGE)[0, 0]
-    error = (field - truth(columns, rows))[field.isfinite()].abs()
-    assert error.max() < 0.02
-    halved = scattered_to_grid(points, values, grid_x, grid_y, GAUGE / 2)[0, 0]
-    both = field.isfinite() & halved.isfinite()
-    finer, coarser = (halved - truth(columns, rows))[both], (field - truth(columns, rows))[both]
-    assert finer.square().mean() < 0.2 * coarser.square().mean()  # a quarter of the error, squared 1/16
-
-
 def test_nodes_inside_are_filled_and_nodes_outside_are_nan() -> None:
     points = disc_cloud()
     grid_x, grid_y = axes()

@@ -9,8 +9,6 @@ from scipy.integrate import quad
 from scipy.special import jv
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.fields import weighted_moments
 from fingerflow.ops.fields.local_fit import local_gradients
 
 GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
@@ -46,17 +44,6 @@ def fit_one_by_one(points: Tensor, values: Tensor, query: Tensor, gauge: float) 
     root = np.sqrt(weight)[:, None]
     estimator = np.linalg.pinv(root * design) * root.T
     return estimator @ values.numpy(), estimator
-
-
-def test_a_linear_field_is_exact() -> None:
-    points = cloud(3)
-    values = points @ GRADIENT.T + torch.tensor([3.0, -2.0], dtype=torch.float64)
-    fit = local_gradients(points, values, gauge_length=GAUGE)
-    known = fit.gradient.isfinite().all(-1).all(-1)
-    assert known.float().mean() > 0.95
-    # Rounding, amplified by the worst support that is accepted (spread of 0.1 of the radius: factor 1e2).
-    torch.testing.assert_close(fit.gradient[known], GRADIENT.expand(int(known.sum()), 2, 2), atol=1e-12, rtol=0)
-    torch.testing.assert_close(fit.value[known], values[known], atol=1e-12, rtol=0)
 
 
 def test_the_same_as_least_squares_done_one_by_one() -> None:
@@ -99,24 +86,6 @@ def test_a_sinusoid_is_attenuated_as_the_docstring_says(waves_per_gauge: float) 
     argument = math.pi * waves_per_gauge
     assert slope == pytest.approx(384 * jv(4, argument) / argument**4, abs=1e-8)
     assert height == pytest.approx(48 * jv(3, argument) / argument**3, abs=1e-8)
-
-
-def test_a_quadratic_lifts_the_value_by_the_second_moment_and_leaves_the_slope() -> None:
-    radius = GAUGE / 2
-    points = dense_lattice(radius / 40, radius)
-    values = (points**2).sum(-1, keepdim=True) + 2 * points[..., :1]
-    fit = local_gradients(points, values, torch.zeros(1, 1, 2, dtype=torch.float64), gauge_length=GAUGE)
-    # The weighted mean of x^2 + y^2 is R^2 / 4 in a uniform cloud.
-    assert fit.value.item() == pytest.approx(radius**2 / 4, abs=1e-4)
-    np.testing.assert_allclose(fit.gradient[0, 0, 0], [2.0, 0.0], atol=1e-12)
-
-
-def test_a_missing_query_is_nan_and_no_other() -> None:
-    points = cloud()
-    queries = torch.tensor([[[3.0, 3.0], [math.nan, 3.0], [3.0, math.inf]]], dtype=torch.float64)
-    fit = local_gradients(points, points, queries, gauge_length=GAUGE)
-    assert fit.gradient.isnan().all(-1).all(-1).tolist() == [[False, True, True]]
-    assert fit.point_count[0, 1:].tolist() == [0, 0]
 
 
 LINE = [[-0.4, -0.2], [-0.2, -0.1], [0.0, 0.0], [0.2, 0.1], [0.4, 0.2], [0.6, 0.3]]
@@ -180,77 +149,3 @@ def test_float32_far_from_the_origin() -> None:
     # eps x displacement of 0.5 over a spread of at least 0.1, some tens of roundings; raw moments would err by 1e2.
     torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=2e-5, rtol=0, equal_nan=True)
     torch.testing.assert_close(fit.value.double(), truth.value, atol=2e-6, rtol=0, equal_nan=True)
-
-
-def test_shared_positions_and_positions_of_each_frame_agree() -> None:
-    points, queries = cloud(), inner_queries(30)
-    values = noise_like(points.expand(4, -1, -1))
-    values[1, :50] = torch.nan  # a point may be lost in one frame and not in another
-    covariance = torch.eye(2, dtype=torch.float64) * (1 + torch.arange(200.0, dtype=torch.float64))[None, :, None, None]
-    covariance = covariance.repeat(4, 1, 1, 1)
-    covariance[2, :50] = torch.nan
-    shared = local_gradients(points, values, queries, gauge_length=GAUGE, variance=covariance)
-    own = local_gradients(points.repeat(4, 1, 1), values, queries, gauge_length=GAUGE, variance=covariance)
-    for left, right in zip(shared, own, strict=True):
-        torch.testing.assert_close(left, right, atol=1e-11, rtol=1e-11, equal_nan=True)
-    for frame in range(4):
-        alone = local_gradients(
-            points, values[frame : frame + 1], queries, gauge_length=GAUGE, variance=covariance[frame : frame + 1]
-        )
-        torch.testing.assert_close(shared.gradient[frame], alone.gradient[0], atol=1e-11, rtol=0, equal_nan=True)
-
-
-def test_the_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernels, "serve", lambda *_: False)
-    points, queries = cloud(3), inner_queries(17)
-    whole = local_gradients(points, points.sin(), queries, gauge_length=GAUGE, variance=points[..., 0])
-    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 3 * 200 * 5)
-    pieces = local_gradients(points, points.sin(), queries, gauge_length=GAUGE, variance=points[..., 0])
-    for left, right in zip(whole, pieces, strict=True):
-        torch.testing.assert_close(left, right, atol=1e-12, rtol=1e-12, equal_nan=True)
-
-
-def test_the_centroid_offset_tells_the_border() -> None:
-    radius = GAUGE / 2
-    points = dense_lattice(radius / 40, radius)
-    half = points[points[..., 0] >= 0][None]
-    query = torch.zeros(1, 1, 2, dtype=torch.float64)
-    assert local_gradients(points, points, query, gauge_length=GAUGE).centroid_offset.item() == pytest.approx(
-        0, abs=1e-12
-    )
-    # (2/3 - 4/5 + 2/7) / (pi/6) = 0.291 of the radius in the continuous limit; the lattice misses by half a spacing.
-    offset = local_gradients(half, half, query, gauge_length=GAUGE).centroid_offset.item()
-    assert offset == pytest.approx(0.291 * radius, abs=radius / 60)
-
-
-def test_autograd(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 2 * 12 * 2)  # two queries in each chunk
-    points = cloud(2, count=12, size=1.0).requires_grad_()
-    values = noise_like(points).requires_grad_()
-    variance = (0.1 + cloud(2, count=12, size=1.0, seed=9)[..., 0]).requires_grad_()
-    queries = cloud(2, count=3, size=1.0, seed=10).requires_grad_()
-
-    def fit(points: Tensor, values: Tensor, queries: Tensor, variance: Tensor) -> tuple[Tensor, ...]:
-        result = local_gradients(points, values, queries, gauge_length=3.0, variance=variance)
-        assert result.covariance is not None
-        return result.value, result.gradient, result.covariance
-
-    assert torch.autograd.gradcheck(fit, (points, values, queries, variance))
-    # The points as their own queries, and one geometry for two frames.
-    shared = points.detach()[:1].requires_grad_()
-    assert torch.autograd.gradcheck(lambda p, v: local_gradients(p, v, gauge_length=3.0)[:2], (shared, values))
-
-
-def test_autograd_stays_finite_beside_missing_points() -> None:
-    points = cloud(1, count=40)
-    points[0, 0] = torch.nan
-    points[0, 1] = 100.0  # no other point in its support
-    values = noise_like(points)
-    values[0, 2] = torch.nan
-    points.requires_grad_()
-    values.requires_grad_()
-    local_gradients(points, values, gauge_length=GAUGE).gradient.nansum().backward()
-    for tensor in (points, values):
-        assert tensor.grad is not None
-        assert tensor.grad.isfinite().all()
-        assert tensor.grad.abs().sum() > 0

@@ -1,12 +1,9 @@
 """Tests of the quotient of a frame and the empty glass, and of the byte that encodes the contact signal."""
 
-from pathlib import Path
-
-import cv2
 import pytest
 import torch
 
-from fingerflow.ops.filters.illumination import contact_signal, dequantize, normalize_illumination, quantize
+from fingerflow.ops.filters.illumination import contact_signal, normalize_illumination
 
 
 def lamp(height: int = 40, width: int = 50) -> torch.Tensor:
@@ -48,65 +45,3 @@ def test_dark_corners_are_masked_at_the_stated_fraction() -> None:
         False,
         True,
     ]
-
-
-def test_hot_pixels_do_not_set_the_level() -> None:
-    reference = torch.full((1, 1, 256, 256), 100.0)
-    reference[..., ::16, ::32] = 65535.0  # 1 pixel in 512
-    assert normalize_illumination(reference / 2, reference).valid.all()
-
-
-def test_signal_relative_to_the_first_contact() -> None:
-    light = lamp()
-    first = normalize_illumination(0.9 * light, light)
-    later = normalize_illumination(torch.cat([0.9 * light, 0.4 * light]), light)
-    signal = contact_signal(later, first)
-    assert signal[0].abs().max() < 1e-12
-    assert (signal[1] - 0.5).abs().max() < 1e-12
-    first.valid[0, 0, 3, 4] = False
-    assert (contact_signal(later, first)[:, 0, 3, 4] == 0).all()
-
-
-def test_gradient_of_the_quotient() -> None:
-    light = lamp(4, 5)
-    light[0, 0, 0, 0] = 0
-    frames = (light * 0.3).requires_grad_()
-    normalize_illumination(frames, light).frames.sum().backward()
-    assert frames.grad is not None
-    expected = torch.where(light > 0, 1 / light.clamp(min=1), 0.0)
-    assert torch.allclose(frames.grad, expected)
-
-
-def test_levels_round_trip_within_half_a_level() -> None:
-    signal = torch.linspace(-0.25, 1.0, 1001, dtype=torch.float64)
-    levels = quantize(signal)
-    assert levels.dtype == torch.uint8
-    assert levels[0] == 0
-    assert levels[-1] == 255
-    assert (dequantize(levels) - signal).abs().max() <= 1.25 / 255 / 2 + 1e-6
-
-
-def test_rig_background_does_not_explode(shared_data: Path) -> None:
-    """Hundreds of pixels of the rig's empty image are 0 or nearly so, where a plain division is infinite: they are
-    masked.
-    """
-    empty, target = (
-        torch.from_numpy(cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE)[:, 640:].copy())[None, None]
-        for name in ("empty.jpg", "piece.jpg")
-    )
-    black = empty == 0
-    assert (target.float() / empty.float()).isinf().any()
-    normalized = normalize_illumination(target, empty)
-    assert black.sum() > 500
-    assert not normalized.valid[black].any()
-    assert normalized.valid[..., 156:356, 220:420].all()  # the lit disc
-    assert (normalized.frames[~normalized.valid] == 1).all()
-    # The brightest pixel has 101 counts; the darkest valid light is 5 % of about 120 counts.
-    assert normalized.frames.max() < 101 / (0.05 * 115)
-    assert torch.equal(normalize_illumination(empty, empty).frames, torch.ones(1, 1, 512, 640))
-
-
-def test_levels_of_what_is_no_number() -> None:
-    levels = quantize(torch.tensor([torch.nan, torch.inf, -torch.inf, -3.0, 7.0]))
-    assert levels.tolist() == [0, 255, 0, 0, 255]
-    assert dequantize(torch.tensor([torch.nan])).isnan().all()

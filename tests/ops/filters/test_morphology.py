@@ -20,10 +20,3 @@ def test_equal_scipy(radius: int, shape: Shape) -> None:
     assert np.array_equal(dilate(tensor, radius, shape)[:, 0].numpy(), dilated)
     eroded = np.stack([scipy.ndimage.binary_erosion(~m, footprint, border_value=1) for m in mask])
     assert np.array_equal(erode(~tensor, radius, shape)[:, 0].numpy(), eroded)
-
-
-def test_radius_wider_than_the_frame() -> None:
-    mask = torch.zeros(1, 1, 3, 5, dtype=torch.bool)
-    mask[0, 0, 0, 0] = True
-    assert dilate(mask, 9).all()
-    assert dilate(mask[..., :1, :1], 4).all()

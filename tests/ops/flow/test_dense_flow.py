@@ -1,6 +1,5 @@
 """Tests of dense flow on ridges whose motion is known at every pixel, and on images without texture."""
 
-import math
 from collections.abc import Callable
 from functools import cache
 
@@ -12,9 +11,6 @@ from torch import Tensor
 
 from bench.suites.flow import ridges
 from fingerflow.ops import dense_flow
-from fingerflow.ops.flow import flow_multigrid
-from fingerflow.ops.flow.dense_flow import find_flow, prepare_flow
-from fingerflow.ops.flow.flow_constancy import Constancy
 from fingerflow.ops.flow.flow_penalty import Penalty
 
 HEIGHT, WIDTH = 128, 160
@@ -143,31 +139,12 @@ def test_large_motion_from_where_it_is_expected() -> None:
     assert errors(flow.displacement, truth, 24).nanmean() < 0.015
 
 
-def test_a_batch_is_its_images() -> None:
-    pairs = [pair(motion, 1.0, seed)[:2] for seed, motion in enumerate((wave, widening))]
-    firsts, currents = (torch.cat(some) for some in zip(*pairs, strict=True))
-    together = dense_flow(firsts, currents)
-    for k, (first, current) in enumerate(pairs):
-        for whole, one in zip(together, dense_flow(first, current), strict=True):
-            torch.testing.assert_close(whole[k : k + 1], one, equal_nan=True)
-
-
 @pytest.mark.parametrize("level", [0, 128, 255])
 def test_blank_images_move_nowhere_and_say_so(level: int) -> None:
     blank = torch.full((1, 1, 40, 48), level, dtype=torch.uint8)
     flow = dense_flow(blank, blank)
     assert (flow.displacement == 0).all()
     assert flow.covariance.isnan().all()
-
-
-def test_stripes_show_motion_across_them_only() -> None:
-    x, _ = grid((96, 96))
-    first, current = ((110 + 60 * torch.cos(2 * math.pi / 12 * (x - moved)))[None, None] for moved in (0.0, 0.8))
-    flow = dense_flow(first, current, noise=torch.tensor([1.0]))
-    inner = (..., slice(16, -16), slice(16, -16))
-    assert (flow.displacement[:, 0][inner] - 0.8).abs().max() < 0.01
-    assert flow.displacement[:, 1][inner].abs().max() < 1e-3
-    assert flow.covariance[:, 1, 1][inner].min() > 3 * flow.covariance[:, 0, 0][inner].max()
 
 
 @PENALTIES
@@ -191,28 +168,3 @@ def test_differentiable_in_both_images(penalty: Penalty) -> None:
             either.append(total(*moved))
         expected = (either[0] - either[1]) / 2e-5
         torch.testing.assert_close((image.grad * direction).sum(), expected, rtol=2e-4, atol=1e-6)
-
-
-@pytest.mark.long
-@CONSTANCIES
-@PENALTIES
-def test_the_portable_form_has_no_branch_on_data(
-    penalty: Penalty, constancy: Constancy, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`torch.export` takes the portable form, which has no data-dependent branch, and its program gives the same flow.
-
-    The coarsest level makes 2 sweeps here. With all 20 sweeps there are 3,700 operators, which take the ONNX exporter a
-    minute; ONNX Runtime then gives the same flow to 1e-6 px.
-    """
-    monkeypatch.setattr(flow_multigrid, "COARSEST_SWEEPS", 2)
-    first, current, truth = pair(wave, noise=2.0, shape=(9, 12))
-    template = prepare_flow(photograph(first), constancy=constancy)
-
-    class Found(torch.nn.Module):
-        def forward(self, current: Tensor, initial: Tensor) -> tuple[Tensor, ...]:
-            return tuple(find_flow(template, current, initial, warps=1, penalty=penalty))
-
-    given = photograph(current), 0.8 * truth.float()
-    exported = torch.export.export(Found(), given).module()(*given)
-    for one, other in zip(exported, Found()(*given), strict=True):
-        torch.testing.assert_close(one, other, rtol=0, atol=1e-4, equal_nan=True)

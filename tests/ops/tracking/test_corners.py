@@ -51,27 +51,6 @@ def test_selection_equals_the_greedy_rule(distance: float) -> None:
         assert torch.equal(corners.response[b][corners.valid[b]], response[b, 0, y, x])
 
 
-def test_greedy_rule_among_equals() -> None:
-    """Among dots with equal responses the reading order decides."""
-    frame = np.zeros((60, 60), dtype=np.uint8)
-    frame[5::6, 5::6] = 200
-    tensor = torch.from_numpy(frame)[None, None].float()
-    response = corner_response(tensor, 3)
-    corners = detect_corners(tensor, 500, 7.0, window=3, noise=0.0)
-    expected = greedy(response[0, 0].numpy(), 0.01 * response.max().item(), 500, 7.0)
-    assert corners.points[0][corners.valid[0]].tolist() == [list(map(float, point)) for point in expected]
-
-
-def test_corners_of_a_square_are_found() -> None:
-    frame = torch.zeros(1, 1, 60, 70)
-    frame[..., 20:40, 15:45] = 100
-    corners = detect_corners(frame, 10, 10, noise=0.5)
-    assert corners.valid.sum() == 4
-    expected = torch.tensor([[15.0, 20], [44, 20], [15, 39], [44, 39]])
-    # The response is flat over a corner's window: its largest value is within half a window.
-    assert torch.cdist(corners.points[0, :4], expected).amin(1).max() <= 3 * math.sqrt(2)
-
-
 def test_mask_and_border_hold() -> None:
     frame = torch.from_numpy(texture(4))[None, None]
     mask = torch.zeros(1, 1, 120, 150, dtype=torch.bool)
@@ -82,15 +61,8 @@ def test_mask_and_border_hold() -> None:
     assert mask[0, 0, y, x].all()
     framed = detect_corners(frame, 300, 5.0, border=15)
     points = framed.points[0][framed.valid[0]]
-    assert points[:, 0].min() >= 15
-    assert points[:, 0].max() <= 150 - 16
-    assert points[:, 1].min() >= 15
-    assert points[:, 1].max() <= 120 - 16
-
-
-def test_gradient_of_the_response() -> None:
-    frame = torch.rand(1, 1, 7, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(7)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda x: corner_response(x, 3), frame)
+    assert points.min() >= 15
+    assert (points <= torch.tensor([150, 120]) - 16).all()
 
 
 @pytest.mark.parametrize("window", [3, 7, 21])
@@ -101,13 +73,3 @@ def test_pure_noise_has_no_corners(window: int, deviation: float) -> None:
     assert not detect_corners(frame, 50, window=window).valid.any()
     known = math.hypot(deviation, math.sqrt(1 / 12))
     assert not detect_corners(frame, 50, window=window, noise=known).valid.any()
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.2, math.pi / 4])
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
-def test_one_direction_only_has_no_corners(angle: float, dtype: torch.dtype) -> None:
-    y, x = torch.meshgrid(torch.arange(120.0), torch.arange(150.0), indexing="ij")
-    grating = 120 + 80 * torch.sin(2 * math.pi / 13 * (x * math.cos(angle) + y * math.sin(angle)))
-    frame = grating[None, None].to(dtype) if dtype.is_floating_point else grating.round()[None, None].to(dtype)
-    # Replicated pixels bend the stripes at the border of the frame itself.
-    assert not detect_corners(frame, 50, border=8).valid.any()

@@ -118,24 +118,6 @@ def test_what_is_off_is_found(name: str, size: float) -> None:
     assert off[~wrong].float().mean() < 3e-3
 
 
-def test_three_of_ten_may_be_off() -> None:
-    moved, position_std = measured(press)
-    given, wrong = planted(moved, 3.0, share=0.3)
-    off = find(given, position_std).off_neighbours
-    assert off[wrong].float().mean() > 0.95
-    assert off[~wrong].float().mean() < 0.03
-
-
-def test_one_alone_is_found_and_a_patch_is_taken_for_a_front() -> None:
-    moved, position_std = measured(press)
-    nearest = find_neighbours(POINTS, GAUGE).number[0, :, 300]  # neighbours of a point in the middle
-    for others, found in ((0, True), (8, False)):
-        patch = torch.cat((torch.tensor([300]), nearest[:others]))
-        given = moved.clone()
-        given[:, patch] += 4.0
-        assert bool(find(given, position_std).off_neighbours[:, 300].all()) == found
-
-
 def test_points_without_enough_neighbours_are_kept() -> None:
     moved, position_std = measured(press)
     moved[:, 7] += 20.0
@@ -177,20 +159,3 @@ def test_far_more_uncertain_than_its_neighbours() -> None:
     assert uncertain[:, ::20].float().mean() > 0.95
     position_std[:, ::20] = 0
     assert not find(moved, position_std).uncertain[:, ::20].any()
-
-
-def test_frames_order_unit_and_place_change_nothing() -> None:
-    given, position_std = planted(measured(press)[0], 0.4)[0], measured(press)[1]
-    off = find(given, position_std).off_neighbours
-    assert torch.equal(off, torch.cat([find(one, two).off_neighbours for one, two in zip(
-        given.split(1), position_std.split(1), strict=True)]))  # fmt: skip
-    own = find_neighbours(POINTS.expand(FRAMES, -1, -1), GAUGE)
-    assert torch.equal(off, find_outliers(own, given, position_std).off_neighbours)
-    order = torch.randperm(POINTS.shape[1], generator=torch.Generator().manual_seed(3))
-    shuffled = find(given[:, order], position_std[:, order], POINTS[:, order]).off_neighbours
-    # Rounding may move a point across the limit.
-    assert (shuffled != off[:, order]).sum() <= 2
-    in_mm = find(given * 0.0325, position_std * 0.0325, POINTS * 0.0325 + 5, GAUGE * 0.0325).off_neighbours
-    assert (in_mm != off).sum() <= 2
-    exact = find(given.double(), position_std.double(), POINTS.double()).off_neighbours
-    assert (exact != off).sum() <= 2

@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import process
-from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import Slide, write_recording
 
@@ -48,33 +46,3 @@ def test_a_slide_counts_new_skin_from_its_own_entry(tmp_path: Path) -> None:
     assert stated.max() < 7e-3
     assert 0.5 < result["strain_energy"].values[LAST] / np.nansum(energies(gradients[-1], STEP_MM)) < 2
     assert result["field_coverage"].values[LAST] > 0.9
-
-
-@pytest.mark.usefixtures("each_form")
-def test_medians_are_of_old_and_new_skin_together() -> None:
-    """If half of a disc has given fields (entered skin), the median lies between both halves; where these fields are
-    unknown, so is the median.
-    """
-    points = torch.rand(1, 900, 2, generator=torch.Generator().manual_seed(1)) * 12 - 6
-    new = points[..., 0] > 0
-    displacement = 0.05 * points
-    fields = torch.where(new[..., None], 0.3, torch.nan).expand(1, 900, 5)
-    apart = Apart(new, fields, torch.full_like(fields, 0.01))
-    ellipse = torch.zeros(1, 2), torch.full((1, 2), 4.0), torch.zeros(1)
-    found = area_medians(
-        points,
-        displacement,
-        *ellipse,
-        gauge_length=1.6,
-        covariance=1e-8 * torch.eye(2).expand(1, 900, 2, 2),
-        apart=apart,
-    )
-    assert found.known.item() > 0.93
-    divergence = found.median[0, 0].item()
-    assert min(abs(divergence - one) for one in (0.1, 0.2, 0.3)) < 1e-4  # the value of either half, or the mean of both
-    unknown = Apart(new, torch.full_like(fields, torch.nan), None)  # left out of the fits to the other points, too
-    without = area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=unknown)
-    assert without.known.item() < 0.6
-    assert without.median.isnan().all()
-    moved = displacement + 6.0 * new[..., None]  # no point is near, so nothing is known there
-    assert area_medians(points, moved, *ellipse, gauge_length=1.6, apart=apart).known.item() < 0.6

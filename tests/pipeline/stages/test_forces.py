@@ -2,7 +2,6 @@
 forces that contradict themselves or the recording give an error or a warning with the remedy.
 """
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import xarray as xr
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene_template import scene_text
 from fingerflow.synthetic import rebuild_scene
 from tests.pipeline.stages.conftest import Change
 from tests.small_trials import warnings_of
@@ -131,14 +129,6 @@ def test_a_file_without_a_heading_by_numbers(
     result = process(changed(replaced), OUTPUTS)
     for name in OUTPUTS:
         np.testing.assert_allclose(result[name], expected[name], atol=2e-5)
-
-
-def test_init_writes_the_keys() -> None:
-    text = scene_text()
-    for key in ("units", "gain", "sign", "offset", "tare"):
-        assert f"\n# {key} = " in text
-    shown = scene_text(forces="forces.csv").replace("\n# units", "\nunits").replace("\n# tare", "\ntare")
-    assert tomllib.loads(shown)["forces"]["tare"] == [-0.5, -0.1]
 
 
 def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:

@@ -143,19 +143,6 @@ def test_a_frame_that_comes_twice_is_found(clean: Clean, tmp_path: Path) -> None
     assert "50% of the frames repeat another one" in warnings_of(result)
 
 
-@pytest.mark.parametrize(("direction", "template"), [("forward", "previous"), ("backward", "keyframe")])
-def test_whatever_the_way_of_tracking(clean: Clean, direction: str, template: str, tmp_path: Path) -> None:
-    places = [13, 25, 37, 49]
-    frames = clean.frames.copy()
-    frames[places] = 8
-    scene = with_frames(clean, frames, tmp_path)
-    tracking = replace(scene.tracking, direction=direction, template=template)
-    result, expected = (process(replace(one, tracking=tracking), ["position_px"]) for one in (scene, clean.scene))
-    lost = np.delete(expected["tracked_share"].values - result["tracked_share"].values, places)
-    assert lost.max() < 0.3
-    assert np.isnan(result["position_px"].values[places]).all()
-
-
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:
     message = rf"frames\.npy: no frame can be measured: {len(clean.frames)} dark frames\. Check"
     with pytest.raises(FingerflowError, match=message):

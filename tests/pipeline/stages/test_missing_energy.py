@@ -4,23 +4,13 @@ import numpy as np
 
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 
-AREAS = np.ones(3)  # mm^2
-
 
 def test_lost_triangles_are_missed_by_what_they_had_over_the_mean_and_by_the_spread_of_the_others() -> None:
     """The error of a lost triangle is its last density minus the mean of the others, plus their spread. The known
     densities 1.0 and 1.5 have a mean of 1.25 and a variance of 1/16, and one point may have lost six such triangles.
     """
-    missing = MissingEnergy(AREAS)
+    missing = MissingEnergy(np.ones(3))
     density = np.array([[1.0, 1.0, 7.0], [1.0, 1.5, np.nan], [1.0, 2.0, np.nan], [1.0, 1.0, 1.0]])
     contact = np.ones((4, 3), dtype=bool)
     contact[2, 2] = False  # not in contact
     np.testing.assert_allclose(missing.add_frames(density, contact), [0, np.hypot(7 - 1.25, np.sqrt(6 / 16)), 0, 0])
-
-
-def test_batches_go_on_and_all_may_be_lost() -> None:
-    missing = MissingEnergy(AREAS)
-    missing.add_frames(np.array([[2.0, 1.0, 3.0]]), np.ones((1, 3), dtype=bool))
-    nothing, part = np.full((1, 3), np.nan), np.array([[np.nan, 1.0, 1.0]])
-    assert missing.add_frames(nothing, np.ones((1, 3), dtype=bool)) == 0  # the energy itself is NaN
-    np.testing.assert_allclose(missing.add_frames(part, np.ones((1, 3), dtype=bool)), [1.0])

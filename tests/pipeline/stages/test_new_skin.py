@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bench.contact_grid import energies, skin_in_contact
+from bench.contact_grid import skin_in_contact
 from fingerflow import process
-from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from tests.pipeline.stages.rolling import Rolling, write_rolling
-from tests.small_trials import edit_scene
 
 ROLLING = Rolling(
     n_frames=20,
@@ -81,56 +79,3 @@ def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:
     z = (result["median_divergence"].values[3:] - true) / result["median_divergence_std"].values[3:]
     assert np.nanmean(np.abs(z) < 2) > 0.85
     assert np.nanmax(np.abs(z)) < 4
-
-
-def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
-    """Points seeded later err by less than 0.1 px (median) from the frame of their seeding on, as points
-    of a press do.
-    """
-    status, pixels, errors = result["status"].values, result["position_px"].values, []
-    for point in np.flatnonzero(status[0] == NOT_YET):
-        seeded = int(np.argmax(status[:, point] != NOT_YET))
-        assert np.isnan(pixels[:seeded, point]).all()
-        assert not result["in_contact"].values[:seeded, point].any()
-        if status[LAST, point] == TrackStatus.TRACKED:
-            true = TRUTH.follow(pixels[seeded, point][None], seeded, LAST)[0]
-            errors.append(np.linalg.norm(pixels[LAST, point] - true))
-    assert len(errors) > 40
-    assert np.median(errors) < 0.1
-    assert np.mean(np.array(errors) < 0.5) > 0.95
-
-
-def test_backward(folder: Path) -> None:
-    """Points seeded in the last frame are tracked backward; added points lie on skin that was in contact at the start
-    and has left since.
-    """
-    result = process(edit_scene(folder, {'direction = "forward"': 'direction = "backward"'}, "backward.toml"))
-    assert (result["status"].values[LAST] == NOT_YET).sum() > 20
-    assert_displacement_since_onset(result, LAST)
-
-
-@pytest.mark.long
-def test_a_slow_roll(tmp_path: Path) -> None:
-    """In the views of the rig, coverage exceeds 0.9 and the median divergence errs by less than 1 um/mm of 99, due to
-    errors of the entry frame; the true field is uniform, so smoothing adds no error. The energy agrees to 10 % with
-    that of the skin in contact; triangles at the border count as a whole.
-
-    With the points of the first seeding alone, coverage falls to 0.64 and medians are NaN from frame 29 on. With skin
-    that has left on the other side the energy would be 1.6 times as large.
-    """
-    trial = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
-    result = process(write_rolling(tmp_path / "rolling", trial) / "scene.toml")
-    assert result["field_coverage"].values.min() > 0.9
-    frames = range(8, 60, 3)
-    gradients = [trial.truth.entry_gradient(skin_in_contact(trial, k, 0.4), k) for k in frames]
-    error = result["median_divergence"].values[frames] - [
-        np.nanmedian(one.trace(axis1=1, axis2=2)) for one in gradients
-    ]
-    assert np.abs(error).max() < 1e-3
-    # A third of the contact has entered since, so the median lies in the tail of the skin of the first frame, where
-    # noise of single fits changes it. Errors of points alone give 0.1 um/mm; 3 of 18 frames are within two of these.
-    stated = result["median_divergence_std"].values[frames]
-    assert np.mean(np.abs(error) < 2 * stated) > 0.8
-    assert stated.max() < 1e-3
-    energy = energies(trial.truth.entry_gradient(skin_in_contact(trial, 59, 0.1), 59), 0.1).sum()
-    assert result["strain_energy"].values[-1] == pytest.approx(energy, rel=0.1)

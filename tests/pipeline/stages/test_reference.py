@@ -66,35 +66,6 @@ def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | in
     assert not np.nan_to_num(result["displacement"].values[frame]).any()
 
 
-def test_by_onset_sliding_counts_as_another_strain(scene: Scene) -> None:
-    """Counted from their onsets, neighbours have different reference times: the true divergence is 115 um/mm, against
-    100 um/mm of the skin itself.
-    """
-    truth = PRESS.truth
-    by_onset, by_skin = truth.medians(39).divergence, truth.medians(39, reference=0).divergence
-    assert by_onset - by_skin > 0.01
-    result = counted_from(scene, "onset")
-    # At 40 frames/s the contact grows by up to 0.2 mm per frame while the skin slides, and the onset is late by this.
-    assert abs(result["median_divergence"].values[39] - by_onset) < 0.006
-    assert "reference_frame" not in result["divergence"].attrs
-    assert "own onset" in result["displacement"].attrs["reference"]
-
-
-def test_truth_by_a_frame_is_the_difference_of_two_positions() -> None:
-    truth = PRESS.truth
-    points = np.array([[6.5, 5.0], [7.2, 4.4], [6.0, 5.6]])
-    material, step = truth.material(points, 39), 1e-5
-    moved = truth.displacement(material, 39, reference=12)
-    np.testing.assert_allclose(moved, truth.positions(material, 39) - truth.positions(material, 12), atol=1e-12)
-    begun = truth.positions(material, 12)
-    gradient = truth.gradient(material, 39, reference=12)
-    for axis in range(2):
-        beside = begun.copy()
-        beside[:, axis] += step
-        other = truth.displacement(truth.material(beside, 12), 39, reference=12)
-        np.testing.assert_allclose(gradient[..., axis], (other - moved) / step, atol=1e-4)  # second order in step
-
-
 def test_what_is_unknown_in_the_reference_is_said(changed: Change, frames: np.ndarray[Any, Any]) -> None:
     """Points lost in the reference frame, behind a patch of the topography view, have no displacement, and a warning
     counts them. A frame outside the recording or without light is refused.

@@ -121,17 +121,3 @@ def test_a_picture_is_a_region_and_what_does_not_fit_is_refused(
         drawn(CONTACT, 'mask = "other.png"')
     with pytest.raises(FingerflowError, match=r"both say where points are chosen"):
         changed({TOPOGRAPHY: f"{TOPOGRAPHY}\nregion = {{polygon = [[0, 0], [90, 0], [90, 90]]}}"})
-
-
-def test_points_lie_evenly_over_the_region(drawn: Callable[..., Scene]) -> None:
-    """The mean distance to the nearest point is 1.3 times that of random points or more (Clark & Evans 1954).
-
-    The ratio is 1 for random points, 2.15 for a triangular lattice, below 1 for clusters, and about 1 for the strongest
-    corners of ridges.
-    """
-    region = "polygon = [[22, 20], [98, 20], [98, 76], [22, 76]]"
-    result = process(drawn(TOPOGRAPHY, region, {POINTS: "points = 40"}), ["position_px"])
-    points = result["position_px"].values[0]
-    assert len(points) == 40
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + 1e9 * np.eye(len(points))
-    assert apart.min(1).mean() / (0.5 / np.sqrt(len(points) / (76 * 56))) > 1.3

@@ -48,13 +48,3 @@ def test_period_and_offset(texture: Skin) -> None:
     noise = np.random.default_rng(0).normal(size=topography.shape)
     assert ridges.offset_px(skin, noise, matrix) == 0
     assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0
-
-
-def test_what_shows_no_ridges_has_no_period() -> None:
-    inside = np.ones((120, 160), bool)
-    light = np.full(inside.shape, 100, np.float32)
-    for picture in (np.random.default_rng(1).normal(50, 5, inside.shape), np.full(inside.shape, 50.0)):
-        skin = ridges.skin_in(picture, light, inside)
-        assert skin is not None
-        assert np.isnan(ridges.period_px(skin))
-    assert ridges.skin_in(light, light, np.zeros_like(inside)) is None

@@ -1,10 +1,9 @@
 """Tests of medians and time derivatives of series."""
 
 import numpy as np
-import pytest
 from scipy.signal import savgol_filter
 
-from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
+from fingerflow.pipeline.stages.preparation.series import rate
 
 STEP = 1 / 300
 
@@ -21,15 +20,3 @@ def test_rates_are_those_of_savitzky_and_golay() -> None:
         np.testing.assert_allclose(found[:, column], expected, atol=1e-8)
     parabola = (STEP * np.arange(3.0)) ** 2
     np.testing.assert_allclose(rate(parabola, STEP * np.arange(3), 0.0), 2 * STEP * np.arange(3), atol=1e-12)
-
-
-@pytest.mark.filterwarnings("ignore:All-NaN slice")
-def test_medians_are_those_of_numpy() -> None:
-    random = np.random.default_rng(5)
-    values = random.normal(size=(6, 31, 2))
-    values[random.random(values.shape) < 0.3] = np.nan
-    values[2, :, 1], values[3, 1:, 0] = np.nan, np.nan
-    for kind in (np.float64, np.float32):
-        given = values.astype(kind)
-        np.testing.assert_array_equal(nanmedian(given), np.nanmedian(given, axis=1))
-    np.testing.assert_array_equal(nanmedian(values[:, :0]), np.full((6, 2), np.nan))

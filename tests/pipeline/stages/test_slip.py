@@ -3,7 +3,6 @@
 import functools
 import json
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from fingerflow.pipeline.plan import plan
 from fingerflow.pipeline.stages.preparation.inputs import open_inputs
 from fingerflow.pipeline.stages.slip.dense_flow_slip import DenseFlowSlipStage
 from fingerflow.schema.scene import Scene, Views
-from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+from fingerflow.synthetic import PartialSlip, rebuild_scene
 from tests.small_trials import scene_beside, write_small_slip
 
 NAMES = ("abrupt", "fading")
@@ -105,51 +104,6 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
     assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
-def test_registered_positions_show_the_mean_displacement_of_their_windows(slip_trials: Path) -> None:
-    """Without the correction for deformation, points move by the mean displacement over their windows; with it, by that
-    of the windows' centres.
-
-    The mean error along the pull is 0.016 px of the window means and 0.011 px of the centres, each with a standard
-    deviation of 0.007 px by the noise of 146 points. Means and centres differ by 0.07 px.
-    """
-    scene, trial = load_scene(slip_trials / "abrupt" / "scene.toml"), rebuild_scene(slip_trials / "abrupt")
-    assert isinstance(trial, PartialSlip)
-    result = process(scene, ["position_px", "deformation_correction_px"])
-    pixels, correction = (result[name].values for name in ("position_px", "deformation_correction_px"))
-    frame = int(np.argmin(np.abs(shares(slip_trials / "abrupt") - 0.4)))
-    reach = np.arange(scene.tracking.window_px) - scene.tracking.window_px // 2
-    window = pixels[0][:, None] + np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
-    moved = (trial.truth.follow(window, 0, frame) - window) @ (math.cos(trial.direction), math.sin(trial.direction))
-    mean, centre = moved.mean(1), moved[:, len(reach) ** 2 // 2]
-    tracked = (pixels[frame] - pixels[0]) @ (math.cos(trial.direction), math.sin(trial.direction))
-    registered = tracked + correction[frame] @ (math.cos(trial.direction), math.sin(trial.direction))
-    compared = np.isfinite(tracked) & (np.abs(mean - centre) > 0.03)
-    assert compared.sum() > 100
-
-    def error(found: NDArray[np.float64], true: NDArray[np.float64]) -> float:
-        return abs(float((found - true)[compared].mean()))
-
-    assert error(registered, mean) < 0.035 < error(registered, centre)
-    assert error(tracked, centre) < 0.035 < error(tracked, mean)
-
-
-@pytest.mark.long
-def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
-    """In views as large as the rig's, d² errs by less than 0.03 with the default settings; the paper's limit of 40 um
-    takes slipping skin for sticking skin.
-    """
-    write_recording(tmp_path / "trial", PartialSlip(n_frames=100, frame_rate=20.0, frames_before_trigger=4))
-    scene = load_scene(tmp_path / "trial" / "scene.toml")
-    model, slow = shares(tmp_path / "trial"), shares(tmp_path / "trial", 0.04)
-    found = process(scene, ["stuck_ratio"])["stuck_ratio"].values
-    printed = process(by(scene, "displacement"), ["stuck_ratio"])["stuck_ratio"].values
-    assert ((model > 0.05) & (model < 0.95)).sum() > 30
-    assert known(np.abs(printed - slow)).max() < 0.025
-    assert 0.15 < known(printed - model).max() < 0.21
-    assert known(np.abs(found - model)).max() < 0.03
-    assert np.quantile(known(np.abs(found - model)), 0.9) < 0.02
-
-
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
 def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
     """The verdict is that of the truth, and the outputs agree with each other."""
@@ -182,7 +136,6 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     press = replace(slip, kind="press")
     areas = replace(slip, views=Views({"contact": slip.views.contact}))
     assert plan(["stuck_ratio"], press).names == ("loading", "frame_check", "contact", "tracking", "slip")
-    assert plan(["load_ratio"], press).names == ("loading",)
     assert "slip" not in plan(None, press).names
     assert "slip" in plan(None, slip).names
     assert "slip" not in plan(None, areas).names
@@ -193,7 +146,6 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
         plan(["dense_flow_difference"], slip)
     assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(slip)).names
-    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(slip)).names
 
 
 def test_trials_that_cannot_be_judged(slip_trials: Path, tmp_path: Path) -> None:
@@ -386,14 +338,3 @@ def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[st
         values = result[f"incipient_slip_{part}"].values[20:80]
         assert np.isfinite(values).mean() > 0.95
         assert np.nanmin(values) > 0
-
-
-def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
-    """Windows of 15 px have noise of about 2 um: a limit of 1 um gives a warning."""
-    scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
-    scene = replace(scene, recording=replace(scene.recording, last_frame=40))
-    scene = replace(scene, slip=replace(scene.slip, stuck_mm=0.001))
-    (warning,) = warnings_of(process(scene, ["stuck_ratio"]))
-    noise = float(re.search(r"standard deviation of ([0-9.]+) µm", warning)[1])
-    assert 1 < noise < 3
-    assert "has moved by 1.0 µm counts as slipped: where the stuck part ends is not known" in warning

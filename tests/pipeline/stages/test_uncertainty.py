@@ -14,18 +14,15 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.graphs.fields_graph import Fields
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
 from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
-from fingerflow.pipeline.stages.fields.median_bias import MedianBias, rank_variance
+from fingerflow.pipeline.stages.fields.median_bias import MedianBias
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import Batch, RunContext
 from fingerflow.pipeline.stages.strain import strain_stage as strain
-from fingerflow.pipeline.stages.strain.contact_energy import perimeter
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # SPEED is that of the border, mm per frame
 WINDOW_PX, COPIES = 25, 40
@@ -194,27 +191,26 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
         assert LEAST[kind] < z < MOST[kind].get(name.split()[0], 1.25), (name, z)
 
 
-@pytest.mark.parametrize("template", ["keyframe", "previous"])
-def test_noise_of_the_template_falls_out(template: str) -> None:
+@pytest.mark.parametrize(
+    ("template", "variance", "expected"),
+    [
+        ("keyframe", [0, 2, 2, 2], [[0, 2], [2, 0.5], [2, 1.5], [2, 1.5]]),
+        ("previous", [0, 2, 4, 6], [[0, 2], [2, 0.5], [4, 2.5], [6, 4.5]]),  # variances add up
+    ],
+)
+def test_noise_of_the_template_falls_out(template: str, variance: list[float], expected: list[list[float]]) -> None:
     """Noise of the template cancels in differences of positions with key frame 0: a position has the variance 2, half
     from the template, and a difference of two positions 1 + 1.
 
     The other point touches half way between the key frame and the next frame, so its reference has half of that noise.
     """
-    deviation = np.sqrt(np.array([[0, 0], [2, 2], [2, 2], [2, 2]], np.float32))
-    if template == "previous":  # variances add up
-        deviation = np.sqrt(np.array([[0, 0], [2, 2], [4, 4], [6, 6]], np.float32))
+    deviation = np.sqrt(np.array([variance, variance], np.float32).T)
     position = np.zeros((4, 2, 2))
     covered = np.array([[1, 0], [1, 1], [1, 1], [1, 1]], bool)
     given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
     trial = trial_of(inputs(template), contact(), 4, **given)
     run(trial, DisplacementStage(trial))
     found = values_of(trial, "displacement_std") ** 2 / MM_PER_PX**2
-    by_template = {
-        "keyframe": [[0, 2], [2, 0.5], [2, 1.5], [2, 1.5]],
-        "previous": [[0, 2], [2, 0.5], [4, 2.5], [6, 4.5]],
-    }
-    expected = by_template[template]
     np.testing.assert_allclose(found[:, 0], np.array(expected)[:, 0], rtol=1e-5)
     np.testing.assert_allclose(found[1:, 1], np.array(expected)[1:, 1], rtol=1e-5, atol=1e-6)
 
@@ -232,72 +228,6 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     assert values_of(trial, "onset_frame").tolist() == [1, -1, -1]
     assert np.isnan(moved[:, 1:]).all()
     assert np.isfinite(moved[1:, 0]).all()
-
-
-def test_there_is_no_energy_only_where_nothing_touches() -> None:
-    """The energy is NaN if all points of a contact are lost, or seven in ten, and 0 only without contact; at rest the
-    energy is below its deviation.
-    """
-    motion, points = Motion((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), 0.05), material()
-    energies = []
-    for seed in range(20):
-        trial = measured(tracked(motion, points, seed))
-        energies.append([values_of(trial, name)[-1] for name in NAMES["energy"]])
-    energy, deviation = np.array(energies).T
-    assert abs(energy.mean()) < 0.75 * deviation.mean()
-    for kept in (0, 3 * len(points) // 10):
-        lost = tracked(motion, points, 0, known=20, kept=kept)
-        lost.stage(ContactStage).series["gross_contact_area"][3] = 0
-        found = values_of(measured(lost), "strain_energy")
-        assert np.isnan(found[20:]).all()
-        assert found[3] == 0
-        assert np.isfinite(found[15:20]).all()
-
-
-def test_medians_state_what_is_not_known_of_the_contact() -> None:
-    """The deviation of a median includes the unknown share of the contact.
-
-    Fields are evenly spread from 0 to 100. If a fifth is unknown, the median is off by up to 1/8 of the rest, 12.5: a
-    deviation of 12.5 / sqrt(3). The median is that of the area, not of the points. Advected points increase the
-    deviation.
-    """
-    values = torch.arange(101.0)[None]
-    every = values[..., None].expand(-1, -1, 3)
-
-    def found(share: float, median: float) -> Fields:
-        known = torch.tensor([share])
-        return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
-
-    np.testing.assert_allclose(np.sqrt(rank_variance(found(0.8, 50.0))), 12.5 / np.sqrt(3), rtol=0.05)
-    assert (rank_variance(found(1.0, 50.0)) == 0).all()
-    near_the_end = np.sqrt(rank_variance(found(0.8, 98.0))) * np.sqrt(3)
-    np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
-    # With 16 advected points the rank varies by 4 points, and evenly spread fields by 4.
-    np.testing.assert_allclose(np.sqrt(rank_variance(found(1.0, 50.0), np.array([16]))), 4.0)
-    both = np.sqrt(rank_variance(found(0.8, 50.0), np.array([16])))
-    np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
-    nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
-    assert (rank_variance(nothing) == 0).all()
-
-
-def test_energy_in_a_strip_along_the_border() -> None:
-    """The energy in a strip along the border is perimeter times width at a uniform 1 mJ/mm^3; the perimeter is 9.6884
-    mm for semi-axes of 2 and 1 mm (complete elliptic integral). Excluded triangles, and frames without any, add
-    nothing.
-    """
-    places = np.random.default_rng(2).uniform(-2, 2, (1, 400, 2))
-    inside = np.hypot(*np.moveaxis(places, -1, 0) / np.array([2.0, 1.0])[:, None, None]) < 1
-    density = np.where(inside, 1.0, np.nan).repeat(3, axis=0)
-    density[1] *= 7.0 * (places[0, :, 0] < 0)
-    density[2] = np.nan
-    quarter = np.stack((-places[..., 1], places[..., 0]), axis=-1)
-    center, semi_axes, angle = np.tile([3.0, -1.0], (3, 1)), np.tile([2.0, 1.0], (3, 1)), np.array([0, np.pi / 2, 0])
-    at = np.concatenate([places, quarter, places]) + np.array([3.0, -1.0])
-    border = Border(center, semi_axes, angle)
-    found = BORDER_MM * perimeter(semi_axes) * strain.border_density(density, np.ones(400), at, border, reach_mm=0.4)
-    assert found[0] == pytest.approx(9.6884 * BORDER_MM, rel=1e-4)
-    assert 2 < found[1] / found[0] < 5  # half of the border has a density of 7, the other half 0
-    assert found[2] == 0
 
 
 def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() -> None:

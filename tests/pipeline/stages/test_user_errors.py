@@ -138,30 +138,6 @@ def test_a_damaged_frame_of_the_background_does_not_count(changed: Change, press
     assert damaged["real_contact_area"].max() > 1
 
 
-@pytest.mark.parametrize(("dtype", "factor"), [(np.uint16, 256), (np.float64, 1)])
-def test_any_depth_gives_the_same_contact(
-    changed: Change, frames: Array, press: Path, dtype: type[Any], factor: int
-) -> None:
-    """Frames of 16 bit and floating-point frames give the same quotient and hence the same contact."""
-    scaled = {name: np.load(press / f"{name}.npy") * np.float32(factor) for name in ("empty", "dark")}
-    deep = process(changed(frames=frames.astype(dtype) * factor, **scaled), [*AREAS, "position_px"])
-    plain = process(changed(), [*AREAS, "position_px"])
-    for name in AREAS:
-        np.testing.assert_allclose(deep[name], plain[name], rtol=1e-6, err_msg=name)
-    np.testing.assert_allclose(deep["position_px"], plain["position_px"], atol=2e-3)
-
-
-@pytest.mark.parametrize("replaced", [{}, FIXED, PER_FRAME])
-def test_contact_everywhere(changed: Change, frames: Array, replaced: dict[str, str]) -> None:
-    """If all lit glass is dark, the gross area is that of the view without its unlit corners."""
-    covered = frames.copy()
-    covered[:, :, 120:] = (0.3 * frames[:1, :, 120:]).astype(frames.dtype)
-    result = process(changed(replaced, frames=covered), AREAS)
-    whole = 96 * 120 * 0.0325**2
-    assert (result["gross_contact_area"].values <= whole).all()
-    assert (result["gross_contact_area"].values > 0.8 * whole).all()
-
-
 def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each recording and its background are closed after processing, so that one process can handle thousands."""
     closed, close = set[str](), FileRecording.close
