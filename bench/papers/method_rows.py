@@ -20,7 +20,7 @@ from fingerflow.calibration.registration import fit_affine
 from fingerflow.errors import FingerflowError
 from fingerflow.models.half_space import stress
 from fingerflow.models.hemisphere import radial_strain
-from fingerflow.models.observer.trials_table import leave_out_moved
+from fingerflow.models.observer.trials_table import MOVED_MM
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
@@ -320,9 +320,8 @@ def _strain_gain(study: PressStudy) -> Obtained:
 
 
 def _exclusion(study: PressStudy) -> Obtained:
-    limit = _default(leave_out_moved, "limit_mm")
     left_out = study.statistics.get("observer", {}).get("left_out", 0)
-    return Obtained(f"{limit:g} mm; {left_out} of {study.sample.counted.used} trials left out", exactly(limit))
+    return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.counted.used} trials left out", exactly(MOVED_MM))
 
 
 _INSTRUMENT = "a property of the instrument, a Fabry-Perot tribometer; nothing of the simulation depends on it"

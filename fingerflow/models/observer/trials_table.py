@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 COLUMNS = ("participant", "trial", "condition", "answer")
 # Columns that measure the sideways motion of the finger itself, so `leave_out_moved` keeps them.
 _OF_MOTION = ("global_displacement", "force_angle")
-_MOVED_MM = 0.2  # displacement above which a finger has slid as a whole
+MOVED_MM = 0.2  # displacement above which a finger has slid as a whole
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,11 @@ def leave_out_moved(trials: Trials) -> Trials:
     if "global_displacement" not in trials.metrics:
         raise FingerflowError("the table has no global_displacement (mm): trials cannot be left out by it")
     with np.errstate(invalid="ignore"):
-        out = ~(trials.metrics["global_displacement"] <= _MOVED_MM)
+        out = ~(trials.metrics["global_displacement"] <= MOVED_MM)
     metrics = {
         name: values if name in _OF_MOTION else np.where(out, np.nan, values) for name, values in trials.metrics.items()
     }
-    rule = f"global displacement above {_MOVED_MM:g} mm, or not known"
+    rule = f"global displacement above {MOVED_MM:g} mm, or not known"
     return Trials(trials.participant, trials.trial, trials.condition, trials.answer, metrics, int(out.sum()), rule)
 
 

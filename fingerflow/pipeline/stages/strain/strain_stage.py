@@ -1,5 +1,6 @@
 """Strain of the triangles between tracked points, and strain energy of the skin in contact."""
 
+from bisect import bisect_left
 from typing import Any
 
 import numpy as np
@@ -266,9 +267,15 @@ def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return, for each frame, the first of the frames up to it in which the mean radius (n,) mm of the contact has been
     within `GROWTH_MM` of its value there, or larger.
     """
-    smaller = radius < radius[:, None] - GROWTH_MM
-    smaller |= ~np.isfinite(radius)
-    before = np.tril(smaller, -1)
-    last = len(radius) - 1 - before[:, ::-1].argmax(1)
-    result: NDArray[np.intp] = np.where(before.any(1), last + 1, 0)
+    result = np.zeros(len(radius), np.intp)
+    # Earlier frames that no later one has a smaller radius than, and their radii, which ascend.
+    frames, radii = list[int](), list[float]()
+    for frame, size in enumerate(np.where(np.isfinite(radius), radius, -np.inf).tolist()):
+        smaller = bisect_left(radii, size - GROWTH_MM)
+        result[frame] = frames[smaller - 1] + 1 if smaller else 0
+        while radii and radii[-1] >= size:
+            frames.pop()
+            radii.pop()
+        frames.append(frame)
+        radii.append(size)
     return result
