@@ -42,8 +42,8 @@ class RecordingEngine(OnnxEngine):
 
     def __init__(self, settings: EngineSettings, threads: int) -> None:
         with_deviations = build(settings, points=1, deviations=True)
-        of_fields = {f"{name}_std": graph for name, graph in with_deviations.items() if name.startswith("fields")}
-        graphs: dict[str, Graph] = {**build(settings, points=1), **of_fields}
+        graphs: dict[str, Graph] = {str(name): graph for name, graph in build(settings, points=1).items()}
+        graphs |= {f"{name}_std": graph for name, graph in with_deviations.items() if name.startswith("fields")}
         super().__init__({name: ExportedGraph(graph, threads) for name, graph in graphs.items()}, settings)
         self._torch = TorchEngine(settings, torch.device("cpu"))
 
