@@ -208,7 +208,7 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
     late: list[Any] = []
     with opened(browser, press / "scene.toml") as (page, _):
         page.wait_for_selector("#legend:has-text('points, seeded in frame')")
-        page.route("**/api/edit", late.append, times=1)
+        page.route("**/api/edit", lambda route: late.append(route), times=1)
         with page.expect_request("**/api/edit"):
             fill(page, "tracking.points", "50")
         fill(page, "tracking.min_distance_px", "5")  # sent after the answer to the first change
