@@ -22,12 +22,14 @@ from fingerflow.engines.engine import (
     KeyFrame,
 )
 from fingerflow.engines.native_fields import fields_of_frames
-from fingerflow.kernels import contact_frames, deformation, tracked_points, tracking
+from fingerflow.kernels import tracking
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, cell_of
+from fingerflow.kernels.contact import contact_threshold
+from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, block_of, cell_of
+from fingerflow.kernels.detection_limits import NOISE, QUALITY
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
-from fingerflow.kernels.tracked_points import NeighbourLists
+from fingerflow.kernels.library import run
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 
 
@@ -36,7 +38,7 @@ class _NativeTemplates:
     """Templates of N points: reference positions (1, N, 2), sampled grey levels of the windows around them, and
     statistics of these samples.
 
-    They are the results of `kernels.tracking.prepare_templates`.
+    They are the results of the kernel `prepare_templates`.
     """
 
     arrays: tuple[Array, Array, Array]
@@ -58,6 +60,8 @@ class NativeEngine:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
+        if self.cell_px > 2 * settings.gross_radius_px + 1:
+            raise ValueError(f"cells of {self.cell_px} px: the boxes of {settings.gross_radius_px} px are narrower")
 
     def images(self, frames: Array) -> Array:
         if frames.dtype == np.float64:
@@ -71,47 +75,58 @@ class NativeEngine:
         return GlassLight(light[None, None], black[None, None])
 
     def contact(self, images: Array, light: GlassLight, threshold: Array) -> FrameContact:
-        own = self.settings
-        limits = (1 - threshold).astype(np.float32)
-        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "cell": self.cell_px}
-        found = contact_frames.contact_of_frames(images, light.light, light.black, limits, **sizes)
-        numbers = found.numbers
-        real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-        return FrameContact(
-            found.real_contact_mask, real, gross, center, axes, angle, found.density_margin, found.gains
+        radius = self.settings.gross_radius_px
+        mask, density_margin, numbers, gains = run(
+            "contact_of_frames",
+            frames=images,
+            light=light.light,
+            black=light.black,
+            limits=(1 - threshold).astype(np.float32),
+            size=self.settings.median_px,
+            block=block_of(radius),
+            radius=radius,
+            side=self.cell_px,
         )
+        real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
+        return FrameContact(mask, real, gross, center, axes, angle, density_margin, gains)
 
     def threshold(self, images: Array, light: GlassLight) -> Array:
-        own = self.settings
-        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "stride_px": own.stride_px}
+        sizes = {name: getattr(self.settings, name) for name in ("median_px", "stride_px")}
         unknown = np.full(len(images), np.nan, np.float32)
         gains = self.contact(images, light, unknown).illumination_gain
-        return contact_frames.contact_threshold(images, light.light, light.black, gains, **sizes)
+        return contact_threshold(
+            *(images, light.light, light.black, gains), radius=self.settings.gross_radius_px, **sizes
+        )
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
         transform = topography_to_contact.astype(np.float32)
-        return contact_frames.covered(density_margin, points, transform, self.cell_px)
+        contact = {"density_margin": density_margin, "side": self.cell_px}
+        return run("covered", **contact, points=points, transform=transform)
 
     def detect(self, image: Array, mask: Array, count: int) -> Array:
-        own = self.settings
-        found = tracked_points.detect_points(
-            image, mask, count, min_distance_px=own.min_distance_px, window=own.window_px
-        )
-        return found.points[np.isfinite(found.points[:, 0])]
+        height, width = mask.shape
+        count = min(count, mask.size)
+        border = min(self.settings.window_px // 2 + 3, (min(mask.shape) - 1) // 2)
+        beside = max(1, round(self.settings.min_distance_px / 2))
+        farthest = max(beside + 1, math.isqrt(height * width // count))
+        limits = {"border": border, "beside": beside, "farthest": farthest, "quality": QUALITY, "noise": NOISE}
+        points, _ = run("detect_points", frame=image, mask=mask[None, None], count=count, **limits)
+        return points[np.isfinite(points[:, 0])]
 
     def key(self, image: Array) -> KeyFrame:
         return KeyFrame(image.copy(), self.noise(image))
 
     def noise(self, image: Array) -> float:
-        return float(np.float32(math.sqrt(math.pi / 2) / 6 * tracking.mean_response(image)[0]))
+        return float(np.float32(math.sqrt(math.pi / 2) / 6 * run("mean_response", frames=image)[0]))
 
     def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _NativeTemplates:
         own = self.settings
         variance = np.square(np.array([key.noise], np.float32))
         inverse = None if warp is None else inverse_2x2(warp.astype(np.float32))[None]
         rounding = ROUNDING if key.image.dtype.kind in "iu" else 0.0
-        given = (key.image, np.ascontiguousarray(points, np.float32)[None], inverse, variance)
-        return _NativeTemplates(tracking.prepare_templates(*given, own.window_px, own.gain_offset, rounding))
+        arrays = {"image": key.image, "start": points[None], "inverse_warp": inverse, "variance": variance}
+        sizes = {"window": own.window_px, "gain_offset": own.gain_offset, "rounding": rounding}
+        return _NativeTemplates(run("prepare_templates", **arrays, **sizes))
 
     def update(self, templates: _NativeTemplates, rows: Array, updated: _NativeTemplates) -> None:
         for old, new in zip(templates.arrays, updated.arrays, strict=True):
@@ -127,7 +142,7 @@ class NativeEngine:
         return Followed(FoundPoints(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        corrected = deformation.correct_points(
+        corrected = tracking.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,
             gauge_px=WARP_GAUGE_PX,
@@ -135,26 +150,22 @@ class NativeEngine:
         better = found._replace(points=corrected.points, covariance=corrected.covariance)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
-    def neighbours(self, start: Array) -> NeighbourLists:
-        return tracked_points.find_neighbours(start, WARP_GAUGE_PX)
+    def neighbours(self, start: Array) -> tracking.NeighbourLists:
+        return tracking.find_neighbours(start, WARP_GAUGE_PX)
 
-    def outliers(self, neighbours: NeighbourLists, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        moved, deviation = found.points - start, np.sqrt(found.variance)
-        judged = tracked_points.find_outliers(neighbours, moved, deviation)
-        return judged.off_neighbours, judged.uncertain
+    def outliers(self, neighbours: tracking.NeighbourLists, start: Array, found: FoundPoints) -> tuple[Array, Array]:
+        return tracking.find_outliers(neighbours, found.points - start, np.sqrt(found.variance))
 
     def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
-        own = self.settings
-        return tracked_points.search_and_return(
-            *(key.image, image, points, guess),
-            window=own.window_px,
-            radius=own.search_px,
-            forward_backward_limit=own.forward_backward_limit_px,
-        )
+        size, reach = tracking.sizes_of(self.settings.window_px, self.settings.search_px)
+        positions = {"start": points, "guess": guess, "image_index": np.zeros(len(points), np.int64)}
+        limit = self.settings.forward_backward_limit_px + tracking.SEARCHED
+        search = {"size": size, "reach": reach, "limit": limit}
+        return run("search_and_return", key=key.image, current=image, **positions, **search)
 
     def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
-        given = (places.astype(np.float32), np.ascontiguousarray(warp, np.float32))
-        return tracking.sample_windows(images, number, *given, self.settings.window_px, step)
+        grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
+        return run("sample_windows", images=images, image_index=number, **grid)
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
         places, moved, asked = (np.ascontiguousarray(one, np.float64) for one in (points[None], values, queries[None]))

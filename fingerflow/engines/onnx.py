@@ -29,7 +29,7 @@ from fingerflow.engines.engine import (
 from fingerflow.engines.prediction import MotionState
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.contact_sizes import cell_of
-from fingerflow.kernels.tracked_points import find_neighbours
+from fingerflow.kernels.tracking import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))

@@ -14,7 +14,7 @@ from typing import Any
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.engines.choice import engine_of_stream
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.kernels.library import set_threads, threads
+from fingerflow.kernels.kernel import set_threads, threads
 from fingerflow.player.addresses import open_address
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Slot
