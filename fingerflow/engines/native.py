@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,13 +20,13 @@ from fingerflow.engines.engine import (
     FrameEllipse,
     FrameFields,
     GlassLight,
-    KeyFrame,
+    Recent,
 )
 from fingerflow.engines.native_fields import fields_of_frames
 from fingerflow.kernels import tracking
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.contact import contact_threshold
-from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, block_of, cell_of
+from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
@@ -36,17 +37,21 @@ from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS,
 @dataclass
 class _NativeTemplates:
     """Templates of N points: reference positions (1, N, 2), sampled grey levels of the windows around them, and
-    statistics of these samples.
-
-    They are the results of the kernel `prepare_templates`.
+    statistics of these samples, which the kernel `prepare_templates` computes; key frame, and its noise.
     """
 
     arrays: tuple[Array, Array, Array]
+    key: Array
+    noise: float
 
     @property
     def numbers(self) -> Array:
         numbers: Array = self.arrays[2][0]
         return numbers
+
+    def update(self, rows: Array, updated: _NativeTemplates) -> None:
+        for array, part in zip(self.arrays, updated.arrays, strict=True):
+            array[:, rows] = part
 
 
 class NativeEngine:
@@ -56,26 +61,27 @@ class NativeEngine:
     """
 
     name = described = "native"
+    parallel, deviations = 1, True
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         if self.cell_px > 2 * settings.gross_radius_px + 1:
             raise ValueError(f"cells of {self.cell_px} px: the boxes of {settings.gross_radius_px} px are narrower")
+        self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
         if frames.dtype == np.float64:
             frames = frames.astype(np.float32)
         return frames[:, None]
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        light, black = _glass_light(empty.astype(np.float32), dark)
-        if inside is not None:
-            light = np.where(inside, light, np.float32(0))
-        return GlassLight(light[None, None], black[None, None])
-
-    def contact(self, images: Array, light: GlassLight, threshold: Array) -> FrameContact:
+    def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         radius = self.settings.gross_radius_px
+        if threshold is None:
+            unknown = np.full(len(images), np.nan, np.float32)
+            gains = self.contact(images, light, unknown).illumination_gain
+            sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
+            threshold = contact_threshold(images, light.light, light.black, gains, **sizes)
         mask, density_margin, numbers, gains = run(
             "contact_of_frames",
             frames=images,
@@ -88,20 +94,7 @@ class NativeEngine:
             side=self.cell_px,
         )
         real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-        return FrameContact(mask, real, gross, center, axes, angle, density_margin, gains)
-
-    def threshold(self, images: Array, light: GlassLight) -> Array:
-        sizes = {name: getattr(self.settings, name) for name in ("median_px", "stride_px")}
-        unknown = np.full(len(images), np.nan, np.float32)
-        gains = self.contact(images, light, unknown).illumination_gain
-        return contact_threshold(
-            *(images, light.light, light.black, gains), radius=self.settings.gross_radius_px, **sizes
-        )
-
-    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        transform = topography_to_contact.astype(np.float32)
-        contact = {"density_margin": density_margin, "side": self.cell_px}
-        return run("covered", **contact, points=points, transform=transform)
+        return FrameContact(mask, real, gross, center, axes, angle, density_margin, gains, threshold)
 
     def detect(self, image: Array, mask: Array, count: int) -> Array:
         height, width = mask.shape
@@ -113,35 +106,37 @@ class NativeEngine:
         points, _ = run("detect_points", frame=image, mask=mask[None, None], count=count, **limits)
         return points[np.isfinite(points[:, 0])]
 
-    def key(self, image: Array) -> KeyFrame:
-        return KeyFrame(image.copy(), self.noise(image))
+    def prepare(self, key: Array | _NativeTemplates, points: Array, warp: Array | None = None) -> _NativeTemplates:
+        if isinstance(key, _NativeTemplates):
+            image, noise = key.key, key.noise
+        else:
+            image = key.copy()
+            noise = float(np.float32(math.sqrt(math.pi / 2) / 6 * run("mean_response", frames=image)[0]))
+        arrays = run(
+            "prepare_templates",
+            image=image,
+            start=points.astype(np.float32, copy=False)[None],
+            inverse_warp=None if warp is None else inverse_2x2(warp.astype(np.float32))[None],
+            variance=np.square(np.array([noise], np.float32)),
+            window=self.settings.window_px,
+            gain_offset=self.settings.gain_offset,
+            rounding=ROUNDING if image.dtype.kind in "iu" else 0.0,
+        )
+        return _NativeTemplates(arrays, image, noise)
 
-    def noise(self, image: Array) -> float:
-        return float(np.float32(math.sqrt(math.pi / 2) / 6 * run("mean_response", frames=image)[0]))
-
-    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _NativeTemplates:
-        own = self.settings
-        variance = np.square(np.array([key.noise], np.float32))
-        inverse = None if warp is None else inverse_2x2(warp.astype(np.float32))[None]
-        rounding = ROUNDING if key.image.dtype.kind in "iu" else 0.0
-        arrays = {"image": key.image, "start": points[None], "inverse_warp": inverse, "variance": variance}
-        sizes = {"window": own.window_px, "gain_offset": own.gain_offset, "rounding": rounding}
-        return _NativeTemplates(run("prepare_templates", **arrays, **sizes))
-
-    def update(self, templates: _NativeTemplates, rows: Array, updated: _NativeTemplates) -> None:
-        for old, new in zip(templates.arrays, updated.arrays, strict=True):
-            old[:, rows] = new
-
-    def follow(
+    def track(
         self, templates: _NativeTemplates, images: Array, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        some = templates.arrays if rows is None else tuple(one[:, rows] for one in templates.arrays)
+        arrays = templates.arrays if rows is None else tuple(array[:, rows] for array in templates.arrays)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
-        found = tracking.find_templates(some, images, place[None], speed[None], None, ROUNDS, *limits)
-        return Followed(FoundPoints(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
+        tracked = tracking.find_templates(arrays, images, place[None], speed[None], None, ROUNDS, *limits)
+        return Followed(FoundPoints(*(values[:, 0] for values in tracked[:5])), tracked.place[0], tracked.speed[0])
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
+        if len(start) > 1:  # a single point has no neighbour
+            moved, deviation = found.points - start, np.sqrt(found.variance)
+            found = found.without_outliers(*tracking.find_outliers(self._neighbours(start), moved, deviation))
         corrected = tracking.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,
@@ -150,18 +145,12 @@ class NativeEngine:
         better = found._replace(points=corrected.points, covariance=corrected.covariance)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
-    def neighbours(self, start: Array) -> tracking.NeighbourLists:
-        return tracking.find_neighbours(start, WARP_GAUGE_PX)
-
-    def outliers(self, neighbours: tracking.NeighbourLists, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        return tracking.find_outliers(neighbours, found.points - start, np.sqrt(found.variance))
-
-    def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, templates: _NativeTemplates, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
         size, reach = tracking.sizes_of(self.settings.window_px, self.settings.search_px)
         positions = {"start": points, "guess": guess, "image_index": np.zeros(len(points), np.int64)}
         limit = self.settings.forward_backward_limit_px + tracking.SEARCHED
         search = {"size": size, "reach": reach, "limit": limit}
-        return run("search_and_return", key=key.image, current=image, **positions, **search)
+        return run("search_and_return", key=templates.key, current=image, **positions, **search)
 
     def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
         grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
@@ -195,18 +184,3 @@ class NativeEngine:
             covariance=covariance,
             entered=entered,
         )
-
-
-def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """Compute light of the empty glass (0 at unlit pixels) and black level, as `ops.glass_light`.
-
-    Images are (H, W).
-    """
-    black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
-    light = empty - black
-    step = max(1, min(light.shape) // PIXELS_OF_LIGHT)
-    some = np.sort(light[::step, ::step], axis=None)
-    some = some[np.isfinite(some)]
-    full = some[max(math.ceil(len(some) * FULL_LIGHT), 1) - 1] if len(some) else math.nan
-    lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
-    return np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))

@@ -23,7 +23,6 @@ from fingerflow.graphs import (
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import gradients_at
-from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.deformation import Supports, correct_points, supports_of
@@ -133,7 +132,6 @@ def _contact_graphs(own: EngineSettings, real_contact_mask: bool) -> _Described:
         return tuple(getattr(found, name) for name in shown)
 
     return {
-        "light": (lambda empty, dark: glass_light(empty, dark, torch.float32), ("empty", "dark"), _LIGHT),
         "contact": (contact, ("contact_view", *_LIGHT, "threshold"), shown),
         "threshold": (lambda *given: (graph.threshold(*given),), ("contact_view", *_LIGHT), ("threshold",)),
     }

@@ -69,7 +69,7 @@ def open_player(
         )
     engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
     # With ONNX Runtime the lag is at least 2, so that frames computed one by one and in parallel give the same numbers.
-    lag = 1 if engine.name == "native" else max(2, parallel)
+    lag = max(engine.parallel, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
     named = options.output or scene.stream.output

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_distances import LONGEST
@@ -218,7 +219,7 @@ class StreamTracker:
     def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array, lag: int = 1) -> None:
         self._engine, self._settings, self.lag = engine, settings, lag
         self._knowledge = replace(STREAM, lag=lag)
-        self._light = engine.light(glass, dark)
+        self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
         self._to_contact = settings.topography_to_contact.astype(np.float32)
         self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
@@ -300,7 +301,7 @@ class StreamTracker:
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
-            found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
+            found = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
@@ -557,7 +558,7 @@ class StreamTracker:
         contact, size = self._contact_of(work), self._settings.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
-        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
+        covered = covers(contact.density_margin, found.estimate, self._to_contact, self._engine.cell_px)[0]
         points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:

@@ -24,7 +24,7 @@ from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, known_of
-from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
+from fingerflow.tracker.recovery import Look, Search, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
@@ -134,10 +134,8 @@ class Points:
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
         self._index = 1  # number of the next frame
-        self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
-        self._key = engine.key(image)
-        self._templates = engine.prepare(self._key, points)
+        self._templates = engine.prepare(image, points)
 
     @property
     def start(self) -> Array:
@@ -210,7 +208,7 @@ class Points:
 
         Any thread may call it while other frames are tracked.
         """
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess)).found
 
     def resolve(
         self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
@@ -246,7 +244,7 @@ class Points:
             done = 0
             for piece in one.prepared:
                 rows = one.rows[done : done + len(piece.numbers)]
-                self._engine.update(self._templates, rows, piece)
+                self._templates.update(rows, piece)
                 done += len(rows)
             self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
@@ -267,7 +265,7 @@ class Points:
         some = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[some]]
-            pending.prepared.append(self._engine.prepare(self._key, start, pending.warp[some]))
+            pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[some]))
 
     def _step(self, images: Images, around: FoundPoints) -> FoundPoints:
         self.update_due(self._index)
@@ -277,13 +275,13 @@ class Points:
             resolved = self.resolve(images, guess, self.look(images, guess), frames, around)
             return self._accepted(resolved, frames, images)
         speed = self.motion.speed
-        followed = self._engine.follow(self._templates, images, guess - speed, speed)
+        followed = self._engine.track(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
 
     def _track_image(self, image: Images, guess: Array, rows: Array) -> FoundPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess), rows).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
 
     def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> FoundPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
@@ -327,7 +325,7 @@ class Points:
             return self._track_image(image, places, rows[some])
 
         def search(some: Array, guess: Array) -> tuple[Array, Array]:
-            return self._engine.search(self._key, image, self.start[rows[some]], guess)
+            return self._engine.search(self._templates, image, self.start[rows[some]], guess)
 
         return look, search
 
@@ -380,26 +378,11 @@ class Points:
         if others:
             found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
         numbers, inverse_warp = self._template_data(others)
-        judged = self._mark_outliers(found)
-        corrected = self._engine.correct(self._every, judged, numbers, inverse_warp)
+        corrected = self._engine.correct(self._every, found, numbers, inverse_warp)
         if not others:
             return corrected
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
-
-    def _mark_outliers(self, found: FoundPoints) -> FoundPoints:
-        """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
-        if len(self._every) < 2:  # no point has a neighbour
-            return found
-        if self._neighbours is None:
-            self._neighbours = self._engine.neighbours(self._every)
-        off_neighbours, uncertain = self._engine.outliers(self._neighbours, self._every, found)
-        tracked = found.status == TrackStatus.TRACKED
-        uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
-        for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
-            if which.any():
-                found = rejected(found, which, status)
-        return found
 
     def _template_data(self, others: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -430,8 +413,7 @@ class Points:
         found, self._last = corrected.found, corrected
         if not self._by_key:
             assert image is not None
-            self._key = self._engine.key(image)
-            self._templates = self._engine.prepare(self._key, found.points[0])
+            self._templates = self._engine.prepare(image, found.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
         return found._replace(estimate=_last_seen(found.points, before))
@@ -482,8 +464,7 @@ class Points:
             (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
             (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
         ):
-            if which.any():
-                found = rejected(found, which, status)
+            found = found.rejected(which, status)
         return found
 
     def _last_warp(self) -> Array:

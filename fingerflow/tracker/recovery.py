@@ -91,17 +91,7 @@ def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> Foun
     if not wrong.any():
         return found
     estimate = np.where(wrong[..., None], guess, found.estimate)
-    return rejected(found, wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
-
-
-def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Return the tracking results with the points marked in `which` (n, N) rejected: their positions and covariances
-    are NaN, their status is `status`.
-    """
-    points, covariance = found.points.copy(), found.covariance.copy()
-    points[which] = covariance[which] = np.nan
-    changed = np.where(which, np.uint8(status), found.status)
-    return found._replace(points=points, covariance=covariance, status=changed)
+    return found.rejected(wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
 
 
 def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import STEP, Engine, Images
+from fingerflow.engines.engine import STEP, Engine, Images, noise_of
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
@@ -97,7 +97,7 @@ class Verification:
 
         alike = compare(self._first, sample(number, places, warp))
         apart = 1 - alike.correlation
-        noise: float = self._engine.noise(images[frames - 1 :])
+        noise = noise_of(self._engine, images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
         known = np.sort(apart[np.isfinite(apart)])

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.engines.engine import EngineSettings, GlassLight, KeyFrame
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import EngineSettings, GlassLight
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking
@@ -123,7 +124,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
         "contact_threshold": call(
             *(contact_threshold, frames, glass, black, np.ones(2, np.float32)), median_px=3, radius=8, stride_px=1
         ),
-        "covered": call(engine.covered, glass, points[None], np.ones((2, 3), np.float32)),
+        "covered": call(covers, glass, points[None], np.ones((2, 3), np.float32), 4),
         "block_means": call(run, "block_means", frames=frames, down=2, along=2, rows=4, columns=4),
         "correct_points": call(
             tracking.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
@@ -131,7 +132,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
         "find_outliers": call(
             tracking.find_outliers, tracking.find_neighbours(points, 120.0), moved - points, deviation
         ),
-        "search_and_return": call(engine.search, KeyFrame(frame, 1.0), frame, points, points),
+        "search_and_return": call(engine.search, engine.prepare(frame, points[:0]), frame, points, points),
         "frame_distances": call(run, "frame_distances", now=grey[:3], before=grey[3:], bands=8, most=30.0),
         "shift_windows": call(
             *(run, "shift_windows"), **windows, shift=np.zeros((200, 2)), weight=np.ones((200, 81)), noise=1.0

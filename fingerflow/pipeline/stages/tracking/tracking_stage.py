@@ -10,7 +10,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.engines.engine import FoundPoints, Images, nothing_found
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import FoundPoints, Images, noise_of, nothing_found
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -149,7 +150,7 @@ class TrackingStage(Stage):
             found = beside([found, _extend_to_batch(len(images), new)])
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = found.points, found.error, found.status
-        covered = self._engine.covered(margin, found.estimate, self._matrix)
+        covered = covers(margin, found.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
@@ -217,7 +218,7 @@ class TrackingStage(Stage):
         apart = self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
         self.warnings.extend(plausibility.of_impulses(self._impulses(image)))
-        self._create(len(points), self._engine.noise(image))
+        self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
@@ -230,7 +231,8 @@ class TrackingStage(Stage):
         """
         pixels = np.asarray(image, dtype=np.float32)[0, 0]
         apart = np.abs(pixels - cv2.medianBlur(pixels, 3))
-        return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))).mean())
+        noise = noise_of(self._engine, image)
+        return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * noise)).mean())
 
     def _start_tracking(
         self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
