@@ -23,11 +23,11 @@ class Border(NamedTuple):
     angle: Array  # (frames,) rad, angle of the first semi-axis from x towards y
 
     @classmethod
-    def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
+    def from_series(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
         """Create the border ellipses from results named `ellipse_center`, `ellipse_semi_axes` and `ellipse_angle`."""
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
-    def at(self, frames: slice | NDArray[np.intp]) -> Border:
+    def select(self, frames: slice | NDArray[np.intp]) -> Border:
         """Return the border ellipses of the given frames, a slice or indices."""
         return Border(*(one[frames] for one in self))
 

@@ -87,13 +87,13 @@ def _by_own_motion(
     `here` (E,) are the indices of these points in `position`.
     """
     way, inside = np.full((2, len(here)), np.nan)
-    then = border.at(onset).inside(reference[:, None])[:, 0]
+    then = border.select(onset).inside(reference[:, None])[:, 0]
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames].take(here, axis=1)
         # Each component separately, as NumPy is slow over an axis of two.
         way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))
-        moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.at(frames).inside(rows)
+        moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.select(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
         far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
@@ -170,7 +170,7 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
         self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
-    def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
+    def update(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
         """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
         numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
 
@@ -268,7 +268,7 @@ class Entries:
         rows = np.flatnonzero(onset >= 0)
         if len(rows):
             past = self._position[:, rows][order]
-            given = (onset[rows], self._reference[rows], self._gauge, self._border.at(order))
+            given = (onset[rows], self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _by_own_motion(past, np.arange(len(rows)), *given)
         later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._places).all(1)
         self.entered = with_neighbours(self.entered, self._places, later, NEAR * self._gauge)

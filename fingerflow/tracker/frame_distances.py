@@ -36,7 +36,7 @@ class PixelSamples(NamedTuple):
     light: Array
 
     @classmethod
-    def of(cls, frames: Array) -> PixelSamples:
+    def sample(cls, frames: Array) -> PixelSamples:
         """Sample pixels of frames (n, H, W) on a regular grid; pixels that are not finite count as 0."""
         down, along = max(1, frames.shape[1] // _LINES), max(1, frames.shape[2] // _PIXELS)
         pixels = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float32)

@@ -94,7 +94,7 @@ class Touches:
         before = np.concatenate((self._before, position))
         borders = Border(*(np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)))
         variances = np.concatenate((self._variance_before, variance))
-        self._before, self._border_before = before[-1:].copy(), borders.at(slice(-1, None))
+        self._before, self._border_before = before[-1:].copy(), borders.select(slice(-1, None))
         self._variance_before = variances[-1:].copy()
         steps, goes_on = len(frames), self.length > 0
         touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
@@ -151,7 +151,7 @@ def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[A
     frame, point = np.nonzero(begins)
     now, before = position[frame + 1, point], position[frame, point]
     outside, inside = (
-        border.at(row).inside(place[:, None])[:, 0] for row, place in ((frame, before), (frame + 1, now))
+        border.select(row).inside(place[:, None])[:, 0] for row, place in ((frame, before), (frame + 1, now))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.where(inside > outside, np.clip(outside / (outside - inside), 0, 1), 0.5)

@@ -79,7 +79,7 @@ class FrameCheck:
         every = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
         (contact, lines), *others = (_blocks(view[0]) for view in every)
         picture = Picture(
-            tuple(PixelSamples.of(view) for view in every), key_of([contact, *(one for one, _ in others)])
+            tuple(PixelSamples.sample(view) for view in every), key_of([contact, *(one for one, _ in others)])
         )
         if float(contact.mean()) < self._least:
             return picture, _DARK

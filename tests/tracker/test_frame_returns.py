@@ -38,7 +38,7 @@ def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     """Return the distances of frames from earlier ones, computed for `size` frames at a time as a stage does."""
     before, parts = None, []
     for k in range(0, len(frames), size):
-        samples = PixelSamples.of(frames[k : k + size])
+        samples = PixelSamples.sample(frames[k : k + size])
         parts.append(squared_distances_before(samples, before))
         before = samples.last(LONGEST + 1, before)
     return np.concatenate(parts)
