@@ -216,7 +216,7 @@ class DisplacementStage(Stage):
         self._inside = self._common.later & (touch.first == self._common.seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
-        self.reference = np.where(stays[:, None], touch.place, touch.first_place)
+        self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
         self.reference_px = self.inputs.on_topography(self.reference)
@@ -268,7 +268,7 @@ class DisplacementStage(Stage):
             exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
             begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
-        moved = np.subtract(position, touching.place, out=touching.place)
+        moved = np.subtract(position, touching.position, out=touching.position)
         noise = self._noise(variance, touching)
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan

@@ -10,9 +10,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, key_of
+from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_returns import jumps_and_returns
+from fingerflow.tracker.frame_jumps import jumps_and_returns
 
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
@@ -81,7 +81,7 @@ class FrameCheckStage(Stage):
             samples = PixelSamples.sample(frames)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
-        self._keys += map(key_of, zip(*view_blocks, strict=True))
+        self._keys += map(frame_key, zip(*view_blocks, strict=True))
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)

@@ -25,7 +25,7 @@ from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, TrackedPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
-from fingerflow.tracker.points import Points, beside
+from fingerflow.tracker.points import Points, join
 
 _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
@@ -136,18 +136,18 @@ class TrackingStage(Stage):
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             rest = [self._seeded[0].follow(images[1:])] if len(images) > 1 else []
-            groups.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
+            groups.append(join([first, *rest], 0))
             curved.append(self._seeded[0].curvature_variance(groups[0]))
         else:
             for points, numbers in zip(self._seeded, self._around, strict=True):
-                around = beside(groups).of(slice(None), numbers) if groups else nothing_found(len(images))
+                around = join(groups, 1).of(slice(None), numbers) if groups else nothing_found(len(images))
                 groups.append(points.follow(images, around))
                 curved.append(points.curvature_variance(groups[-1], around))
-        tracked_points = beside(groups)
+        tracked_points = join(groups, 1)
         before, last = tracked_points.status.shape[1], len(images) - 1
         new = self._seed_new(images[last:], margin[last], tracked_points.of(slice(last, None)))
         if new is not None:
-            tracked_points = beside([tracked_points, _extend_to_batch(len(images), new)])
+            tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
         covered = self._engine.covered(margin, tracked_points.estimate, self._matrix)
