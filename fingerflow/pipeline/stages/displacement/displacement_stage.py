@@ -1,6 +1,6 @@
 """Displacement of each point, counted from the point's onset of contact or from one frame common to all points."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -59,7 +59,7 @@ class DisplacementStage(Stage):
         since: the reference.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
-        places: (N, 2) mm, `CommonFrame.places`; only set by onsets.
+        common_position: (N, 2) mm, of `common_frame`; only set by onsets.
         last: the last usable frame.
         some_later: True if points were seeded later, where skin came into contact; only set by onsets.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
@@ -116,11 +116,14 @@ class DisplacementStage(Stage):
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        self._common = common_frame(self.results["position"], self.results["status"], first, backward)
+        common, self._seeded = common_frame(self.results["position"], self.results["status"], first, backward)
+        self._later = self._seeded != first
         if self.since.frame is not None:
-            self._fixed = _Fixed(
-                *(self._reference_values(name) for name in ("position", "position_px", "position_noise_px"))
+            then, names = (
+                slice(self.since.frame, self.since.frame + 1),
+                ("position", "position_px", "position_noise_px"),
             )
+            self._fixed = _Fixed(*(self.results[name][then][0] for name in names))
         self._border = Border.from_series(self.trial.stage(ContactStage).series)
         begin = int(usable[0])
         here = self.results["position"][begin : begin + 1]
@@ -138,9 +141,8 @@ class DisplacementStage(Stage):
                 gross = self.trial.stage(ContactStage).series["gross_contact_area"]
                 self.warnings.extend(plausibility.check_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
-            common, self.some_later = self._common.positions, bool(self._common.later.any())
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._border)
-            self.common_position = common
+            self.common_position, self.some_later = common, bool(self._later.any())
             self._find_errors_of_onset(moves_in)
         else:
             self.of_onset = np.zeros((points, 2, 2))
@@ -213,7 +215,7 @@ class DisplacementStage(Stage):
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
-        self._inside = self._common.later & (touch.first == self._common.seeded)
+        self._inside = self._later & (touch.first == self._seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
@@ -227,12 +229,6 @@ class DisplacementStage(Stage):
             self.begins = np.full_like(self.onset, self.since.frame)
             self.reference = np.where(touched[:, None], self._fixed.position, np.nan)
             self.reference_px = np.where(touched[:, None], self._fixed.position_px, np.nan)
-
-    def _reference_values(self, name: str) -> NDArray[Any]:
-        """Return the values (N, ...) of the result variable `name` for N points in the displacement reference frame."""
-        assert self.since.frame is not None
-        values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
-        return values
 
     def _warn_of_unknown(self) -> None:
         touching = self.onset >= 0
@@ -352,18 +348,15 @@ class DisplacementStage(Stage):
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
         if moves_in.any():
-            approach = np.diff(self._depths(pair, position), axis=0)[0] / np.maximum(after - before, 1)
+            border = self._border.select(pair.flatten().astype(np.intp) % frames)
+            depth = border.inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
+            approach = np.diff(depth, axis=0)[0] / np.maximum(after - before, 1)
             # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
             chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
             least = np.linalg.norm(speed, axis=1) * chord
             frames_per_mm = np.where(moves_in, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
         variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
-
-    def _depths(self, frames: NDArray[np.integer], positions: Points) -> Points:
-        """Return the distances (k, N), mm, of positions (k, N, 2) in frames (k, N) from the ellipse of the contact."""
-        border = self._border.select(frames.flatten().astype(np.intp) % len(self.trial))
-        return border.inside(positions.reshape(-1, 1, 2)).reshape(frames.shape)
 
     def _select_positions(self, frames: NDArray[np.integer]) -> Points:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for

@@ -1,10 +1,8 @@
 """Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from fingerflow import graphs
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -18,12 +16,6 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FIELDS
 from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import EntryGradients
-
-
-def _to_tensors(fields: FrameFields) -> graphs.Fields:
-    """Convert the deformation fields that the engine computed from NumPy arrays to torch tensors."""
-    tensors = {name: None if values is None else torch.from_numpy(values) for name, values in fields._asdict().items()}
-    return graphs.Fields(**tensors)  # type: ignore[arg-type]  # which are None depends on the arguments
 
 
 class FieldsStage(Stage):
@@ -102,13 +94,7 @@ class FieldsStage(Stage):
         self._known[batch.indices] = fields.known_share
         self._median[batch.indices] = fields.median
         self._median_std[batch.indices] = fields.median_std
-        self._bias.add(
-            batch,
-            _to_tensors(fields),
-            torch.from_numpy(shift),
-            graphs.GrossEllipse(*map(torch.from_numpy, ellipse)),
-            None if entered is None else torch.from_numpy(entered.among),
-        )
+        self._bias.add(batch, fields, shift, ellipse, None if entered is None else entered.among)
 
     def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
         """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative

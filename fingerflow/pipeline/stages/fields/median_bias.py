@@ -4,19 +4,21 @@ It does not fall with the number of points. Tests with known truth: a press, a s
 passes.
 """
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from fingerflow.graphs import GrossEllipse
-from fingerflow.graphs.fields_graph import Fields
+from fingerflow.engines.engine import FrameEllipse, FrameFields
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.median_smoothing import smoothing_variance
+
+Array = NDArray[Any]
 
 EVERY = 8  # frames between two evaluations, interpolated linearly, as skin and contact change slowly
 
@@ -49,42 +51,41 @@ class MedianBias:
         self._square = np.zeros((frames, 5))  # variance due to unknown and advected skin
 
     def add(
-        self, batch: Batch, fields: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
+        self,
+        batch: Batch,
+        fields: FrameFields,
+        displacement: Array,
+        ellipse: FrameEllipse,
+        entered: Array | None = None,
     ) -> None:
         """Add n frames to the estimate, given the fields `fields` at N points, displacements (n, N, 2) mm and contact
         ellipses; the mask `entered` (n, N) marks points advected into the contact.
         """
-        assert fields.median is not None
         assert fields.median_std is not None
-        count = None if entered is None else (entered & fields.divergence.isfinite()).sum(1).cpu().numpy()
-        self._square[batch.indices] = rank_variance(fields, count)
+        components = _stack_components(fields)
+        count = None if entered is None else (entered & np.isfinite(fields.divergence)).sum(1)
+        self._square[batch.indices] = rank_variance(fields, components, count)
         rows = np.flatnonzero(np.isin(batch.indices, self._looks))
         if not len(rows):
             return
-        excluded = None if entered is None else Apart(entered[rows], _stack_components(fields)[rows].mT, None)
-        center, semi_axes, angle = (values[rows] for values in ellipse)
-        median, variance = fields.median[rows], fields.median_std[rows].square()
+        excluded = None
+        if entered is not None:
+            excluded = Apart(torch.from_numpy(entered[rows]), torch.from_numpy(components[rows]).mT, None)
+        center, semi_axes, angle = (torch.from_numpy(values[rows]) for values in ellipse)
+        moved = torch.from_numpy(displacement[rows])
+        variance = np.square(fields.median_std[rows])
         wide, inner = (
             area_medians(
-                self._reference.to(displacement),
-                displacement[rows],
-                center,
-                semi_axes - smaller,
-                angle,
+                *(self._reference.to(moved), moved, center, semi_axes - smaller, angle),
                 gauge_length=gauge,
                 measure=self._measure,
                 apart=excluded,
-            ).median
-            - median
+            ).median.numpy()
+            - fields.median[rows]
             for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM))
         )
-        by_gauge = smoothing_variance(
-            wide.cpu().numpy(),
-            variance.cpu().numpy(),
-            _fit_deviations(fields)[rows],
-            _stack_components(fields)[rows].cpu().numpy(),
-        )
-        by_border = (inner.square() - variance).clamp_min(0).cpu().numpy()
+        by_gauge = smoothing_variance(wide, variance, _fit_deviations(fields)[rows], components[rows])
+        by_border = np.maximum(np.square(inner) - variance, 0)
         self._seen[np.searchsorted(self._looks, batch.indices[rows])] = by_gauge + by_border
 
     def variance(self) -> NDArray[np.float64]:
@@ -103,7 +104,7 @@ class MedianBias:
         return result
 
 
-def rank_variance(fields: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
+def rank_variance(fields: FrameFields, components: Array, entered: Array | None = None) -> NDArray[np.float64]:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
     from parts of the skin in contact whose values are unknown.
 
@@ -112,20 +113,18 @@ def rank_variance(fields: Fields, entered: NDArray[np.integer] | None = None) ->
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.
     """
-    assert fields.known_share is not None
-    assert fields.median is not None
-    share, result = fields.known_share.cpu().numpy().astype(np.float64), np.zeros((len(fields.known_share), 5))
+    share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
     came = np.zeros(len(share)) if entered is None else np.asarray(entered, dtype=np.float64)
     rows = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
     if not len(rows):
         return result
-    values = _stack_components(fields).cpu().numpy()[rows]
+    values = components[rows]
     whole = np.isfinite(values.sum(1, keepdims=True))
     # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
     ordered = np.where(whole, values, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
     count, frame, field = whole.sum(2), np.arange(len(rows))[:, None], np.arange(5)
-    ranks = (ordered < fields.median.cpu().numpy()[rows, :, None]).sum(2)
+    ranks = (ordered < fields.median[rows, :, None]).sum(2)
 
     def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
@@ -145,17 +144,17 @@ def rank_variance(fields: Fields, entered: NDArray[np.integer] | None = None) ->
     return result
 
 
-def _fit_deviations(fields: Fields) -> NDArray[np.float64]:
+def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
     """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
     those of gradients whose four elements err alike.
     """
     assert fields.divergence_std is not None
     assert fields.curl_std is not None
-    divergence, curl = (nanmedian(values.cpu().numpy()) for values in (fields.divergence_std, fields.curl_std))
+    divergence, curl = (nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
     of_element = np.sqrt((divergence**2 + curl**2) / 4)
     return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
 
 
-def _stack_components(fields: Fields) -> Tensor:
-    """Stack divergence, curl, exx, eyy and exy of N points in n frames to a tensor (n, 5, N)."""
-    return torch.stack((fields.divergence, fields.curl, *fields.strain.unbind(-1)), dim=1)
+def _stack_components(fields: FrameFields) -> Array:
+    """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
+    return np.stack((fields.divergence, fields.curl, *np.moveaxis(fields.strain, -1, 0)), axis=1)

@@ -123,7 +123,7 @@ class DenseFlowSlipStage(SlipStage):
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
-        pixels = self._to_pixels(grid.points)
+        pixels = self.inputs.on_topography(grid.points).astype(np.float32)
         motion = flow.follow(
             image,
             pixels,
@@ -131,7 +131,7 @@ class DenseFlowSlipStage(SlipStage):
             lambda: self._spread((grid.displacement(moved) @ back).astype(np.float32), grid, shape),
         )
         both = np.dstack((motion.displacement, motion.variance))
-        cells = _sampled(both, self._to_pixels(grid.centers))
+        cells = _sampled(both, self.inputs.on_topography(grid.centers).astype(np.float32))
         if not np.isfinite(cells[grid.known, 2]).mean() >= _LEAST:
             self._lost.append(frame)
             return
@@ -152,16 +152,11 @@ class DenseFlowSlipStage(SlipStage):
         if not valid.any():
             return
         self._median[frame], self._most[frame] = np.quantile(difference[valid], (0.5, 0.95))
-        variance = flow[valid, 2] + self._variance_of_points(frame)[valid]
+        deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known].astype(np.float64)
+        variance = flow[valid, 2] + np.square(deviation[valid])
         length = difference[valid] / (np.sqrt(variance) * self.inputs.topography_mm_per_px)
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
-
-    def _variance_of_points(self, frame: int) -> NDArray[np.float64]:
-        if "position_std_px" not in self.results:
-            return np.zeros(int(self._known.sum()))
-        deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known]
-        return np.asarray(deviation, dtype=np.float64) ** 2
 
     def _motion(self, frames: Any) -> NDArray[Any]:
         return np.asarray(self.results["skin_displacement"][frames])
@@ -191,11 +186,6 @@ class DenseFlowSlipStage(SlipStage):
 
     def _noise_level(self, frame: int) -> float:
         return float(self._flow_deviation[frame])
-
-    def _to_pixels(self, positions: NDArray[np.float64]) -> Field:
-        """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
-        origin = self.inputs.on_glass(np.zeros(2))
-        return np.asarray((positions - origin) @ np.linalg.inv(self._of_px).T, dtype=np.float32)
 
     def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
         """Return the position of every pixel of the topographic view in the grid of contact cells, as fractional column

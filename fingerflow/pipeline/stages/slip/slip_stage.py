@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -32,6 +32,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 
@@ -201,10 +202,8 @@ class SlipStage(Stage):
 
     def _noise_level(self, frame: int) -> float:
         """Return the median over all points of the standard deviation, px, of a displacement component by image noise
-        in one frame; NaN if it is unknown.
+        in one frame.
         """
-        if "position_noise_px" not in self.results:
-            return math.nan
         return float(nanmedian(self.results["position_noise_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
@@ -236,7 +235,7 @@ class SlipStage(Stage):
             slow = verdict.loading()
             parts["friction_fit"] = _consistent(fit_friction(self._ratio[slow], forces[slow]), verdict)
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
-        judged = {name: json.dumps(_plain(asdict(part)), ensure_ascii=False) for name, part in parts.items()}
+        judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
         fit = self._border.fit if self._border is not None and self._settings.criterion == "border" else None
         power = {} if fit is None else {"power": fit.power, "power_std": fit.power_std}
@@ -428,12 +427,3 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
         f"not that of the model; try a smaller [slip] stuck_mm"
     )
     return replace(fit, identified=False, reason=reason)
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to JSON types, with None in place of NaN."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

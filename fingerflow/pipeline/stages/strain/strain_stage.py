@@ -17,7 +17,6 @@ from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
@@ -33,6 +32,8 @@ _SMOOTHED = 2.5
 # Energy that windows have taken, as a share of what smoothing again takes: RMS over four slides of other seeds and ways
 # than those of the table in `docs/accuracy.md`.
 _TAKEN = 0.7
+
+Array = NDArray[np.floating]
 
 
 class StrainStage(Stage):
@@ -263,6 +264,30 @@ class StrainStage(Stage):
         energy = self.results["strain_energy"][:]
         rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
         self.results.put("strain_energy_rate", rates)
+
+
+def border_density(
+    density: Array, areas: Array, positions: Array, border: Border, reach_mm: float
+) -> NDArray[np.float64]:
+    """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
+    the contact border, weighted by area.
+
+    It is 0 in frames without such triangles. Strain since the onset is largest along the border of a growing contact,
+    where skin that has moved lies beside skin that has just come into contact. A border that is displaced all around
+    changes the onset of the outermost points and the set of triangles that count.
+
+    Args:
+        density: (n, M) mJ/mm^3, NaN for triangles that do not count.
+        areas: (M,) mm^2.
+        positions: (n, M, 2) mm, centroids of the triangles.
+        border: of these n frames.
+        reach_mm: width of the zone that is averaged.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
+        mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
+    result: NDArray[np.float64] = np.nan_to_num(mean)
+    return result
 
 
 def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:
