@@ -70,7 +70,9 @@ class ExportedGraph:
         return array
 
     def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Array]:
-        arrays = {name: _single(inputs[name]) for name in self._graph.inputs}
+        arrays = {name: inputs[name] for name in self._graph.inputs}
+        for name, array in arrays.items():
+            arrays[name] = np.ascontiguousarray(array, np.float32 if array.dtype == np.float64 else None)
         frames = max(map(len, arrays.values()))
         parts = [
             self._run({name: values[k : k + 1] if len(values) == frames else values for name, values in arrays.items()})
@@ -102,7 +104,3 @@ class ExportedGraph:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = self._threads
         return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-
-
-def _single(array: Array) -> Array:
-    return np.ascontiguousarray(array, np.float32 if array.dtype == np.float64 else None)

@@ -263,11 +263,6 @@ class StreamTracker:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
         self._requested = True
 
-    @property
-    def under_way(self) -> int:
-        """Return the number of frames in progress: begun, but not finished."""
-        return self._begun - self._finished
-
     def must_wait(self, frame: Frame) -> bool:
         """Return whether a frame may begin only after all earlier frames are finished, because a seeding, a new key
         frame, new templates or a new contact threshold are due before it.
@@ -287,7 +282,7 @@ class StreamTracker:
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
-            assert not self.under_way
+            assert self._begun == self._finished
             if not self._deferred:
                 passed += self._make_changes(frame)
         guess = self._guess(self._begun, frame.number)
@@ -377,9 +372,6 @@ class StreamTracker:
         """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
-
-    def _ahead(self, number: int) -> int:
-        return max(1, number - self._latest.number) if self._latest is not None else 1
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -474,13 +466,14 @@ class StreamTracker:
         """
         points, frame = self._points, work.frame
         assert points is not None
-        image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
-        resolved = points.resolve(image, *self._track_again(work, points), ahead)
+        image = work.images[TOPOGRAPHY_VIEW]
+        ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
         # With a lag of 1 frames are processed one after the other, so updates count from this frame, also after a
         # deferral.
-        tracked_points = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
+        latest = work.index if self.lag == 1 else newest
+        tracked_points = points.accept(image, *self._track_again(work, points), ahead, latest)
         self._latest = _KnownMotion(points.motion, frame.number)
-        tracked = _tracked(tracked_points)
+        tracked = int((tracked_points.status[0] == TrackStatus.TRACKED).sum())
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
@@ -587,7 +580,3 @@ class StreamTracker:
             for axes in (sparse.semi_axes, sparse.wide)
         )
         return inside, around
-
-
-def _tracked(points: FoundPoints) -> int:
-    return int((points.status[0] == TrackStatus.TRACKED).sum())

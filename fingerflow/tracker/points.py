@@ -69,19 +69,6 @@ class _Pending(NamedTuple):
     prepared: list[TemplateBuffers]  # templates of the first rows, prepared in pieces ahead of time
 
 
-class Resolved(NamedTuple):
-    """Tracked points of a frame after lost ones were recovered and positions corrected for the deformation of the skin,
-    but before motion and templates are updated.
-
-    Attributes:
-        corrected: (1, N) points.
-        jolted: (N,) points that were searched for, or None.
-    """
-
-    corrected: Corrected
-    jolted: Array | None
-
-
 class Points:
     """Tracker of N points from the key frame in which they were seeded: holds templates, motion and deformation.
 
@@ -212,26 +199,19 @@ class Points:
         """
         return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
 
-    def resolve(
-        self, image: Images, guess: Array, tracked: FoundPoints, frames: int = 1, around: FoundPoints | None = None
-    ) -> Resolved:
-        """Recover the points (1, N) that `track` lost in a frame, and correct all positions for skin deformation.
+    def accept(
+        self, image: Images, guess: Array, tracked: FoundPoints, frames: int = 1, index: int | None = None
+    ) -> FoundPoints:
+        """Update motion and templates from a usable frame, `frames` after the last, whose points (1, N) `track` found
+        near `guess` (N, 2); return them.
 
-        `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
-        """
-        tracked, jolted = self._recovered(image, guess, tracked, frames)
-        return Resolved(self._corrected(tracked, nothing_found(1) if around is None else around), jolted)
-
-    def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
-        """Update motion and templates from a usable frame, `frames` after the last, verify the points (1, N) by their
-        windows in the image, and return them.
-
-        `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
-        begun.
+        Lost points are recovered, positions corrected for the deformation of the skin, and all points are verified by
+        their windows in the image. Frames are given in order. `index` is the number, in a stream, of the last frame
+        that was computed: up to `lag` - 1 later frames may have begun.
         """
         if index is not None:
             self._index = index
-        return self._verified(image, self._accepted(resolved, frames, image))
+        return self._verified(image, self._accepted(image, guess, tracked, frames, nothing_found(1)))
 
     def changes(self, index: int) -> bool:
         """Return whether template updates are due before frame `index`; all earlier frames must finish first."""
@@ -273,9 +253,7 @@ class Points:
         self.update_due(self._index)
         guess = self.expect()
         if len(images) == 1:
-            frames = self._gap + 1
-            resolved = self.resolve(images, guess, self.track(images, guess), frames, around)
-            return self._accepted(resolved, frames, images)
+            return self._accepted(images, guess, self.track(images, guess), self._gap + 1, around)
         speed = self.motion.speed
         followed = self._engine.follow(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
@@ -331,9 +309,15 @@ class Points:
 
         return track, search
 
-    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> FoundPoints:
-        before, corrected = self.motion, resolved.corrected
-        self.motion = before.update(corrected.found.points[0], frames, corrected.expected[0], resolved.jolted)
+    def _accepted(
+        self, image: Images, guess: Array, tracked: FoundPoints, frames: int, around: FoundPoints
+    ) -> FoundPoints:
+        """Recover the points (1, N) lost in a frame, correct all positions for the deformation of the skin, and
+        update the motion; `around` (1, A) are the surrounding points.
+        """
+        tracked, jolted = self._recovered(image, guess, tracked, frames)
+        before, corrected = self.motion, self._corrected(tracked, around)
+        self.motion = before.update(corrected.found.points[0], frames, corrected.expected[0], jolted)
         return self._checked_templates(corrected, before.position, 1, image)
 
     def _recovered(
