@@ -243,7 +243,7 @@ class Player:
             "rate": None if math.isnan(self.rate) else self.rate,
             "recent_ms": self.recent,
             "tracked": self.tracked,
-            "found": self._tracker.found,
+            "found": self._tracker.seeded,
             **self.summary(),
         }
 
@@ -317,7 +317,7 @@ class Player:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
         return (
             f"{self.rate:.1f} frames/s; in {self.frames_in}, processed {self.processed}, dropped {self.dropped}, "
-            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.found}"
+            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.seeded}"
         )
 
     # Capturing thread: from the source to frames.
@@ -454,7 +454,7 @@ class Player:
         """Compute the results of a frame from its outcome, offer them to the outputs, and queue a record of them to be
         stored; return False if the stream has failed.
         """
-        results = self._tracker.results_of(outcome)
+        results = self._tracker.compute_results(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
         self.tracked = outcome.tracked

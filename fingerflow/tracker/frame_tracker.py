@@ -17,10 +17,10 @@ from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.point_prediction import PointMotion, known_of
+from fingerflow.tracker.point_prediction import PointMotion, is_finite
 from fingerflow.tracker.points import STREAM, Points
+from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
-from fingerflow.tracker.upkeep import CONTACT, REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
 
@@ -82,7 +82,7 @@ class Frame:
 
 @dataclass
 class Work:
-    """Intermediate data of a frame in progress, from `StreamTracker.begin` to `StreamTracker.results_of`.
+    """Intermediate data of a frame in progress, from `StreamTracker.begin` to `StreamTracker.compute_results`.
 
     Attributes:
         index: among all frames of the stream that have begun, from 0.
@@ -91,8 +91,8 @@ class Work:
         guess: (N, 2) px, predicted positions; None before any points were seeded.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measure: whether the threshold is to be measured in it.
-        found, measured: points found in it, and the threshold measured in it.
-        contact: set once it is computed (`StreamTracker.results_of`); guarded by the lock `computing`.
+        points, measured: points tracked in it, and the threshold measured in it.
+        contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
     """
 
     index: int
@@ -101,7 +101,7 @@ class Work:
     guess: Array | None
     threshold: float
     measure: bool
-    found: FoundPoints | None = None
+    points: FoundPoints | None = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
@@ -122,8 +122,8 @@ class FrameOutcome(NamedTuple):
     Attributes:
         work: of the frame.
         status: index into `FRAME_STATUS`.
-        found: its points; None if the frame does not count.
-        seeding: seeded points to which `found` belongs; None before any were seeded.
+        points: that were tracked; None if the frame does not count.
+        seeding: seeded points to which `points` belong; None before any were seeded.
         tracked: number of points with status TRACKED.
         threshold: with which its contact is computed; NaN while unknown, and if the frame does not count.
         key_frame: number of its key frame.
@@ -132,7 +132,7 @@ class FrameOutcome(NamedTuple):
 
     work: Work
     status: int
-    found: FoundPoints | None
+    points: FoundPoints | None
     seeding: Seeding | None
     tracked: int
     threshold: float
@@ -151,7 +151,7 @@ class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
-    points are seeded in `region` (H, W), and replace others if more than `kept` of them lie in `counted` (H, W).
+    points are seeded in `region` (H, W), and replace others if more than `least` of them lie in `counted` (H, W).
     """
 
     after: int
@@ -161,7 +161,7 @@ class _Change(NamedTuple):
     cause: str
     region: Array
     counted: Array
-    kept: int
+    least: int
 
 
 class _Sparse(NamedTuple):
@@ -180,7 +180,7 @@ class _PendingContact(NamedTuple):
     """Frame whose contact has still to be evaluated: its area tells when to measure the contact threshold anew, and the
     tracked points in it are counted.
 
-    `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
+    `points` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
     `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
     `Frame` with results is reused for another image.
     """
@@ -188,7 +188,7 @@ class _PendingContact(NamedTuple):
     newest: int
     number: int
     work: Work
-    found: FoundPoints | None
+    points: FoundPoints | None
     seeding: Seeding | None
 
 
@@ -196,7 +196,7 @@ class StreamTracker:
     """Tracker of a stream: state between frames, and the methods `begin`, `compute` and `finish` for each frame.
 
     `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
-    frames: it recovers lost points and decides whether the frame counts. `results_of` computes contact and results
+    frames: it recovers lost points and decides whether the frame counts. `compute_results` computes contact and results
     while the next frames are tracked. Each method takes frames in order; up to `lag` frames may have begun without
     being finished. The results of a frame depend only on the frames before it, not on wall-clock time or on the
     progress of threads.
@@ -212,7 +212,7 @@ class StreamTracker:
     Attributes:
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether it is measured in frames.
-        found: number of points seeded at the last restart.
+        seeded: number of points seeded at the last restart.
         restarts, keys: number of seedings, and of further key frames taken for the same points.
     """
 
@@ -227,46 +227,42 @@ class StreamTracker:
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
         self._search = ThresholdSearch(lag + _LEARNT_AFTER)
-        self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
+        self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _KnownMotion | None = None
         # Motion of the points after each of the last frames, by frame index.
         self._known: dict[int, _KnownMotion | None] = {}
         self._begun = self._finished = 0
         self._change: _Change | None = None
-        self._asked = False
+        self._requested = False
         self._deferred: deque[Work] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
         self._unlearnt: deque[_PendingContact] = deque()
-        self.found = self.restarts = self.keys = 0
+        self.seeded = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
         """Process a blank frame in a separate tracker before a stream starts, since the first engine calls are slow."""
-        other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
+        settings = replace(self._settings, threshold=None)
+        tracker = StreamTracker(self._engine, settings, self._glass, self._dark, self.lag)
         for number in range(2):
             frame.number = number
-            other.inspect(frame)
+            tracker.inspect(frame)
             frame.status = USABLE
-            work, _ = other.begin(frame)
-            other.compute(work)
-            for one in other.finish(work):
-                if isinstance(one, FrameOutcome):
-                    other.results_of(one)
+            work, _ = tracker.begin(frame)
+            tracker.compute(work)
+            for outcome in tracker.finish(work):
+                if isinstance(outcome, FrameOutcome):
+                    tracker.compute_results(outcome)
 
     def inspect(self, frame: Frame) -> None:
         """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
-        frame.picture, frame.status = self._check.look(frame.views)
+        frame.picture, frame.status = self._check.inspect(frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
-        self._asked = True
-
-    @property
-    def under_way(self) -> int:
-        """Return the number of frames in progress: begun, but not finished."""
-        return self._begun - self._finished
+        self._requested = True
 
     def must_wait(self, frame: Frame) -> bool:
         """Return whether a frame may begin only after all earlier frames are finished, because a seeding, a new key
@@ -287,7 +283,7 @@ class StreamTracker:
         """
         passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
-            assert not self.under_way
+            assert self._begun == self._finished
             if not self._deferred:
                 passed += self._make_changes(frame)
         guess = self._guess(self._begun, frame.number)
@@ -299,13 +295,13 @@ class StreamTracker:
     def compute(self, work: Work) -> None:
         """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
         if self._points is not None and work.guess is not None:
-            work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
+            work.points = self._points.track(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
-            found = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
+            threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
-            physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
-            work.measured = found if physical else math.nan
+            physical = 0 < threshold < 1 and self._touching(work.frame, threshold) < _EVERYTHING
+            work.measured = threshold if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | FrameOutcome]:
         """Finish a computed frame, and return the frame outcomes and events that are now final.
@@ -318,7 +314,7 @@ class StreamTracker:
             passed.append(self._skipped(work, frame.status, work.index))
         else:
             assert frame.picture is not None
-            decided, status = self._check.see(frame.number, frame.picture, frame.status)
+            decided, status = self._check.update(frame.number, frame.picture, frame.status)
             passed += self._decided(decided, work.index)
             if status is None:
                 self._deferred.append(work)
@@ -345,14 +341,14 @@ class StreamTracker:
         """
         return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
 
-    def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
+    def compute_results(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
 
         Arrays have no frame axis. Frames are given in order, from any thread: tracking does not depend on the results.
         """
-        if outcome.found is None or outcome.seeding is None:
+        if outcome.points is None or outcome.seeding is None:
             return None
-        results = self._results.of(outcome.seeding, self._contact_of(outcome.work), outcome.found)
+        results = self._results.compute(outcome.seeding, self._contact(outcome.work), outcome.points)
         if self._points is not None:
             self._points.prepare_ahead()
         return results
@@ -370,22 +366,19 @@ class StreamTracker:
         """Predict the point positions (N, 2) px in the frame with this index and number, from the motion known `lag`
         frames before it even if later frames are finished; return None before any motion is known.
         """
-        known = self._known.get(index - self.lag, self._latest)
-        return None if known is None else known.motion.expect(max(1, number - known.number))
+        latest = self._known.get(index - self.lag, self._latest)
+        return None if latest is None else latest.motion.expect(max(1, number - latest.number))
 
     def _know(self, motion: _KnownMotion) -> None:
         """Set the point motion from which the next `lag` frames are predicted."""
         self._latest = motion
         self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
 
-    def _ahead(self, number: int) -> int:
-        return max(1, number - self._latest.number) if self._latest is not None else 1
-
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
-        every = max(1, round((view.size / _PIXELS) ** 0.5))
-        seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
+        step = max(1, round((view.size / _PIXELS) ** 0.5))
+        seen, empty, black = (image[::step, ::step].astype(np.float32) for image in (view, self._glass, self._dark))
         return float((seen - black < (1 - threshold) * (empty - black)).mean())
 
     # Changes that are made before a frame begins.
@@ -413,17 +406,17 @@ class StreamTracker:
     def _seed(self, view: Array, region: Array) -> Array:
         """Detect corners of a view (1, H, W) inside a region (H, W): positions (N, 2) px, padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
-        found = self._engine.detect(self._engine.images(view), region, len(points))
-        points[: len(found)] = found
+        corners = self._engine.detect(self._engine.images(view), region, len(points))
+        points[: len(corners)] = corners
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
         """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
         points = self._seed(change.image, change.region)
-        column, row = np.rint(points[known_of(points)]).astype(int).T
-        if change.counted[row, column].sum() > change.kept:
+        column, row = np.rint(points[is_finite(points)]).astype(int).T
+        if change.counted[row, column].sum() > change.least:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
-        self._upkeep.kept(self._begun)
+        self._reseeding.keep(self._begun)
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
@@ -433,28 +426,28 @@ class StreamTracker:
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
-        self.found = int(known_of(points).sum())
+        self.seeded = int(is_finite(points).sum())
         self._know(_KnownMotion(self._points.motion, number))
         self._seeding = Seeding(points, before)
-        self._upkeep.restarted(self._begun, number, self.found)
+        self._reseeding.restarted(self._begun, number, self.seeded)
         self._search.begin()
         self.restarts += 1
-        return Event("restart", number, {"cause": cause, "points": self.found})
+        return Event("restart", number, {"cause": cause, "points": self.seeded})
 
     def _rekey(self, change: _Change) -> Event:
         """Take a newer frame, in which the tracked points lie at `change.points`, as their key frame, the frame with
         which later ones are compared; return the event.
         """
         assert self._points is not None
-        known, motion = known_of(change.points), self._points.motion
-        kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
+        valid, motion = is_finite(change.points), self._points.motion
+        valid_motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
         image = self._engine.images(change.image)
-        self._points = Points(self._engine, image, change.points, motion=kept, knowledge=self._knowledge)
+        self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=self._knowledge)
         assert self._latest is not None
-        self._know(self._latest._replace(motion=kept))
-        self._upkeep.keyed(change.number, int(known.sum()))
+        self._know(self._latest._replace(motion=valid_motion))
+        self._reseeding.keyed(change.number, int(valid.sum()))
         self.keys += 1
-        return Event("key_frame", change.number, {"points": int(known.sum())})
+        return Event("key_frame", change.number, {"points": int(valid.sum())})
 
     # Outcome of a frame after its computation.
 
@@ -474,33 +467,34 @@ class StreamTracker:
         """
         points, frame = self._points, work.frame
         assert points is not None
-        image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
-        resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
+        image = work.images[TOPOGRAPHY_VIEW]
+        ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
         # With a lag of 1 frames are processed one after the other, so updates count from this frame, also after a
         # deferral.
-        found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
+        latest = work.index if self.lag == 1 else newest
+        tracked_points = points.accept(image, *self._track_again(work, points), ahead, latest)
         self._latest = _KnownMotion(points.motion, frame.number)
-        tracked = _tracked(found)
+        tracked = int((tracked_points.status[0] == TrackStatus.TRACKED).sum())
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_PendingContact(newest, frame.number, work, found, self._seeding))
+        self._unlearnt.append(_PendingContact(newest, frame.number, work, tracked_points, self._seeding))
         if self._change is None:
-            cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
+            cause = PAGE if self._requested else self._reseeding.update(newest, frame.number, tracked)
             if cause:
-                self._asked = False
+                self._requested = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
                 region = counted = self._settings.region
-                kept = 0 if cause == PAGE else tracked
+                least = 0 if cause == PAGE else tracked
                 if cause == CONTACT and self._sparse is not None:
-                    kept, (counted, region) = self._sparse.points, self._regions(self._sparse)
-                places = found.points[0].copy()
-                self._change = _Change(newest, frame.number, image, places, cause, region, counted, kept)
-        return self._outcome(work, USABLE, found, tracked)
+                    least, (counted, region) = self._sparse.points, self._regions(self._sparse)
+                positions = tracked_points.points[0].copy()
+                self._change = _Change(newest, frame.number, image, positions, cause, region, counted, least)
+        return self._outcome(work, USABLE, tracked_points, tracked)
 
-    def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
+    def _track_again(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
         tracked once more if the prediction has changed since the frame began.
 
@@ -508,20 +502,20 @@ class StreamTracker:
         once more.
         """
         assert work.guess is not None  # points are tracked in every frame that may be usable
-        assert work.found is not None
+        assert work.points is not None
         guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
         assert guess is not None
         if not changes and np.array_equal(guess, work.guess, equal_nan=True):
-            return work.guess, work.found
+            return work.guess, work.points
         points.update_due(work.index)
-        return guess, points.look(work.images[TOPOGRAPHY_VIEW], guess)
+        return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:
+    def _outcome(self, work: Work, status: int, points: FoundPoints | None, tracked: int) -> FrameOutcome:
         threshold = work.threshold if status == USABLE else math.nan
-        of_points = (self._seeding, tracked, threshold, self._upkeep.key_frame, self.restarts)
-        return FrameOutcome(work, status, found, *of_points)
+        of_points = (self._seeding, tracked, threshold, self._reseeding.key_frame, self.restarts)
+        return FrameOutcome(work, status, points, *of_points)
 
-    def _contact_of(self, work: Work) -> FrameContact:
+    def _contact(self, work: Work) -> FrameContact:
         """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
         happens.
         """
@@ -531,42 +525,42 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_contact(self, one: _PendingContact) -> list[Event]:
-        if one.found is not None and one.seeding is self._seeding and one.work.index % _LOOK_EVERY == 0:
-            touching = float(self._contact_of(one.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
-            self._sparse = self._sparse_contact(one.work, one.found) if touching else None
-            self._upkeep.see_contact(touching, self._sparse is not None)
+    def _learn_contact(self, pending: _PendingContact) -> list[Event]:
+        if pending.points is not None and pending.seeding is self._seeding and pending.work.index % _LOOK_EVERY == 0:
+            touching = float(self._contact(pending.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(pending.work, pending.points) if touching else None
+            self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
-        measured = one.work.measured
-        if one.found is None:
+        measured = pending.work.measured
+        if pending.points is None:
             if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact_of(one.work).real_area_px[0])
-        if self._search.see(one.newest, area, measured) and measured is not None:
-            return [Event("threshold", one.number, {"threshold": measured})]
+        area = float(self._contact(pending.work).real_area_px[0])
+        if self._search.update(pending.newest, area, measured) and measured is not None:
+            return [Event("threshold", pending.number, {"threshold": measured})]
         return []
 
-    def _sparse_contact(self, work: Work, found: FoundPoints) -> _Sparse | None:
+    def _sparse_contact(self, work: Work, tracked_points: FoundPoints) -> _Sparse | None:
         """Return the contact of a frame and how far around it to seed new points if fewer tracked points lie in this
         contact than local fits need; None otherwise.
 
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact_of(work), self._settings.mm_per_px
+        contact, size = self._contact(work), self._settings.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
-        covered = covers(contact.density_margin, found.estimate, self._to_contact, self._engine.cell_px)[0]
-        points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
+        covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
+        points = int((covered & (tracked_points.status[0] == TrackStatus.TRACKED)).sum())
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
         # px², product of the semi-axes of the seeding region.
-        wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
-        major, minor = (float(one) for one in contact.semi_axes[0])
-        more = (math.hypot(major - minor, 2 * math.sqrt(wanted)) - major - minor) / 2
+        product = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
+        major, minor = (float(axis) for axis in contact.semi_axes[0])
+        more = (math.hypot(major - minor, 2 * math.sqrt(product)) - major - minor) / 2
         axes = np.array([major, minor])
         wide = axes + max(more, self._engine.settings.window_px)
         return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), wide)
@@ -587,7 +581,3 @@ class StreamTracker:
             for axes in (sparse.semi_axes, sparse.wide)
         )
         return inside, around
-
-
-def _tracked(found: FoundPoints) -> int:
-    return int((found.status[0] == TrackStatus.TRACKED).sum())

@@ -56,7 +56,7 @@ class Previewer:
         """
         self.scene = scene
         same = before if before is not None and _input_settings(before.scene) == _input_settings(scene) else None
-        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
+        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.replace_scene(scene)
         self._trial = self._begin_trial()
         # Resample the forces only once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
@@ -121,7 +121,7 @@ class Previewer:
     def _begin_trial(self, stored: int = 1) -> RunContext:
         """Return a new context for running stages of `process`, with storage for the results of `stored` frames."""
         planned = plan(None, self.scene)
-        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
+        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.requested, {})
 
     def _begin(self, stage: Any) -> Any:
         with torch.inference_mode():

@@ -16,7 +16,7 @@ from fingerflow import player
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
 from fingerflow.tracker.frame_tracker import StreamTracker, Work
-from fingerflow.tracker.upkeep import Upkeep
+from fingerflow.tracker.reseeding import ReseedingSchedule
 
 
 def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
@@ -118,7 +118,7 @@ def test_points_are_keyed_anew_and_chosen_anew(
     """Every frame has its own result, in order. A key frame and a restart take effect a fixed number of frames after
     the frame that causes them: one frame with the compiled library, more with frames side by side.
     """
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
     ended = stream.run(*stream.frames(_frames()), "--policy", "every", *stream.parallel(parallel))
     records, number = ended.results.records, np.arange(len(FOUND))
     np.testing.assert_array_equal(records["frame"], number)
@@ -142,7 +142,7 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
     """Results are the same bit for bit, whatever the pace, the number of frames side by side and the time that each
     frame takes.
     """
-    monkeypatch.setattr(Upkeep, "_RESTART", 10)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 10)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     generator = np.random.default_rng(5)
     shown = FOUND + [(10, 0)] * 20 + FOUND
@@ -182,7 +182,7 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
 
     def fail(tracker: StreamTracker, work: Work) -> None:
         compute(tracker, work)
-        if not tracker.found:  # warm-up
+        if not tracker.seeded:  # warm-up
             return
         if work.index == failing:
             failed.set()
@@ -231,7 +231,7 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a restart the threshold is measured again; the old threshold stays in use until then."""
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     # Points are lost from frame 4 on: others are seeded in frame 7 and tracked from frame 8 on.
     levels = [40] * 2 + [110] * 14
@@ -248,7 +248,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     """Points that are covered for a while are the same points afterwards: a restart that finds no points is not
     kept.
     """
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
     black = frame(found=0)
     black[:, :WIDTH] = 0
     frames = [frame()] * 4 + [black] * 10 + [frame()] * 10

@@ -77,8 +77,8 @@ def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, fra
     assert events == same
     for one, other in zip(alone, beside, strict=True):
         assert one.status == other.status == FRAME_STATUS.index("usable")
-        assert one.found is not None
-        assert other.found is not None
+        assert one.points is not None
+        assert other.points is not None
         assert one.tracked > 50
-        for ours, theirs in zip(one.found, other.found, strict=True):
+        for ours, theirs in zip(one.points, other.points, strict=True):
             np.testing.assert_array_equal(ours, theirs)

@@ -10,7 +10,7 @@ from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_frames, check_window
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.pieces import frames_at_once, in_pieces
-from fingerflow.ops.tensors import bytes_of
+from fingerflow.ops.tensors import count_bytes
 
 _compiled: Twin[Tensor] = twin("real_contact_mask")
 
@@ -67,7 +67,7 @@ def majority(holds: Tensor, size: int) -> Tensor:
     Beyond the frame the nearest pixel counts.
     """
     half = size // 2
-    bits = bytes_of(holds)
+    bits = count_bytes(holds)
     for axis in (2, 3):
         first, last = bits.narrow(axis, 0, 1), bits.narrow(axis, -1, 1)
         shape = [-1] * 4

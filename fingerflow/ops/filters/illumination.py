@@ -76,10 +76,10 @@ def normalize_illumination(
     counts = frames.to(precision)
     passed = counts - black[0] if black else counts
 
-    known = _exceeds(light, least) & torch.isfinite(passed)
+    lit = _exceeds(light, least) & torch.isfinite(passed)
     # Both branches of `where` are differentiated, so the values replaced must be finite too.
-    quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
-    valid = known & torch.isfinite(quotient)
+    quotient = torch.where(lit, passed, 1.0) / torch.where(lit, light, 1.0)
+    valid = lit & torch.isfinite(quotient)
     return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
 
 

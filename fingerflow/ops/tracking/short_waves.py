@@ -71,7 +71,7 @@ def _variance_of_noise(start: Tensor, covariance: Tensor, numbers: Tensor, windo
     signs = (hashed.frac().abs() < 0.5).unflatten(0, (-1, 2)).mT.to(start) * 2 - 1
     still = torch.eye(2, dtype=start.dtype, device=start.device).expand(1, len(start), 2, 2)
     noisy = start + signs * deviation
-    given = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
-    corrected = correct_points(*given, window, _NARROW * window)
+    inputs = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
+    corrected = correct_points(*inputs, window, _NARROW * window)
     result: Tensor = (corrected.points - noisy).square().mean(0)
     return result

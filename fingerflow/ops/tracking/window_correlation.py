@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.tensors import Twin, twin
-from fingerflow.ops.contact.cells import sum_of
+from fingerflow.ops.contact.cells import add_all
 from fingerflow.ops.filters.windows import taken
 
 _compiled: Twin[Tensor] = twin("sample_windows")
@@ -39,7 +39,7 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
         return places.new_full((len(places), len(steps)), torch.nan)
     # Use positions relative to the pixel nearest to the centre: frame coordinates would lose two digits.
     center = places.round()
-    (near_x, near_y), (pixel_x, pixel_y) = (one[..., None].unbind(1) for one in (places - center, center))
+    (near_x, near_y), (pixel_x, pixel_y) = (pair[..., None].unbind(1) for pair in (places - center, center))
     right, down = steps.unbind(1)
     x = near_x + warp[:, 0, 0, None] * right + warp[:, 0, 1, None] * down
     y = near_y + warp[:, 1, 0, None] * right + warp[:, 1, 1, None] * down
@@ -56,15 +56,15 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     index = (number[:, None] * height + first_y) * width + first_x
     if torch.compiler.is_exporting():
         # Gather all sixteen pixels of a sample at once: separately they are a hundred small operations.
-        beside = torch.arange(4, dtype=torch.int32, device=index.device)
-        pixels = taken(flat, index.to(torch.int32) + (beside[:, None] * width + beside)[..., None, None])
-        found = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
+        taps = torch.arange(4, dtype=torch.int32, device=index.device)
+        pixels = taken(flat, index.to(torch.int32) + (taps[:, None] * width + taps)[..., None, None])
+        samples = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
     else:
-        found = torch.zeros_like(x)
+        samples = torch.zeros_like(x)
         for lower, weight in enumerate(weights_y):
             line = [taken(flat, index, lower * width + right).to(places.dtype) for right in range(4)]
-            found = torch.addcmul(found, weight, sum_of([a * b for a, b in zip(line, weights_x, strict=True)]))
-    return torch.where(whole, found, torch.nan)
+            samples = torch.addcmul(samples, weight, add_all([a * b for a, b in zip(line, weights_x, strict=True)]))
+    return torch.where(whole, samples, torch.nan)
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
