@@ -20,7 +20,7 @@ from fingerflow.player.options import option_parser
 from fingerflow.player.stream_player import Player
 from fingerflow.schema.unfinished import finish, remove, unfinished
 
-_COMPUTING = ("engine", "provider", "threads", "parallel_frames")  # options that a benchmark heeds
+_COMPUTING = ("engine", "provider", "threads")  # options that a benchmark heeds
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
 
 

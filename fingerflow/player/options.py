@@ -56,13 +56,6 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
         default=0,
         help="threads of the engine; default one a core less one, of ONNX Runtime one",
     )
-    add(
-        "--parallel-frames",
-        type=_count,
-        default=1,
-        metavar="N",
-        help="with ONNX Runtime: compute N frames beside each other",
-    )
     add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
     add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")
     add("--page", type=_address, default=("127.0.0.1", 8765), metavar="[HOST:]PORT", help="of the live page, or `off`")
