@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from fingerflow.models.observer import (
     participant_groups,
 )
 from fingerflow.models.observer.trials_table import COLUMNS
-from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.report.observer import draw_counts, draw_estimates, draw_groups, draw_psychometric, draw_roc
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.trial_metrics import (
@@ -105,21 +103,6 @@ def supplement_sheet(name: str, trials: Trials, design: str = FORCED_CHOICE) -> 
         else:
             panels.append(SheetPanel.of_axes(letter, draw, trials, *metrics))
     return Sheet(name, tuple(panels), tuple(left_out), title)
-
-
-def write_supplement(
-    trials: Trials, folder: Path, design: str = FORCED_CHOICE, overwrite: bool = False, files: FigureFiles = PNG
-) -> list[tuple[str, Path | None, list[str]]]:
-    """Write each figure into a folder, which is created if missing; return for each its name, the path (None if nothing
-    could be drawn), and sentences on the panels left out.
-
-    Raises FingerflowError where a file cannot be written; and, before anything is drawn, where without ``overwrite`` a
-    file of such a name is there that is no such figure.
-    """
-    for name in FIGURES:
-        files.keep_others(folder, name, overwrite)
-    sheets = (supplement_sheet(name, trials, design) for name in FIGURES)
-    return [(sheet.name, sheet.write(folder, files) if sheet.panels else None, sheet.missing()) for sheet in sheets]
 
 
 def _ideal_observer(trials: Trials) -> Sheet:
