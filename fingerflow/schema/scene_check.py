@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
+from fingerflow.schema.calibration_file import CalibrationFile, Pixels, read_calibration
 from fingerflow.schema.key_types import File, Reader, WrongValue, either
 from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS, default_kind
@@ -103,7 +103,7 @@ class TableCheck:
             if key.type.calibration:
                 self.calibration = read_calibration(path)
             return path
-        except (WrongValue, CalibrationError) as wrong:
+        except (WrongValue, FingerflowError) as wrong:
             self.refuse(keys, f"{_shown(value)}: {wrong}")
             return None
 
@@ -214,7 +214,7 @@ class SceneCheck(TableCheck):
         found = self.calibration
         if found is None:
             return
-        values = {scale: found.mm_per_px, **({transform: found.matrix()} if found.affine else {})}
+        values = {scale: found.mm_per_px, **({transform: found.matrix} if found.matrix else {})}
         for other, value in values.items():
             self.given.add(other)
             entry = SCENE["calibration"].keys[_name(other)]
