@@ -6,36 +6,21 @@ from __future__ import annotations
 
 import pkgutil
 from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Any
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 
 
-class AddressKind(Protocol):
-    """Interface of a module that opens addresses of one kind, such as those that begin with "udp:"; modules of the
-    folder without an `ADDRESS` are ignored.
-
-    Attributes:
-        ADDRESS: form of an address, such as "udp:HOST:PORT", which begins with the name of the kind.
-    """
-
-    ADDRESS: str
-
-    def open_address(self, address: str, *arguments: Any) -> Any:
-        """Open and return the output, force sensor or camera of an address, given without its kind, such as
-        "127.0.0.1:5005"; outputs take the units of their values as a further argument.
-
-        ImportError with the name of a package means that this package is to be installed.
-        """
-
-
-def kinds(package: str) -> dict[str, AddressKind]:
+def kinds(package: str) -> dict[str, Any]:
     """Return the modules of a package that open addresses, by the word that begins these addresses, such as "udp"; in
     alphabetical order of the modules.
+
+    Such a module has `ADDRESS`, the form of an address such as "udp:HOST:PORT", and `open_address`, which takes an
+    address without its kind; of outputs the units of their values too. Its ImportError names the package to install.
     """
     found = pkgutil.iter_modules(import_module(package).__path__)
     modules = [import_module(f"{package}.{one.name}") for one in found]
-    return {one.ADDRESS.partition(":")[0]: cast(AddressKind, one) for one in modules if hasattr(one, "ADDRESS")}
+    return {one.ADDRESS.partition(":")[0]: one for one in modules if hasattr(one, "ADDRESS")}
 
 
 def forms(package: str) -> str:

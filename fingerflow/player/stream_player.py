@@ -406,13 +406,10 @@ class Player:
     def _measure(self) -> None:
         while (one := self._outcomes.get()) is not None:
             if isinstance(one, Event):
-                self._write_event(one)
+                self._sink.event(one.name, one.frame, **one.facts)
+                log.info("frame %d: %s", one.frame, _SENTENCES[one.name].format(**one.facts))
             elif not self._pass_record(one):
                 return
-
-    def _write_event(self, event: Event) -> None:
-        self._sink.event(event.name, event.frame, **event.facts)
-        log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _pass_record(self, outcome: FrameOutcome) -> bool:
         """Compute the results of a frame from its outcome, offer them to the outputs, and queue a record of them to be

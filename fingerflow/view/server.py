@@ -57,7 +57,7 @@ class Served:
 
     def __init__(self, path: Path | None, port: int = 0) -> None:
         """Open a path and bind a port (0 for a free one); raise FingerflowError if either fails."""
-        self.session = Session(open_path(path))
+        self.session = Session(*open_path(path))
         self.session.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -168,7 +168,7 @@ def application(session: Session) -> Starlette:
         Route("/api/result/table", _post(session.table, TableBody), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
+    handlers: Mapping[Any, Any] = {FingerflowError: _refused}
     return Starlette(routes=routes, exception_handlers=handlers)
 
 
@@ -208,9 +208,6 @@ def _response(answer: Any) -> Response:
     return JSONResponse(json_value(answer))
 
 
-async def _put_right(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": in_words_of_page(str(error))}, 422)
-
-
-async def _asks(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": in_words_of_page(str(error)), "asks": True}, 409)
+async def _refused(_: Request, error: Exception) -> Response:
+    asks = {"asks": True} if isinstance(error, NeedsLeaveError) else {}
+    return JSONResponse({"error": in_words_of_page(str(error)), **asks}, 409 if asks else 422)
