@@ -129,7 +129,8 @@ class Sink:
         self._made = True
         try:
             with self._said():
-                self._open_files()
+                self._events = PatientFile(self.folder / "events.jsonl")
+                self._records = PatientFile(self.folder / "records.bin")
         except PlayerError:
             self.discard()
             raise
@@ -186,10 +187,6 @@ class Sink:
         for name in ("events.jsonl", "records.bin"):
             (folder / name).touch()
 
-    def _open_files(self) -> None:
-        self._events = PatientFile(self.folder / "events.jsonl")
-        self._records = PatientFile(self.folder / "records.bin")
-
     def write(self, record: Array, frame: int) -> None:
         """Append the record of one frame to the results folder; records are flushed to the disk once a second."""
         assert self._records is not None
@@ -204,8 +201,9 @@ class Sink:
                     self._records.sync()
 
     def _flush(self, records: PatientFile, wait: bool = False) -> None:
-        if (refusal := records.flush(wait)) is not None:
-            self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
+        if (full_disk := records.flush(wait)) is not None:
+            seconds, kept_bytes = full_disk
+            self.event("disk_full", self._frame, seconds=round(seconds, 1), kept_bytes=kept_bytes)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
         """Append one event of the stream, with its frame number and further facts, as one line to events.jsonl; any

@@ -269,7 +269,7 @@ WRONG = (
         CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it again"
     ),
     WrongScene(
-        CALIBRATION, 'file = "no_views.toml"', 'file = "no_views', "this calibration has no entry 'views'. Write it again"
+        CALIBRATION, 'file = "no_views.toml"', 'file = "no_views', "calibration has no entry 'views'. Write it again"
     ),
     WrongScene(CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "),
     WrongScene(
