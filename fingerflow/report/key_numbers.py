@@ -14,19 +14,9 @@ from fingerflow.schema.variables import VARIABLES
 _WINDOW = 11  # number of frames of the parabola fit
 _DEGREES = 3  # number of coefficients of a parabola
 _QUANTITIES = (
-    "normal_force",
-    "tangential_force",
-    "load_ratio",
-    "gross_contact_area",
-    "real_contact_area",
-    "contact_area_ratio",
-    "stuck_ratio",
-    "printed_stuck_ratio",
-    "median_divergence",
-    "median_curl",
-    "global_displacement",
-    "strain_energy",
-)
+    "normal_force", "tangential_force", "load_ratio", "gross_contact_area", "real_contact_area", "contact_area_ratio",
+    "stuck_ratio", "printed_stuck_ratio", "median_divergence", "median_curl", "global_displacement", "strain_energy",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -143,20 +143,9 @@ PRINTED_CONTACT = (
 
 #: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
 TRACK_STATUS = (
-    "tracked",
-    "not_finite",
-    "left_frame",
-    "no_texture",
-    "not_converged",
-    "mismatch",
-    "forward_backward",
-    "uncertain",
-    "off_neighbours",
-    "frame_not_usable",
-    "window_differs",
-    "not_seeded_yet",
-    "dust_in_window",
-)
+    "tracked", "not_finite", "left_frame", "no_texture", "not_converged", "mismatch", "forward_backward", "uncertain",
+    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window",
+)  # fmt: skip
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass",
         equation="s (A (x_px, 1)), A = calibration.topography_to_contact"),
