@@ -13,6 +13,7 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_scene
 
 from fingerflow import player
+from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
 from fingerflow.tracker.frame_tracker import StreamTracker, Work
@@ -346,7 +347,7 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
         "median_divergence (µm/mm),median_divergence_std (µm/mm),slip_residual (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
-    with pytest.raises(player.PlayerError, match="exists"):
+    with pytest.raises(FingerflowError, match="exists"):
         player.write_table(stream.folder / "results", table)
     again = stream.run(*stream.recorded(2))
     assert (again.code, len(again.results.records)) == (2, 5)
