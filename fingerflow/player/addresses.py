@@ -2,8 +2,6 @@
 before the colon selects one of the modules of a folder.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """Command line of the player."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """Condition on a live value, such as "gross_contact_area > 20 mm2", for triggers."""
 
-from __future__ import annotations
-
 import math
 import operator
 import re

@@ -1,7 +1,5 @@
 """Objects that the threads of a stream exchange: closable queues and frame buffers."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Iterable

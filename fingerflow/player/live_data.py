@@ -1,7 +1,5 @@
 """Latest image and time traces of a stream, for display on the live page."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

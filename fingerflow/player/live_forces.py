@@ -1,7 +1,5 @@
 """Forces of the frames of a stream: recorded with them, or measured by a live sensor."""
 
-from __future__ import annotations
-
 import bisect
 import logging
 import math

@@ -1,7 +1,5 @@
 """Lab Streaming Layer: the package pylsl, and the offset of its clock to `time.perf_counter`."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

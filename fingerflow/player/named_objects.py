@@ -1,7 +1,5 @@
 """Import of optional libraries, and of functions from a user's own module, given as ``module:name``."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """Opening of a stream: from the options of the player to a `Player` with source, engine, outputs and results folder."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys

@@ -1,7 +1,5 @@
 """Options of the player, on the command line and as arguments of `play`."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Layout of records: the variables of `schema` that are stored for each frame of a stream."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Serial line: opened by termios on Linux and macOS, by the package pyserial on Windows."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

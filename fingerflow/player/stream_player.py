@@ -1,7 +1,5 @@
 """Stream player: the threads of a stream, and the transfer of frames, outcomes and records between threads."""
 
-from __future__ import annotations
-
 import logging
 import math
 import sys

@@ -1,7 +1,5 @@
 """Writer of a file that buffers data in memory while the disk is full, instead of failing at once."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import os

@@ -1,7 +1,5 @@
 """Results folder of a stream: file format, reader and writer."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

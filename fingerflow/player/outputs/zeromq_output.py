@@ -1,7 +1,5 @@
 """Output of live values by ZeroMQ, each message one JSON object; needs the package pyzmq."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from fingerflow.errors import PlayerError

@@ -1,7 +1,5 @@
 """Source of frames from a GenICam camera by its maker's GenTL producer; needs the package harvesters."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

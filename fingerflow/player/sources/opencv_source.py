@@ -1,7 +1,5 @@
 """Source of frames from a camera that OpenCV captures, such as a webcam or a network stream."""
 
-from __future__ import annotations
-
 import math
 
 from fingerflow.engines.engine import Array

@@ -12,8 +12,6 @@ samples only approximates:
 Averaging over the exposure, the obvious alternative, passes 400 Hz with a gain of 21 % into frames of 300 Hz.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
