@@ -16,33 +16,33 @@ def kinds(package: str) -> dict[str, Any]:
     Such a module has `ADDRESS`, the form of an address such as "udp:HOST:PORT", and `open_address`, which takes an
     address without its kind; of outputs the units of their values too. Its ImportError names the package to install.
     """
-    found = pkgutil.iter_modules(import_module(package).__path__)
-    modules = [import_module(f"{package}.{one.name}") for one in found]
-    return {one.ADDRESS.partition(":")[0]: one for one in modules if hasattr(one, "ADDRESS")}
+    files = pkgutil.iter_modules(import_module(package).__path__)
+    modules = [import_module(f"{package}.{module.name}") for module in files]
+    return {module.ADDRESS.partition(":")[0]: module for module in modules if hasattr(module, "ADDRESS")}
 
 
 def forms(package: str) -> str:
     """Return the forms of the addresses that a package can open, such as "osc:HOST:PORT, udp:HOST:PORT", for error
     messages.
     """
-    return ", ".join(one.ADDRESS for one in kinds(package).values())
+    return ", ".join(module.ADDRESS for module in kinds(package).values())
 
 
-def open_address(package: str, what: str, asked: str, *arguments: Any) -> Any:
-    """Open and return the output, force sensor or camera with the address `asked`, by the module of a package that its
-    first word names; `what` names the object in error messages.
+def open_address(package: str, what: str, requested: str, *arguments: Any) -> Any:
+    """Open and return the output, force sensor or camera with the address `requested`, by the module of a package that
+    its first word names; `what` names the object in error messages.
 
     Raises PlayerError with the reason where there is no such kind or it cannot be opened.
     """
-    name, _, address = asked.partition(":")
+    name, _, address = requested.partition(":")
     kind = kinds(package).get(name)
     if kind is None:
-        raise PlayerError(f"{what} {asked!r}: there is no kind {name!r}; give one of {forms(package)}")
+        raise PlayerError(f"{what} {requested!r}: there is no kind {name!r}; give one of {forms(package)}")
     try:
         return kind.open_address(address, *arguments)
     except FingerflowError as error:
-        raise PlayerError(f"{what} {asked!r}: {error}; its form is {kind.ADDRESS}") from None
+        raise PlayerError(f"{what} {requested!r}: {error}; its form is {kind.ADDRESS}") from None
     except ImportError as error:
-        raise PlayerError(f"{what} {asked!r}: needs the package {error.name}: `pip install {error.name}`") from None
+        raise PlayerError(f"{what} {requested!r}: needs the package {error.name}: `pip install {error.name}`") from None
     except Exception as error:  # a user's or library's code may raise anything
-        raise PlayerError(f"{what} {asked!r}: cannot be opened ({first_line(error)})") from error
+        raise PlayerError(f"{what} {requested!r}: cannot be opened ({first_line(error)})") from error

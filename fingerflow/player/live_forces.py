@@ -36,8 +36,8 @@ class LiveForces(NamedTuple):
         """Return the forces recorded in frame `number`, N, by variable name; NaN for frames outside the recorded range.
         The time is not used.
         """
-        place = number - self.first
-        return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
+        index = number - self.first
+        return {name: float(row[index]) if 0 <= index < len(row) else math.nan for name, row in self.values.items()}
 
     def close(self) -> None:
         """Do nothing, as no sensor is open."""

@@ -50,15 +50,15 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """
-    found = np.full(len(values), np.nan)
+    deviations = np.full(len(values), np.nan)
     if len(values) < _WINDOW:
-        return found
-    place = np.linspace(-1, 1, _WINDOW)
-    left = np.eye(_WINDOW) - (basis := np.vander(place, _DEGREES)) @ np.linalg.pinv(basis)
+        return deviations
+    positions = np.linspace(-1, 1, _WINDOW)
+    left = np.eye(_WINDOW) - (basis := np.vander(positions, _DEGREES)) @ np.linalg.pinv(basis)
     windows = np.lib.stride_tricks.sliding_window_view(np.asarray(values, dtype=np.float64), _WINDOW)
     rest = np.sqrt(((windows @ left.T) ** 2).sum(1) / (_WINDOW - _DEGREES))
     half = _WINDOW // 2
-    found[half : len(values) - half] = rest
+    deviations[half : len(values) - half] = rest
     # Frames at the ends take the values of the first and last windows.
-    found[:half], found[len(values) - half :] = rest[0], rest[-1]
-    return found
+    deviations[:half], deviations[len(values) - half :] = rest[0], rest[-1]
+    return deviations

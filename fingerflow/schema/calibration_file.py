@@ -37,7 +37,7 @@ def read_calibration(path: Path) -> CalibrationFile:
             raise OSError(0, "it is no file")
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         transform = table.get("topography_to_contact")
-        found = CalibrationFile(
+        calibration = CalibrationFile(
             float(_number(table["mm_per_px"])),
             {
                 name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
@@ -53,9 +53,9 @@ def read_calibration(path: Path) -> CalibrationFile:
         raise FingerflowError(f"{path}: this calibration has no entry {error}. {_REMEDY}") from None
     except (TypeError, ValueError, AttributeError) as error:
         raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}. {_REMEDY}") from None
-    if not 0 < found.mm_per_px < math.inf:
-        raise FingerflowError(f"{path}: mm_per_px is {found.mm_per_px}; it must be above 0. {_REMEDY}")
-    return found
+    if not 0 < calibration.mm_per_px < math.inf:
+        raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0. {_REMEDY}")
+    return calibration
 
 
 def pixel_range(name: str, values: Any) -> Pixels:

@@ -54,11 +54,11 @@ def sample_of(frame: Any) -> Sample:
     used = measured & answered if any_answer else measured
     if not used.any():
         raise FingerflowError("no trial has been measured: `fingerflow study run` comes first, and says what failed")
-    own = frame[used]
-    columns = {name: own[name].to_numpy() for name in ("participant", "trial", "condition")}
-    columns["answer"] = own["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(own), bool)
+    rows = frame[used]
+    columns = {name: rows[name].to_numpy() for name in ("participant", "trial", "condition")}
+    columns["answer"] = rows["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(rows), bool)
     names = (*METRICS, *(f"{name}{DIFFERENCE}" for name in METRICS))
-    metrics = {name: own[name].to_numpy(np.float64) for name in names if name in own and own[name].notna().any()}
+    metrics = {name: rows[name].to_numpy(np.float64) for name in names if name in rows and rows[name].notna().any()}
     rules = [(f"{name}, so nothing was measured", int((frame["status"] == name).sum()))
              for name in dict.fromkeys(frame["status"]) if name != MEASURED]  # fmt: skip
     if any_answer:
@@ -94,7 +94,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     differences = sample.trials
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
     trials = replace(differences, metrics=values)
-    found: dict[str, Any] = {
+    statistics: dict[str, Any] = {
         "counted": asdict(sample.counted),
         "by_condition": _anovas(trials, trials.condition),
         "correlations": _corrected(
@@ -107,12 +107,12 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         "groups": _groups(differences, resamples),
     }
     if sample.answered:
-        found["by_answer"] = _anovas(trials, trials.answer)
+        statistics["by_answer"] = _anovas(trials, trials.answer)
         shares = {name: correlate_with_answers(trials, values) for name, values in differences.metrics.items()}
-        found["shares"] = _corrected(shares)
-        found["force_rate"] = _of_force_rate(trials)
-        found["observer"] = _observed(trials, resamples)
-    plain: dict[str, Any] = json_value(found)
+        statistics["shares"] = _corrected(shares)
+        statistics["force_rate"] = _of_force_rate(trials)
+        statistics["observer"] = _observed(trials, resamples)
+    plain: dict[str, Any] = json_value(statistics)
     return plain
 
 
@@ -136,12 +136,12 @@ def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _anovas(trials: observer.Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
-    found = _corrected(
+    tests = _corrected(
         {name: observer.repeated_anova(values, groups, trials.participant) for name, values in trials.metrics.items()}
     )
     for name, values in trials.metrics.items():
-        found[name]["as_printed"] = asdict(observer.one_way_anova(values, groups))
-    return found
+        tests[name]["as_printed"] = asdict(observer.one_way_anova(values, groups))
+    return tests
 
 
 def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
@@ -149,20 +149,20 @@ def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
     summaries = observer.observe(replace(without, metrics=shown), resamples=resamples)
     areas = _corrected({name: summary.auc for name, summary in summaries.items()})
-    found = {}
+    metrics = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
     for name, summary in summaries.items():
-        found[name] = {
+        metrics[name] = {
             "d_prime": summary.d_prime,
             "auc": areas[name],
             "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
-            found[name]["beside_divergence"] = observer.compare_auc(
+            metrics[name]["beside_divergence"] = observer.compare_auc(
                 without.split(name), first, without.participants(), resamples
             )
-    return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
+    return {"left_out": without.left_out, "rule": without.rule, "metrics": metrics}
 
 
 def correlate_with_answers(trials: observer.Trials, values: NDArray[np.float64]) -> observer.Estimate:
@@ -178,12 +178,12 @@ def correlate_with_answers(trials: observer.Trials, values: NDArray[np.float64])
 def _of_force_rate(trials: observer.Trials) -> Any:
     if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
         return {"reason": "needs the rate of the force and conditions that are numbers"}
-    asked = trials.condition <= _LARGEST_AMPLITUDE
+    small = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
-    found = observer.clustered_regression(
-        rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked]
+    regression = observer.clustered_regression(
+        rate[small], trials.answer[small], trials.condition[small], trials.participant[small]
     )
-    return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
+    return {**asdict(regression), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 
 def _groups(trials: observer.Trials, resamples: int) -> Any:
