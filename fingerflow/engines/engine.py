@@ -215,7 +215,6 @@ class Engine(Protocol):
         described: name with its device or provider, as in "onnx (CPUExecutionProvider)".
         settings: with which it was created.
         cell_px: side of the cells of the apparent contact.
-        parallel: number of frames of a stream that it computes at the same time if nothing else is asked for.
         deviations: whether `fields` and `fit` take covariances.
     """
 
@@ -223,7 +222,6 @@ class Engine(Protocol):
     described: str
     settings: EngineSettings
     cell_px: int
-    parallel: int
     deviations: bool
 
     def images(self, frames: Array) -> Images:

@@ -61,7 +61,7 @@ class NativeEngine:
     """
 
     name = described = "native"
-    parallel, deviations = 1, True
+    deviations = True
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings

@@ -85,7 +85,7 @@ class OnnxEngine:
     """
 
     name = "onnx"
-    parallel, deviations = 2, False
+    deviations = False
 
     def __init__(
         self,

@@ -54,7 +54,7 @@ class TorchEngine:
     """
 
     name = "torch"
-    parallel, deviations = 2, True
+    deviations = True
 
     def __init__(self, settings: EngineSettings, device: torch.device) -> None:
         self.settings, self._device = settings, device

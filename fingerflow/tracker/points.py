@@ -38,15 +38,12 @@ class Knowledge:
     """Tracking conditions of a recording or a stream: whether later frames are known, and limits of computing time.
 
     Attributes:
-        lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
-            are computed in parallel.
         ahead: True if later frames are known. Several frames may then be tracked in one call, and a point that fails
             the verification is rejected in all frames since the check before.
         searched: largest number of points searched for in one round of a frame; None for all.
         patience: frames for which a lost point is searched for; None for no limit.
     """
 
-    lag: int = 1
     ahead: bool = True
     searched: int | None = None
     patience: int | None = None
@@ -204,8 +201,7 @@ class Points:
         near `guess` (N, 2); return them.
 
         Lost points are recovered, positions corrected for the deformation of the skin, and all points are verified by
-        their windows in the image. Frames are given in order. `index` is the number, in a stream, of the last frame
-        that was computed: up to `lag` - 1 later frames may have begun.
+        their windows in the image. Frames are given in order. `index` is the number of the frame in a stream.
         """
         if index is not None:
             self._index = index
@@ -418,8 +414,7 @@ class Points:
             much[pending.rows] = False
         rows = np.flatnonzero(much)
         if len(rows):
-            begun = self._knowledge.lag - 1  # later frames that may have begun
-            later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
+            later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, points: FoundPoints) -> FoundPoints:
