@@ -39,9 +39,9 @@ def test_a_slow_engine_turns_the_page_amber(stream: Stream, monkeypatch: pytest.
     are lost, while the median latency of `latest` stays below 0.1 s.
     """
     found: list[Player] = []
-    run, compute = Player.run, StreamTracker.compute
+    run, step = Player.run, StreamTracker.step
     monkeypatch.setattr(Player, "run", lambda one: (found.append(one), run(one))[1])
-    monkeypatch.setattr(StreamTracker, "compute", lambda tracker, work: (time.sleep(0.02), compute(tracker, work))[1])
+    monkeypatch.setattr(StreamTracker, "step", lambda tracker, frame: (time.sleep(0.02), step(tracker, frame))[1])
     said = set[str]()
     ends = time.monotonic() + 60
 

@@ -161,7 +161,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     _rewritten(stream.bundle, graphs=facts["graphs"])
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
     _rewritten(stream.bundle, graphs={})
-    assert "without the graphs light, contact, threshold," in said("--engine", "onnx")
+    assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
     assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
     _rewritten(stream.bundle, graphs={"light": {}})
     assert "has no proper entry 'sha256'" in said()

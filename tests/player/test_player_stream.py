@@ -81,8 +81,8 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
 @pytest.fixture
 def slow_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the engine take 4 ms longer for each frame."""
-    compute = StreamTracker.compute
-    monkeypatch.setattr(StreamTracker, "compute", lambda *given: (time.sleep(0.004), compute(*given)))
+    step = StreamTracker.step
+    monkeypatch.setattr(StreamTracker, "step", lambda *frame: (time.sleep(0.004), step(*frame))[1])
 
 
 @pytest.mark.usefixtures("slow_engine")
