@@ -10,7 +10,7 @@ from drawn_discs import TARGET, Array, DrawnDisc, as_found, camera, draw, moved,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fingerflow.calibration import Calibration, Transform, calibrate, fit_affine, fit_similarity, match_discs
+from fingerflow.calibration import Calibration, calibrate, fit_affine, fit_similarity, match_discs
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.views import View
 
@@ -92,24 +92,13 @@ def test_a_mirrored_view_is_said_with_its_transform() -> None:
     np.testing.assert_allclose(matrix["topography_to_contact"], MIRROR, atol=1e-9)
 
 
-def test_discs_on_a_line_are_said() -> None:
-    line = tuple(DrawnDisc(40.0 + 60 * k, 50.0 + 45 * k, 20 + k, 20 + k) for k in range(3))
-    with pytest.raises(FingerflowError, match=r"\(40, 50\), \(100, 95\), \(160, 140\) px are collinear.*not on a line"):
-        match_discs(as_found(line), as_found(TARGET))
-    with pytest.raises(FingerflowError, match="lie on a line"):
-        fit_affine([(0, 0), (1, 1), (2, 2)], [(0, 0), (1, 0), (0, 1)])
-
-
 def test_a_distractor_is_left_out() -> None:
     """A stain as dark and round as a disc is left out, in one view or elsewhere in both, even if it is the most
     significant.
     """
     stain, other = DrawnDisc(205.0, 215.0, 26, 26), DrawnDisc(35.0, 130.0, 34, 34)
     matrix = similarity(170, 1.05, MIDDLE, MIDDLE)
-    for here, there in (
-        ((*TARGET, stain), moved(TARGET, matrix)),
-        ((*TARGET, stain), (*moved(TARGET, matrix), other)),
-    ):
+    for here, there in (((*TARGET, stain), moved(TARGET, matrix)), ((*TARGET, stain), (*moved(TARGET, matrix), other))):
         for order in permutations(range(len(there))):
             pairs = match_discs(as_found(here), [as_found(there)[k] for k in order])
             assert {pair[0].center for pair in pairs} == {(disc.x, disc.y) for disc in TARGET}
@@ -133,14 +122,6 @@ def test_discs_that_cannot_be_matched_are_said(
 ) -> None:
     with pytest.raises(FingerflowError, match=said):
         match_discs(as_found(here), as_found(there))
-
-
-def test_a_triangle_without_a_sense_of_direction_is_said() -> None:
-    """A triangle of equal sides and equal discs is refused, because a turn by 120 degrees cannot be seen."""
-    angles = 2 * np.pi * np.arange(3) / 3
-    even = tuple(DrawnDisc(128 + 80 * np.cos(t), 128 + 80 * np.sin(t), 20, 20) for t in angles)
-    with pytest.raises(FingerflowError, match=r"more than one way.*different sizes"):
-        match_discs(as_found(even), as_found(even))
 
 
 def test_too_few_discs_in_a_frame_are_said_with_what_was_found() -> None:
@@ -208,27 +189,3 @@ def test_a_calibration_file_is_read_as_it_was_written(both: bool, tmp_path: Path
             np.testing.assert_array_equal(after.matrix, before.matrix)
             np.testing.assert_array_equal(after.residuals_px, before.residuals_px)
     assert read.to_toml() == written.to_toml()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("mm_per_px = 0.03", "mm_per_px = -0.03", "mm_per_px is -0.03; it must be above 0"),
-        ("mm_per_px = 0.03", 'mm_per_px = "x"', "an entry of this calibration is wrong"),
-        ("mm_per_px = 0.03", "", "no entry 'mm_per_px'"),
-        ("mm_per_px = 0.03", "mm_per_px 0.03", "cannot be read"),
-        ("rows = [0, 256]", "rows = [256, 0]", "a view's rows are"),
-        ("matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "matrix = [[1, 0, 0], [2, 0, 0]]", "no 2 x 3 transform"),
-        ("matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "matrix = [[nan, 0, 0], [0, 1, 0]]", "no 2 x 3 transform"),
-    ],
-)
-def test_a_damaged_calibration_file_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "calibration.toml"
-    identity = Transform(np.eye(2, 3), np.zeros((3, 2)))
-    text = Calibration(0.03, 2.75, as_found(TARGET)[0], VIEWS, (), identity, identity).to_toml()
-    assert old in text
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(FingerflowError, match=said) as caught:
-        Calibration.from_toml(path)
-    assert str(path) in str(caught.value)
-    assert "fingerflow calibrate" in str(caught.value)
