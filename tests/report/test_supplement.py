@@ -107,22 +107,6 @@ def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(t
     assert Sheet("S1", (), (("A", "x"), ("C", "y"), ("B", "x"))).missing() == ["A, B need x", "C needs y"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--trials", "none.csv"), "none.csv cannot be read"),
-        (("--trials", "none.csv", "--format", "jpg"), "'jpg' is none; give one or more of pdf, svg, png"),
-        (("--trials", "none.csv", "--width", "85"), "give a number and its unit: mm, cm or in, such as 85mm"),
-    ],
-)
-def test_mistakes_are_named(
-    command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: Printed
-) -> None:
-    assert command("figures", tmp_path / "out", *arguments) == 2
-    assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def labels(figure: Figure) -> list[Text]:
     """Return the visible titles, axis labels, tick labels and panel letters."""
     found = [part._suptitle for part in figure.subfigs]
