@@ -15,6 +15,8 @@ QUICK_SHAPE = (256, 320)
 _TEXTURE = RidgeTexture(centre=(10.0, 8.0))
 
 Shift = tuple[float, float]
+Texture = Callable[[Tensor, Tensor], Tensor]
+Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 def grey(x: Tensor, y: Tensor) -> Tensor:
@@ -25,16 +27,7 @@ def grey(x: Tensor, y: Tensor) -> Tensor:
 @lru_cache(maxsize=16)
 def clean_picture(shape: tuple[int, int], shift: Shift) -> Tensor:
     """Return the skin moved by ``shift`` px, without noise and rounding, (1, 1, H, W) float64."""
-    return deformed_picture(shape, lambda x, y: (x - shift[0], y - shift[1]))
-
-
-def deformed_picture(
-    shape: tuple[int, int],
-    material: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
-    dtype: torch.dtype = torch.float64,
-) -> Tensor:
-    """Return the skin (1, 1, H, W) whose pixels show the material positions (px) given by ``material``."""
-    return texture_image(grey, shape, 1.0, material, dtype)
+    return texture_image(grey, shape, 1.0, lambda x, y: (x - shift[0], y - shift[1]))
 
 
 def photograph(clean: Tensor, noise: float, seed: int) -> Tensor:
@@ -48,6 +41,20 @@ def photograph_pair(shape: tuple[int, int], motion: Shift, noise: float, number:
     """Return photographs of the skin at rest and moved by ``motion`` px; pairs of another number have another noise."""
     previous = photograph(clean_picture(shape, (0.0, 0.0)), noise, seed=2 * number)
     return previous, photograph(clean_picture(shape, motion), noise, seed=2 * number + 1)
+
+
+def photograph_motion(texture: Texture, motion: Motion, shape: tuple[int, int], noise: float) -> tuple[Tensor, Tensor]:
+    """Return photographs of a texture at rest and after a motion: the displacement (u, v) px of what is at (x, y)."""
+
+    def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        there_x, there_y = x, y
+        for _ in range(30):  # a strain of 0.08, the largest here, leaves 1e-33 of the error
+            along_x, along_y = motion(there_x, there_y)
+            there_x, there_y = x - along_x, y - along_y
+        return there_x, there_y
+
+    still, moved = (texture_image(texture, shape, 1.0, mapping) for mapping in (None, material))
+    return photograph(still, noise, 0), photograph(moved, noise, 1)
 
 
 def choose_points(shape: tuple[int, int], count: int, border: int) -> Tensor:

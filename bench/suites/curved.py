@@ -10,7 +10,7 @@ pyvale with its three shape functions.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import torch
@@ -18,13 +18,11 @@ from torch import Tensor
 
 from bench.drawing import BLUE, GREEN, RED, Mark, cells, draw_dots, saved_axes, scale_by_powers
 from bench.rows import Row, number
-from bench.skin import photograph
+from bench.skin import Motion, photograph_motion
 from bench.suites.flow import NOISE, ridges
 from bench.trackers import track_opencv
 from fingerflow.ops.tracking.track_points import TrackStatus, track_points
-from fingerflow.synthetic import texture_image
 
-Field = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 _SHAPE, _BORDER, _STEP = (320, 320), 30, 10
 #: rms_px of DIC codes, measured apart.
 _APART = {
@@ -44,7 +42,7 @@ _MARKS = {
 
 def run(quick: bool) -> list[Row]:
     """Return a row per field and tracker."""
-    fields: dict[str, Field] = {
+    fields: dict[str, Motion] = {
         f"K {period}, A {height}": _wave(period, height) for period in (50, 100, 300) for height in (0.1, 0.5)
     }
     fields |= {"star": _star, "uniform": lambda x, y: (torch.full_like(x, 0.3), torch.full_like(x, -0.4))}
@@ -55,7 +53,7 @@ def run(quick: bool) -> list[Row]:
     texture = ridges(400, 5.0, 16.0)
     rows: list[Row] = []
     for name, field in fields.items():
-        first, current = _pair(texture, field)
+        first, current = photograph_motion(texture, field, _SHAPE, NOISE)
         truth = torch.stack(field(*points[0].double().unbind(-1)), dim=-1)
         ours, peer = track_points(first, current, points), track_opencv(first, current, points)
         found = {
@@ -95,7 +93,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 
 
-def _wave(period: float, height: float) -> Field:
+def _wave(period: float, height: float) -> Motion:
     turn = 2 * math.pi / period
     return lambda x, y: (height * torch.sin(turn * x), height * torch.cos(turn * y))
 
@@ -103,16 +101,3 @@ def _wave(period: float, height: float) -> Field:
 def _star(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
     period = 40 + 260 * x / _SHAPE[1]
     return torch.zeros_like(x), 0.5 * torch.cos(2 * math.pi * (y - _SHAPE[0] / 2) / period)
-
-
-def _pair(texture: Callable[[Tensor, Tensor], Tensor], field: Field) -> tuple[Tensor, Tensor]:
-    def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        there_x, there_y = x, y
-        for _ in range(30):  # the strain is at most 0.08
-            u, v = field(there_x, there_y)
-            there_x, there_y = x - u, y - v
-        return there_x, there_y
-
-    clean = texture_image(texture, _SHAPE, 1.0), texture_image(texture, _SHAPE, 1.0, material)
-    first, current = (photograph(one, NOISE, seed) for seed, one in enumerate(clean))
-    return first, current

@@ -29,10 +29,9 @@ from torch import Tensor
 
 from bench.drawing import BLUE, RED, VIOLET, Mark, saved_axes, scale_by_powers
 from bench.rows import Row, number
-from bench.skin import deformed_picture, grey, photograph
+from bench.skin import Texture, grey, photograph_motion
 from bench.timing import time_in_turns
 from fingerflow.ops.flow.dense_flow import Flow, dense_flow, find_flow, prepare_flow
-from fingerflow.synthetic import texture_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data/flow"
 NOISE, BORDER, SIGMA = 2.0, 24, 8.0
@@ -54,8 +53,8 @@ def run(quick: bool) -> list[Row]:
                 {
                     "scene": scene,
                     "way": name,
-                    "epe_px": inner((found - truth).norm(dim=1)).nanmean().item(),
-                    "div": 1e3 * inner(divergence(found) - divergence(truth)).square().nanmean().sqrt().item(),
+                    "epe_px": _inner((found - truth).norm(dim=1)).nanmean().item(),
+                    "div": 1e3 * _inner(_divergence(found) - _divergence(truth)).square().nanmean().sqrt().item(),
                     "z": _z(flow, truth) if name == "fingerflow, cold" else None,
                     **times[name].cells(),
                 }
@@ -63,11 +62,9 @@ def run(quick: bool) -> list[Row]:
     return rows + _dimetrodon()
 
 
-def ridges(
-    count: int = 300, least: float = 9.0, most: float = 22.0, seed: int = 3
-) -> Callable[[Tensor, Tensor], Tensor]:
+def ridges(count: int = 300, least: float = 9.0, most: float = 22.0) -> Texture:
     """Grey level at real positions in px: waves of 9 to 22 px, or `least` to `most`, in all directions."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(3)
     period, angle, phase = torch.rand(3, count, generator=generator, dtype=torch.float64)
     turn = 2 * math.pi / (least + (most - least) * period)
     waves = torch.stack((turn * (2 * math.pi * angle).cos(), turn * (2 * math.pi * angle).sin(), 2 * math.pi * phase))
@@ -93,21 +90,10 @@ def _motion(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
     return along_x, along_y
 
 
-def pair(texture: Callable[[Tensor, Tensor], Tensor], shape: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
-    def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        there_x, there_y = x, y
-        for _ in range(20):  # the strain is a few percent: each time the error is so much smaller
-            along_x, along_y = _motion(there_x, there_y)
-            there_x, there_y = x - along_x, y - along_y
-        return there_x, there_y
-
-    if texture is grey:
-        clean = deformed_picture(shape, lambda x, y: (x, y)), deformed_picture(shape, material)
-    else:
-        clean = texture_image(texture, shape, 1.0), texture_image(texture, shape, 1.0, material)
+def pair(texture: Texture, shape: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Both images of a texture that moves, and its displacement (1, 2, H, W) px."""
     y, x = torch.meshgrid(*(torch.arange(side, dtype=torch.float64) for side in shape), indexing="ij")
-    first, current = (photograph(one, NOISE, seed) for seed, one in enumerate(clean))
-    return first, current, torch.stack(_motion(x, y))[None]
+    return *photograph_motion(texture, _motion, shape, NOISE), torch.stack(_motion(x, y))[None]
 
 
 def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
@@ -120,7 +106,7 @@ def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
         return _field(np.stack((right, down), axis=-1))
 
     ways: dict[str, Way] = {
-        **opencv(one, other),
+        **_opencv(one, other),
         "scikit-image ILK": ilk,
         "fingerflow, cold": lambda: dense_flow(first, current).displacement.double(),
         "fingerflow, warm": lambda: find_flow(template, current, before, warps=1).displacement.double(),
@@ -133,7 +119,7 @@ def _field(flow: np.ndarray) -> Tensor:
     return torch.from_numpy(np.moveaxis(flow, 2, 0).astype(np.float64))[None]
 
 
-def opencv(first: Any, current: Any) -> dict[str, Way]:
+def _opencv(first: Any, current: Any) -> dict[str, Way]:
     """Fields (1, 2, H, W) of two images (H, W) uint8."""
     farneback: Any = cv2.calcOpticalFlowFarneback  # stubs do not know that there may be no initial flow
     medium: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
@@ -172,7 +158,7 @@ def _dimetrodon() -> list[Row]:
     first, current = (torch.from_numpy(image)[None, None] for image in (one, other))
 
     ways: dict[str, Way] = {
-        **opencv(one, other),
+        **_opencv(one, other),
         **_variational(one, other),
         "fingerflow, default": lambda: dense_flow(first, current).displacement.double(),
         "fingerflow, quadratic": lambda: dense_flow(first, current, model="quadratic").displacement.double(),
@@ -197,11 +183,11 @@ def _dimetrodon() -> list[Row]:
     return rows
 
 
-def inner(field: Tensor) -> Tensor:
+def _inner(field: Tensor) -> Tensor:
     return field[..., BORDER:-BORDER, BORDER:-BORDER]
 
 
-def divergence(flow: Tensor) -> Tensor:
+def _divergence(flow: Tensor) -> Tensor:
     """(1, H, W) of the field smoothed with sigma 8 px; what is not known at the border is taken from beside it."""
     planes = [cv2.GaussianBlur(plane.nan_to_num(0.0).numpy(), (0, 0), SIGMA) for plane in flow[0]]
     return torch.from_numpy(np.gradient(planes[0], axis=1) + np.gradient(planes[1], axis=0))[None]
@@ -209,7 +195,7 @@ def divergence(flow: Tensor) -> Tensor:
 
 def _z(flow: Flow, truth: Tensor) -> float:
     variance = torch.stack((flow.covariance[:, 0, 0], flow.covariance[:, 1, 1]), dim=1)
-    return float(inner((flow.displacement - truth).square() / variance).nanmean().sqrt())
+    return float(_inner((flow.displacement - truth).square() / variance).nanmean().sqrt())
 
 
 _MARKS = {

@@ -37,6 +37,7 @@ from bench.trackers import track_opencv
 from fingerflow.export.build import build_graphs
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, parse_recipe
 from fingerflow.export.write_bundle import write_graph
+from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Press
 
@@ -120,7 +121,8 @@ def _corners(view: Tensor, recipe: Recipe) -> Tensor:
 def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
     """Return the number of nodes of the exported graph, and a call that runs it."""
     graphs = build_graphs(recipe)
-    tensors = known | graphs["light"].run(known)
+    light, black = glass_light(known["empty"], known["dark"])
+    tensors = known | {"light": light, "black": black}
     if "points" in tensors:
         key = {**tensors, "topography_view": tensors["topography_before"]}
         for graph in (graphs["noise"], graphs["prepare"]):

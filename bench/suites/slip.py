@@ -25,14 +25,11 @@ five laws by which slip begins beside the stick border (`bench.slip_trials`); on
 - ratio_error: mu_k / mu_s over the true one, less 1, from the critical area of a trial of the model that vanishes
   abruptly and is judged to; `fit_error` the same from the friction law fitted to d²(T/N), where the fit says that it is
   identified;
-- ratio_bound: the Cramer-Rao bound (`bench.friction_bound`): the least relative deviation that mu_k / mu_s can have
-  where d² has a white noise of 0.01 and the forces theirs; ratio_shift, by how much the ratio is off where d² is
-  too large by 0.01 in all frames; offset_5, the offset of d² that moves the ratio by 5 %;
 - cpu_s: of `process`, one thread.
 
 The rows without a seed sum up all trials, those of a curve, and those of a law: counts of verdicts, percent of all
 frames, the worst of all, RMS of z, and the percent of the trials with a ratio whose `ratio_error` (`fit_error`) is 5 %
-at most; of power, the bound and what follows it the medians. In pictures of real fingers slip may begin by yet another
+at most; of power the median. In pictures of real fingers slip may begin by yet another
 law.
 """
 
@@ -49,7 +46,6 @@ from numpy.typing import NDArray
 
 from bench.drawing import GREY, RED, Mark, saved_axes
 from bench.environment import one_thread
-from bench.friction_bound import friction_bound
 from bench.recordings import write_quietly
 from bench.rows import Cell, Row, number
 from bench.slip_trials import LAWS, LawSlip
@@ -64,7 +60,6 @@ _ORDER = ("wrong", "none", "right")
 _NEAR = 0.02  # of d^2
 _CLOSE = 0.05  # of mu_k / mu_s
 _RATE = 60.0
-_NOISE = 0.01  # of d^2, for the bound
 _PARTIAL = 0.03  # least share that sticks, and that slips, in the frames whose error is compared with its deviation
 
 
@@ -156,7 +151,6 @@ def measured(name: str, known: LawSlip) -> dict[str, Cell]:
     judged = "none" if verdict["outcome"] == "inconclusive" else "right" if right else "wrong"
     true_ratio = known.kinetic_friction / known.static_friction
     friction = verdict["friction_ratio"] if abrupt and right and follows_model else None
-    bound = friction_bound(known, _NOISE, _NOISE) if abrupt and follows_model else None
     fitted = fit["ratio"] if abrupt and follows_model and fit.get("identified") else None
     area = verdict["critical_area"]
     return {
@@ -189,9 +183,6 @@ def measured(name: str, known: LawSlip) -> dict[str, Cell]:
         "worst": float(found.max()) if len(found) else None,
         "ratio_error": None if friction is None else friction / true_ratio - 1,
         "fit_error": None if fitted is None else fitted / true_ratio - 1,
-        "ratio_bound": None if bound is None else bound.deviation,
-        "ratio_shift": None if bound is None else bound.shift,
-        "offset_5": None if bound is None else _CLOSE * _NOISE / abs(bound.shift),
         "cpu_s": seconds,
         "why": verdict["reason"],
     }
@@ -223,7 +214,6 @@ def summed(rows: Sequence[Mapping[str, Cell]], name: str) -> Row:
 
     means = {key: combined(key, np.mean) for key in ("bias", "within_1", "within_2", "bias_40_um")}
     roots = {key: combined(key, root) for key in ("critical_z", "rms", "z", "rms_40_um", "duration_error")}
-    middles = {key: combined(key, np.median) for key in ("power", "ratio_bound", "ratio_shift", "offset_5")}
     counts = {key: sum(bool(row[key]) for row in rows) for key in ("by_area", "by_model", "as_printed", "by_40_um")}
     return {
         "trial": name,
@@ -238,7 +228,7 @@ def summed(rows: Sequence[Mapping[str, Cell]], name: str) -> Row:
         "within_002": near / sum(seen) if seen else None,
         "worst": max((number(row, "worst") for row in known), default=None),
         **{key: combined(key, close) for key in ("ratio_error", "fit_error")},
-        **middles,
+        "power": combined("power", np.median),
         "cpu_s": sum(number(row, "cpu_s") for row in rows),
     }
 

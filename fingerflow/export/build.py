@@ -23,7 +23,6 @@ from fingerflow.graphs import (
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import query_gradients
-from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.deformation import Supports, correct_points, fit_supports
@@ -133,7 +132,6 @@ def _contact_graphs(settings: EngineSettings, real_contact_mask: bool) -> _Descr
         return tuple(getattr(frame_contact, name) for name in shown)
 
     return {
-        "light": (lambda empty, dark: glass_light(empty, dark, torch.float32), ("empty", "dark"), _LIGHT),
         "contact": (contact, ("contact_view", *_LIGHT, "threshold"), shown),
         "threshold": (lambda *inputs: (graph.threshold(*inputs),), ("contact_view", *_LIGHT), ("threshold",)),
     }

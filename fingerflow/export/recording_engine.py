@@ -40,6 +40,8 @@ class RecordingEngine(OnnxEngine):
         threads: inside an operator.
     """
 
+    deviations = True
+
     def __init__(self, settings: EngineSettings, threads: int) -> None:
         with_deviations = build(settings, points=1, deviations=True)
         graphs: dict[str, Graph] = {str(name): graph for name, graph in build(settings, points=1).items()}

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.frame_distances import frame_distances
-from fingerflow.kernels.library import is_present
+from fingerflow.kernels.library import is_present, run
 
 Array = NDArray[Any]
 
@@ -84,7 +83,8 @@ def _pattern_distances(now: Array, before: Array, bands: int) -> Array:
     of lines, and of all lines.
     """
     if is_present():
-        return frame_distances(now, before, bands, _MOST)
+        distances: Array = run("frame_distances", now=now, before=before, bands=bands, most=_MOST)
+        return distances
     difference = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
     edges = np.arange(bands + 1) * difference.shape[1] // bands
     of_bands = np.add.reduceat(difference, edges[:-1], axis=1) / np.diff(edges)

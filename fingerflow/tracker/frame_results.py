@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.curvature import curvature_variance
@@ -80,7 +81,7 @@ class FrameResults:
         """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
         `points` and the seeding to which these points belong.
         """
-        covered = self._engine.covered(contact.density_margin, points.estimate, self._to_contact)
+        covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
         self._frames += 1
@@ -184,7 +185,7 @@ class FrameResults:
         reference = touch.position[0].astype(np.float32)
         # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
         covariance = None
-        if entered is None and self._engine.name != "onnx":
+        if entered is None and self._engine.deviations:
             covariance = self._covariance(points.variance, curvature, touch)
         fields = self._engine.fields(reference, moved, around, covariance, entered)
         deviation = math.nan

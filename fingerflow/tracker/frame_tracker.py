@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, is_finite
 from fingerflow.tracker.points import STREAM, Points
@@ -81,7 +81,7 @@ class Frame:
 
 @dataclass
 class Work:
-    """Intermediate data of a frame in progress, from `StreamTracker.begin` to `StreamTracker.compute_results`.
+    """Intermediate data of a frame in progress, from `StreamTracker.step` to `StreamTracker.compute_results`.
 
     Attributes:
         index: among all frames of the stream that have begun, from 0.
@@ -89,7 +89,6 @@ class Work:
         images: both views, in the engine's own representation.
         guess: (N, 2) px, predicted positions; None before any points were seeded.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
-        measure: whether the threshold is to be measured in it.
         points, measured: points tracked in it, and the threshold measured in it.
         contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
     """
@@ -99,7 +98,6 @@ class Work:
     images: dict[str, Images]
     guess: Array | None
     threshold: float
-    measure: bool
     points: FoundPoints | None = None
     measured: float | None = None
     contact: FrameContact | None = None
@@ -176,13 +174,12 @@ class _Sparse(NamedTuple):
 
 
 class StreamTracker:
-    """Tracker of a stream: state between frames, and the methods `begin`, `compute` and `finish` for each frame.
+    """Tracker of a stream: state between frames, and the method `step` for each frame.
 
-    `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
-    frames: it recovers lost points and decides whether the frame counts. `compute_results` computes contact and results
-    while the next frames are tracked. Each method takes frames in order; up to `lag` frames may have begun without
-    being finished. The results of a frame depend only on the frames before it, not on wall-clock time or on the
-    progress of threads.
+    `step` predicts and tracks the points of a frame, recovers lost ones, and decides with the frames before it whether
+    the frame counts. `compute_results` computes contact and results in another thread, while the next frames are
+    tracked. Both take frames in order. The results of a frame depend only on the frames before it, not on wall-clock
+    time or on the progress of threads.
 
     Without a given threshold there is no contact until one was measured.
 
@@ -190,7 +187,6 @@ class StreamTracker:
         engine: that computes.
         settings: experiment settings.
         glass, dark: (H, W) contact view of the empty glass, and without light.
-        lag: largest number of frames that have begun and are not finished; predictions lead so many frames ahead.
 
     Attributes:
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
@@ -199,23 +195,20 @@ class StreamTracker:
         restarts, keys: number of seedings, and of further key frames taken for the same points.
     """
 
-    def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array, lag: int = 1) -> None:
-        self._engine, self._settings, self.lag = engine, settings, lag
-        self._knowledge = replace(STREAM, lag=lag)
-        self._light = engine.light(glass, dark)
+    def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array) -> None:
+        self._engine, self._settings = engine, settings
+        self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
         self._to_contact = settings.topography_to_contact.astype(np.float32)
         self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
-        self._search = ThresholdSearch(lag + _LEARNT_AFTER)
+        self._search = ThresholdSearch(1 + _LEARNT_AFTER)
         self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _KnownMotion | None = None
-        # Motion of the points after each of the last frames, by frame index.
-        self._known: dict[int, _KnownMotion | None] = {}
-        self._begun = self._finished = 0
+        self._count = 0  # number of frames so far
         self._change: _Change | None = None
         self._requested = False
         self._deferred: deque[Work] = deque()  # frames whose status later frames decide
@@ -231,14 +224,12 @@ class StreamTracker:
     def warm_up(self, frame: Frame) -> None:
         """Process a blank frame in a separate tracker before a stream starts, since the first engine calls are slow."""
         settings = replace(self._settings, threshold=None)
-        tracker = StreamTracker(self._engine, settings, self._glass, self._dark, self.lag)
+        tracker = StreamTracker(self._engine, settings, self._glass, self._dark)
         for number in range(2):
             frame.number = number
             tracker.inspect(frame)
             frame.status = USABLE
-            work, _ = tracker.begin(frame)
-            tracker.compute(work)
-            for outcome in tracker.finish(work):
+            for outcome in tracker.step(frame):
                 if isinstance(outcome, FrameOutcome):
                     tracker.compute_results(outcome)
 
@@ -250,77 +241,47 @@ class StreamTracker:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
         self._requested = True
 
-    def must_wait(self, frame: Frame) -> bool:
-        """Return whether a frame may begin only after all earlier frames are finished, because a seeding, a new key
-        frame, new templates or a new contact threshold are due before it.
-        """
-        return bool(
-            self._search.due(self._begun) is not None
-            or self._due_change() is not None
-            or (not self.restarts and frame.status == USABLE)
-            or (self._points is not None and self._points.changes(self._begun))
-        )
+    def step(self, frame: Frame) -> list[Event | FrameOutcome]:
+        """Track the points of the next frame, and return the events and frame outcomes that are now final.
 
-    def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Begin to process a frame: predict its points and convert its images; return its `Work` (intermediate data),
-        and the events due before it.
-
-        Events are a seeding or a new key frame. They wait until no frame is deferred.
+        Events due before the frame are a seeding or a new key frame; they wait until no frame is deferred. Outcomes are
+        those of deferred frames before it, and its own unless it is deferred too.
         """
+        index, self._count = self._count, self._count + 1
         passed: list[Event | FrameOutcome] = []
-        if self.must_wait(frame):
-            assert self._begun == self._finished
-            if not self._deferred:
-                passed += self._make_changes(frame)
-        guess = self._guess(self._begun, frame.number)
+        if not self._deferred:
+            passed += self._make_changes(index, frame)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        measure = self.measures and self._search.wants(self._begun)
-        self._begun += 1
-        return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
-
-    def compute(self, work: Work) -> None:
-        """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
+        work = Work(index, frame, images, self._guess(frame.number), self.threshold)
         if self._points is not None and work.guess is not None:
-            work.points = self._points.track(work.images[TOPOGRAPHY_VIEW], work.guess)
-        if work.measure:
-            threshold = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
+            work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
+        if self.measures and self._search.wants(index):
+            threshold = float(self._engine.contact(images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
-            physical = 0 < threshold < 1 and self._touching(work.frame, threshold) < _EVERYTHING
+            physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
             work.measured = threshold if physical else math.nan
-
-    def finish(self, work: Work) -> list[Event | FrameOutcome]:
-        """Finish a computed frame, and return the frame outcomes and events that are now final.
-
-        The outcomes are those of deferred frames before it, and its own unless it is deferred too.
-        """
-        passed: list[Event | FrameOutcome] = []
-        frame = work.frame
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._outcome(work, frame.status, None, 0, work.index))
+            passed.append(self._outcome(work, frame.status, None, 0, index))
         else:
             assert frame.picture is not None
             decided, status = self._check.update(frame.number, frame.picture, frame.status)
-            passed += self._decided(decided, work.index)
+            passed += self._decided(decided, index)
             if status is None:
                 self._deferred.append(work)
             else:
-                passed.append(self._judged(work, status, work.index))
-        while self._unlearnt and self._unlearnt[0][0] <= work.index - _LEARNT_AFTER:
+                passed.append(self._judged(work, status, index))
+        while self._unlearnt and self._unlearnt[0][0] <= index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
-        self._known[work.index] = self._latest
-        self._known.pop(work.index - self.lag - LONGEST, None)
-        self._finished += 1
         return passed
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
         templates, another is skipped; `newest` is the index of the latest frame.
         """
-        usable = status == USABLE
-        outcome = self._accepted(work, newest) if usable else self._outcome(work, status, None, 0, newest)
-        self._known[work.index] = self._latest
-        return outcome
+        if status == USABLE:
+            return self._accepted(work, newest)
+        return self._outcome(work, status, None, 0, newest)
 
     def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
         """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes;
@@ -347,19 +308,12 @@ class StreamTracker:
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
-        return self._decided(self._check.finish(), self._begun - 1)
+        return self._decided(self._check.finish(), self._count - 1)
 
-    def _guess(self, index: int, number: int) -> Array | None:
-        """Predict the point positions (N, 2) px in the frame with this index and number, from the motion known `lag`
-        frames before it even if later frames are finished; return None before any motion is known.
-        """
-        latest = self._known.get(index - self.lag, self._latest)
+    def _guess(self, number: int) -> Array | None:
+        """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
+        latest = self._latest
         return None if latest is None else latest.motion.expect(max(1, number - latest.number))
-
-    def _know(self, motion: _KnownMotion) -> None:
-        """Set the point motion from which the next `lag` frames are predicted."""
-        self._latest = motion
-        self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -370,12 +324,8 @@ class StreamTracker:
 
     # Changes that are made before a frame begins.
 
-    def _due_change(self) -> _Change | None:
-        change = self._change
-        return None if change is None or self._begun < change.after + self.lag else change
-
-    def _make_changes(self, frame: Frame) -> list[Event]:
-        change, threshold = self._due_change(), self._search.due(self._begun)
+    def _make_changes(self, index: int, frame: Frame) -> list[Event]:
+        change, threshold = self._change, self._search.due(index)
         events: list[Event] = []
         if not self.restarts and frame.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
@@ -384,7 +334,7 @@ class StreamTracker:
             self.threshold = threshold
             self._search.used()
         if self._points is not None:
-            self._points.update_due(self._begun)
+            self._points.update_due(index)
         if change is not None:
             self._change = None
             events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
@@ -403,7 +353,7 @@ class StreamTracker:
         column, row = np.rint(points[is_finite(points)]).astype(int).T
         if change.counted[row, column].sum() > change.least:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
-        self._reseeding.keep(self._begun)
+        self._reseeding.keep(self._count - 1)
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
@@ -412,11 +362,11 @@ class StreamTracker:
         """
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
-        self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
+        self._points = Points(self._engine, image, points, motion=motion, knowledge=STREAM, again=again)
         self.seeded = int(is_finite(points).sum())
-        self._know(_KnownMotion(self._points.motion, number))
+        self._latest = _KnownMotion(self._points.motion, number)
         self._seeding = Seeding(points, before)
-        self._reseeding.restarted(self._begun, number, self.seeded)
+        self._reseeding.restarted(self._count - 1, number, self.seeded)
         self._search.begin()
         self.restarts += 1
         return Event("restart", number, {"cause": cause, "points": self.seeded})
@@ -429,9 +379,9 @@ class StreamTracker:
         valid, motion = is_finite(change.points), self._points.motion
         valid_motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
         image = self._engine.images(change.image)
-        self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=self._knowledge)
+        self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=STREAM)
         assert self._latest is not None
-        self._know(self._latest._replace(motion=valid_motion))
+        self._latest = self._latest._replace(motion=valid_motion)
         self._reseeding.keyed(change.number, int(valid.sum()))
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(valid.sum())})
@@ -442,17 +392,13 @@ class StreamTracker:
         """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
         key frame is due, and return the frame's outcome.
 
-        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`: later ones may
-        have begun, and their inputs must not depend on how far they have got.
+        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`.
         """
         points, frame = self._points, work.frame
         assert points is not None
         image = work.images[TOPOGRAPHY_VIEW]
         ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
-        # With a lag of 1 frames are processed one after the other, so updates count from this frame, also after a
-        # deferral.
-        latest = work.index if self.lag == 1 else newest
-        tracked_points = points.accept(image, *self._track_again(work, points), ahead, latest)
+        tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
         self._latest = _KnownMotion(points.motion, frame.number)
         tracked = int((tracked_points.status[0] == TrackStatus.TRACKED).sum())
         if math.isnan(work.threshold):
@@ -482,7 +428,7 @@ class StreamTracker:
         """
         assert work.guess is not None  # points are tracked in every frame that may be usable
         assert work.points is not None
-        guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
+        guess, changes = self._guess(work.frame.number), points.changes(work.index)
         assert guess is not None
         if not changes and np.array_equal(guess, work.guess, equal_nan=True):
             return work.guess, work.points
@@ -536,7 +482,7 @@ class StreamTracker:
         contact, size = self._contact(work), self._settings.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
-        covered = self._engine.covered(contact.density_margin, tracked_points.estimate, self._to_contact)[0]
+        covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
         points = int((covered & (tracked_points.status[0] == TrackStatus.TRACKED)).sum())
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:

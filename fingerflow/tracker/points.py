@@ -24,7 +24,7 @@ from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, is_finite
-from fingerflow.tracker.recovery import Search, Track, lost_points, recover, rejected, replaced
+from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
@@ -38,15 +38,12 @@ class Knowledge:
     """Tracking conditions of a recording or a stream: whether later frames are known, and limits of computing time.
 
     Attributes:
-        lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
-            are computed in parallel.
         ahead: True if later frames are known. Several frames may then be tracked in one call, and a point that fails
             the verification is rejected in all frames since the check before.
         searched: largest number of points searched for in one round of a frame; None for all.
         patience: frames for which a lost point is searched for; None for no limit.
     """
 
-    lag: int = 1
     ahead: bool = True
     searched: int | None = None
     patience: int | None = None
@@ -121,10 +118,8 @@ class Points:
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
         self._index = 1  # number of the next frame
-        self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
-        self._key = engine.key(image)
-        self._templates = engine.prepare(self._key, points)
+        self._templates = engine.prepare(image, points)
 
     @property
     def start(self) -> Array:
@@ -197,7 +192,7 @@ class Points:
 
         Any thread may call it while other frames are tracked.
         """
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess)).found
 
     def accept(
         self, image: Images, guess: Array, tracked: FoundPoints, frames: int = 1, index: int | None = None
@@ -206,8 +201,7 @@ class Points:
         near `guess` (N, 2); return them.
 
         Lost points are recovered, positions corrected for the deformation of the skin, and all points are verified by
-        their windows in the image. Frames are given in order. `index` is the number, in a stream, of the last frame
-        that was computed: up to `lag` - 1 later frames may have begun.
+        their windows in the image. Frames are given in order. `index` is the number of the frame in a stream.
         """
         if index is not None:
             self._index = index
@@ -226,7 +220,7 @@ class Points:
             done = 0
             for piece in pending.prepared:
                 rows = pending.rows[done : done + len(piece.numbers)]
-                self._engine.update(self._templates, rows, piece)
+                self._templates.update(rows, piece)
                 done += len(rows)
             self._inverse_warp[pending.rows] = inverse_2x2(pending.warp)
 
@@ -247,7 +241,7 @@ class Points:
         part = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[part]]
-            pending.prepared.append(self._engine.prepare(self._key, start, pending.warp[part]))
+            pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[part]))
 
     def _step(self, images: Images, around: FoundPoints) -> FoundPoints:
         self.update_due(self._index)
@@ -255,13 +249,13 @@ class Points:
         if len(images) == 1:
             return self._accepted(images, guess, self.track(images, guess), self._gap + 1, around)
         speed = self.motion.speed
-        followed = self._engine.follow(self._templates, images, guess - speed, speed)
+        followed = self._engine.track(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
 
     def _track_image(self, image: Images, guess: Array, rows: Array) -> FoundPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess), rows).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
 
     def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> FoundPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
@@ -305,7 +299,7 @@ class Points:
             return self._track_image(image, positions, rows[numbers])
 
         def search(numbers: Array, guess: Array) -> tuple[Array, Array]:
-            return self._engine.search(self._key, image, self.start[rows[numbers]], guess)
+            return self._engine.search(self._templates, image, self.start[rows[numbers]], guess)
 
         return track, search
 
@@ -361,26 +355,12 @@ class Points:
             nothing = np.zeros(tracked.status.shape, np.float32)
             return Corrected(tracked, unchanged, nothing, np.full_like(tracked.points, np.nan))
         extra = around.status.shape[1]
-        judged = self._mark_outliers(join([tracked, around], 1) if extra else tracked)
-        corrected = self._engine.correct(self._every, judged, *self._template_data(extra))
+        together = join([tracked, around], 1) if extra else tracked
+        corrected = self._engine.correct(self._every, together, *self._template_data(extra))
         if not extra:
             return corrected
         seeded = slice(len(self))
         return Corrected(corrected.found.of(slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
-
-    def _mark_outliers(self, points: FoundPoints) -> FoundPoints:
-        """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
-        if len(self._every) < 2:  # no point has a neighbour
-            return points
-        if self._neighbours is None:
-            self._neighbours = self._engine.neighbours(self._every)
-        off_neighbours, uncertain = self._engine.outliers(self._neighbours, self._every, points)
-        tracked = points.status == TrackStatus.TRACKED
-        uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
-        for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
-            if which.any():
-                points = rejected(points, which, status)
-        return points
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -411,8 +391,7 @@ class Points:
         points, self._last = corrected.found, corrected
         if not self._by_key:
             assert image is not None
-            self._key = self._engine.key(image)
-            self._templates = self._engine.prepare(self._key, points.points[0])
+            self._templates = self._engine.prepare(image, points.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
         return points._replace(estimate=_last_seen(points.points, before))
@@ -435,8 +414,7 @@ class Points:
             much[pending.rows] = False
         rows = np.flatnonzero(much)
         if len(rows):
-            begun = self._knowledge.lag - 1  # later frames that may have begun
-            later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
+            later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, points: FoundPoints) -> FoundPoints:
@@ -463,8 +441,7 @@ class Points:
             (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
             (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
         ):
-            if which.any():
-                points = rejected(points, which, status)
+            points = points.rejected(which, status)
         return points
 
     def _last_warp(self) -> Array:

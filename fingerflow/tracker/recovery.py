@@ -91,17 +91,7 @@ def _reject_unreturned(points: FoundPoints, returns: Array, guess: Array) -> Fou
     if not wrong.any():
         return points
     estimate = np.where(wrong[..., None], guess, points.estimate)
-    return rejected(points, wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
-
-
-def rejected(points: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Return the tracking results with the points marked in `which` (n, N) rejected: their positions and covariances
-    are NaN, their status is `status`.
-    """
-    positions, covariance = points.points.copy(), points.covariance.copy()
-    positions[which] = covariance[which] = np.nan
-    changed = np.where(which, np.uint8(status), points.status)
-    return points._replace(points=positions, covariance=covariance, status=changed)
+    return points.rejected(wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
 
 
 def replaced(points: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import STEP, Engine, Images
+from fingerflow.engines.engine import STEP, Engine, Images, noise_of
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
@@ -54,12 +54,9 @@ class Verification:
     points if that is more (light, focus and contact change all of them), at most 20 %; plus three times sigma^2 / S,
     the loss of correlation by noise of variance sigma^2 in subsets of variance S.
 
-    On synthetic presses, slides and fingerprints with disturbances none of 220,000 correct positions fails. Of
-    positions that are wrong by 1 to 2 px 57 to 64 % fail, by 2 to 4 px 89 % or more, beyond that 98 % or more
-    (`python -m bench second_look`). Slow drifts by 1.0 to 1.3 px, as in a slide, are not detected: they change the
-    subset too little. A subset without neighbours, whose motion would deform it, is not checked. Where most points are
-    being lost, gradients are poor: in a slide of 16 frames 16 of 21 wrong positions are detected, and 106 of 1637
-    correct ones are lost.
+    Slow drifts by 1.0 to 1.3 px, as in a slide, are not detected: they change the subset too little. A subset without
+    neighbours, whose motion would deform it, is not checked. Where most points are being lost, gradients are poor, and
+    correct positions fail too.
 
     Dust that rests on the glass pulls a point towards where it was, and a window is large beside a speck: correlations
     hardly show it. Where a residual of the window stands out, the window is shifted to where most of its samples match
@@ -97,7 +94,7 @@ class Verification:
 
         alike = compare(self._first, sample(number, positions, warp))
         loss = 1 - alike.correlation
-        noise: float = self._engine.noise(images[frames - 1 :])
+        noise = noise_of(self._engine, images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
         finite = np.sort(loss[np.isfinite(loss)])

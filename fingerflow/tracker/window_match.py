@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.library import is_present
+from fingerflow.kernels.library import is_present, run
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
-from fingerflow.kernels.window_match import Shifts, shift_windows
 
 Array = NDArray[Any]
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
@@ -24,6 +23,22 @@ _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
 _FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
 _SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
+
+
+class Shifts(NamedTuple):
+    """Shifts by which most samples of N windows match those of earlier windows best.
+
+    Attributes:
+        shift: (N, 2) px; 0 for a window with a sample that is NaN or infinite.
+        weight: (N, m) of the samples in the fit; 0 for samples that do not match.
+        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
+        excluded: (N,) share of the samples that do not match.
+    """
+
+    shift: Array
+    weight: Array
+    deviations: Array
+    excluded: Array
 
 
 class Alike(NamedTuple):
@@ -134,7 +149,8 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
         noise: least standard deviation of the residuals that a fit assumes, grey levels.
     """
     if is_present():
-        return shift_windows(then, around, now, shift, weight, noise)
+        windows = {"then": then, "around": around, "now": now, "shift": shift, "weight": weight}
+        return Shifts(*run("shift_windows", **windows, noise=noise))
     right, left, below, above = around
     unknown = np.stack((right - left, below - above, -then, -np.ones_like(then)), axis=-1).astype(np.float64)
     valid: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))

@@ -15,7 +15,6 @@ from bench.rows import Row, number
 from bench.suites import (
     curved,
     flow,
-    flow_outliers,
     image_ops,
     pipeline,
     speed_against_error,
@@ -87,14 +86,6 @@ def test_flow() -> None:
             assert number(row, "epe_px") < min(error, 0.7 * number(peer, "epe_px"))
             assert number(row, "div") < 0.6 * number(peer, "div")
         assert 0.8 < number(one(rows, scene=scene, way="fingerflow, cold"), "z") < z
-
-
-def test_flow_outliers() -> None:
-    rows = flow_outliers.run(quick=True)
-    for scene, share in (("jump of 1.5 px", 0.9), ("dust on ridges", 0.7), ("dust on a whorl", 0.8)):
-        quadratic, robust = (one(rows, scene=scene, way=f"fingerflow, {kind}") for kind in ("quadratic", "charbonnier"))
-        for column in ("near_px", "far_px"):
-            assert number(robust, column) < share * number(quadratic, column)
 
 
 def test_curved() -> None:

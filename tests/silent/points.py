@@ -33,7 +33,7 @@ OUTPUTS = ["position_px", "position_std_px", "status", "strain_energy", "strain_
     "median_divergence_std", "field_coverage", "in_contact"]  # fmt: skip
 WRONG_PX, DEVIATIONS, MOST_WRONG = 0.5, 4.0, 1e-3
 _LOOKS = 24  # frames
-_DARK, _RADII = 0.5, (1.5, 3.0)  # share of the light, and px: specks as in the suite `flow_outliers`
+_DARK, _RADII = 0.5, (1.5, 3.0)  # share of the light, and px
 _AWAY = 90  # px, distance of each of two touches from the middle
 
 

@@ -9,12 +9,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import contact_sizes as sizes
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact import CELLS
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
 from fingerflow.ops.tensors import constant_like, half_angle
 
+_compiled: Twin[tuple[Tensor, Tensor]] = twin("apparent_contact")
 _PART = 32  # cells of a line smoothed by one matrix product
 
 
@@ -79,8 +81,8 @@ def apparent_contact(
     side = cell or cell_of(radius)
     if not 1 <= side <= 2 * radius + 1:
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
-    if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
-        margin, numbers = kernels.apparent_contact(mask, radius, side)
+    if precision == torch.float32 and side in CELLS and _compiled.serves(mask):
+        margin, numbers = _compiled(mask, radius, side)
         return ApparentRegion(margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
     return _region(cell_means(mask, side, precision), radius, side)
 

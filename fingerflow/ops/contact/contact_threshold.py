@@ -5,7 +5,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import contact_frames
+from fingerflow.kernels import contact
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
@@ -119,9 +119,8 @@ def compiled_threshold(
     frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
 ) -> Tensor:
     """Compute `contact_threshold` in one call of the compiled library."""
-    arrays = (None if one is None else one.detach().resolve_neg().numpy() for one in (frames, light, black, gain))
     sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
-    return torch.from_numpy(contact_frames.contact_threshold(*arrays, **sizes))  # type: ignore[arg-type]
+    return contact.contact_threshold(frames, light, black, gain, **sizes)
 
 
 def _counts(smooth: Tensor, mask: Tensor) -> Tensor:

@@ -4,8 +4,10 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import contact_sizes as sizes
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import block_of
+from fingerflow.kernels.tensors import Twin, twin
+
+_compiled: Twin[Tensor] = twin("illumination_gain")
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
@@ -31,9 +33,8 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
     """
     dtype = light.dtype
     block = block_of(radius)
-    single = light.dtype == black.dtype == torch.float32
-    if frames.dtype in kernels.FRAME_KINDS and single and kernels.serve(frames, light, black):
-        return kernels.illumination_gain(frames, light, black, block)
+    if _compiled.serves(frames, light, black):
+        return _compiled(frames, light, black, block)
     lines, empty, dark = (image[..., sizes.LINE_STEP // 2 :: sizes.LINE_STEP, :] for image in (frames, light, black))
     if lines.shape[2] < block // sizes.LINE_STEP or lines.shape[3] < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=dtype, device=light.device)

@@ -32,10 +32,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.flow import FlowFields, FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tensors.twin import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients, spline_weights
@@ -59,6 +59,8 @@ _CYCLES = 3  # multigrid cycles after the last warp
 _MARGIN = 2  # px at the border of an image, where its spline would need pixels beyond the border
 _SMALLEST_SIDE = 32  # px, smallest side of a halved image
 _TINY = 1e-12
+_compiled_fields: Twin[tuple[Tensor, ...]] = twin("flow_template")
+_compiled_residual: Twin[tuple[Tensor, ...]] = twin("flow_left")
 # Window side (px), roughness and number of warps for scenes with motion boundaries: photographs, discs that move one
 # after the other, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
@@ -322,8 +324,8 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
 
     The tensor is not yet integrated over windows. `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
     """
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
-        return kernels.flow_template(coefficients, mask, _MARGIN)
+    if _compiled_fields.serves(coefficients, mask):
+        return FlowFields(*_compiled_fields(coefficients, mask, _MARGIN))
     usable = finite(coefficients)
     # The spline at a pixel uses the coefficients of its neighbours, so these must be known too.
     inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
@@ -453,8 +455,9 @@ def _channel_residuals(
 
     As for `_residual`, but the products with the slopes are not divided by the gain.
     """
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
-        return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
+    images = coefficients, value, gradient, inside, flow, known
+    if _compiled_residual.serves(*images):
+        return FlowResidual(*_compiled_residual(*images, _MARGIN, limits.MOST_GAIN))
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
     warped = _sampled(coefficients, displacement)
     usable = finite(warped)

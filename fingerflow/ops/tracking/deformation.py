@@ -22,7 +22,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.deformation import CorrectedPoints
+from fingerflow.kernels.tracking import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import neighbour_planes, neighbours_support

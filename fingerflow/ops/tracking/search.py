@@ -3,14 +3,15 @@
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
+from fingerflow.kernels.tensors import Twin, twin
+from fingerflow.kernels.tracking import SEARCHED, sizes_of
 from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 from fingerflow.ops.pieces import points_at_once
 
+_compiled: Twin[Tensor] = twin("search_windows")
 _CHUNK = 128  # number of points per pass, so that the transforms stay in the cache
 _FAR = 2.0**30  # px, an integer position outside every image
 
@@ -50,8 +51,8 @@ def search_windows(
     coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
     size, reach = sizes_of(window, radius)
     given = (coarse_templates, coarse_images, image_index, points, guess)
-    if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
-        return kernels.search_windows(*given, size, reach)
+    if _compiled.serves(*given):
+        return _compiled(*given, size, reach)
     if torch.compiler.is_exporting():
         return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
     if not len(points):

@@ -11,7 +11,7 @@ of a point's position: neither the order of the points nor the state of a random
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.deformation import CorrectedPoints
+from fingerflow.kernels.tracking import CorrectedPoints
 from fingerflow.ops.fields.point_gradients import neighbour_planes
 from fingerflow.ops.tensors import finite
 from fingerflow.ops.tracking.deformation import correct_points

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
@@ -41,6 +42,7 @@ from fingerflow.ops.tracking.spline_windows import (
 )
 
 _TINY = 1e-20
+_prepare: Twin[tuple[Tensor, ...]] = twin("prepare_templates")
 
 
 class Templates(NamedTuple):
@@ -122,8 +124,8 @@ def prepare_templates(
     rounding = rounding_variance(image)
     given = points.to(dtype)
     inverse = None if warp is None else inverse_2x2(warp.to(dtype))
-    if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
-        return Templates(*kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding))
+    if _prepare.serves(image, given, inverse, variance):
+        return Templates(*_prepare(image, given, inverse, variance, window, int(gain_offset), rounding))
     if inverse is not None:
         spline = spline_coefficients(image)
         return _sample_templates(

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tensors.torch_op import requires_gradient, torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
@@ -28,6 +29,8 @@ from fingerflow.ops.tracking.templates import (
     replaced,
     take_rows,
 )
+
+_compiled: Twin[tuple[Tensor, ...]] = twin("find_pairs")
 
 
 class Tracks(NamedTuple):
@@ -227,15 +230,12 @@ def _find(
     also return the statistics of the points' templates.
     """
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
-    if (
-        kernels.serve(previous, current, points, inverse, variance, near)
-        and previous.dtype in kernels.FRAME_KINDS
-        and previous.dtype == current.dtype
-    ):
-        settings = (window, gain_offset, limits.ROUNDS, rounding_variance(previous))
-        limits_of = (forward_backward_limit, mismatch_limit)
-        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings, *limits_of)
-        return Found(*own), numbers
+    if _compiled.serves(previous, current, points, inverse, variance, near) and previous.dtype == current.dtype:
+        *_, numbers, tracked, error, covariance, status, estimate = _compiled(
+            *(previous, current, points, inverse, variance, window, int(gain_offset), limits.ROUNDS, near, None),
+            *(rounding_variance(previous), forward_backward_limit, mismatch_limit),
+        )
+        return Found(tracked, error, covariance, status, estimate), numbers
     templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
     tracks = find_templates(
         *(templates, current, near),

@@ -9,10 +9,11 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.contact.cells import add_all
 from fingerflow.ops.filters.windows import taken
 
+_compiled: Twin[Tensor] = twin("sample_windows")
 _SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation of torch and OpenCV
 
 
@@ -30,9 +31,8 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     Returns:
         (N, m) of the dtype of `places`; NaN where a window does not lie at least 1 px inside the border of the image.
     """
-    known = kernels.serve(images, number, places, warp) and images.dtype in kernels.FRAME_KINDS
-    if known and places.dtype == torch.float32 and min(images.shape[-2:]) >= 4:
-        return kernels.sample_windows(images, number, places, warp, window, step)
+    if _compiled.serves(images, number, places, warp) and min(images.shape[-2:]) >= 4:
+        return _compiled(images, number, places, warp, window // 2, step)
     height, width = images.shape[-2:]
     steps = _steps(window, step, places)
     if min(height, width) < 4:

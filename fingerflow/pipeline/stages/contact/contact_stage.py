@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.engines import contact_view
 from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
@@ -81,7 +82,7 @@ class ContactStage(Stage):
         self._black = np.float32(0) if black is None else black
         self._glass, self._glass_light = glass - self._black, glass_light(reference, dark)
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
-        self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
+        self._light = contact_view.glass_light(glass, black, region_mask(self.inputs.scene, "contact"))
         first = int(np.argmax(self._usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         self.warnings.extend(plausibility.check_background(self._changed(first)[0], first + first_frame))
@@ -102,10 +103,10 @@ class ContactStage(Stage):
 
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
-        contact, threshold = self._measure(batch.images(self.inputs, self._view))
+        contact = self._measure(batch.images(self.inputs, self._view))
         size, indices = self.inputs.mm_per_px, batch.indices
         for name, values in {
-            "contact_threshold": threshold,
+            "contact_threshold": contact.threshold,
             "real_contact_area": contact.real_area_px.astype(np.float64) * size**2,
             "gross_contact_area": contact.gross_area_px.astype(np.float64) * size**2,
             "ellipse_center": contact.center.astype(np.float64) * size,
@@ -199,7 +200,7 @@ class ContactStage(Stage):
         region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0].cpu().numpy()
         self.warnings.extend(view_faults.check_background_lines(light))
         if region.any():
-            contact, _ = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
+            contact = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
             period = self._period_px
             radius_px = self.inputs.scene.contact.gross_radius_px
             self.warnings.extend(view_faults.check_unlit_glass(region, light, radius_px))
@@ -219,7 +220,7 @@ class ContactStage(Stage):
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, region))
 
     def _gross_region(self, frame: int) -> Tensor:
-        contact, _ = self._contact(read_frames(self.inputs.recording[[frame]]))
+        contact = self._contact(read_frames(self.inputs.recording[[frame]]))
         if not (contact.density_margin > 0).any():
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
@@ -240,15 +241,12 @@ class ContactStage(Stage):
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
-    def _contact(self, frames: NDArray[np.generic]) -> tuple[FrameContact, NDArray[np.floating]]:
+    def _contact(self, frames: NDArray[np.generic]) -> FrameContact:
         return self._measure(self._engine.images(self.inputs.counts(frames, self._view)))
 
-    def _measure(self, images: Images) -> tuple[FrameContact, NDArray[np.floating]]:
-        if self._threshold is None:
-            threshold = self._engine.threshold(images, self._light)
-        else:
-            threshold = np.full(len(images), self._threshold, np.float32)
-        return self._engine.contact(images, self._light, threshold), threshold
+    def _measure(self, images: Images) -> FrameContact:
+        threshold = None if self._threshold is None else np.full(len(images), self._threshold, np.float32)
+        return self._engine.contact(images, self._light, threshold)
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None:
@@ -291,7 +289,7 @@ class ContactStage(Stage):
         if not isinstance(setting, str):
             return float(setting)
         frame = self._counts(self.reference_frame)
-        threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
+        threshold = float(self._engine.contact(self._engine.images(frame), self._light).threshold[0])
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
             if reversed_contrast:

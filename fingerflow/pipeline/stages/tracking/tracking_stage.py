@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.engines.engine import FoundPoints, Images, nothing_found
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import FoundPoints, Images, noise_of, nothing_found
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -150,7 +151,7 @@ class TrackingStage(Stage):
             tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
-        covered = self._engine.covered(margin, tracked_points.estimate, self._matrix)
+        covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
@@ -218,7 +219,7 @@ class TrackingStage(Stage):
         min_distance = self._settings.min_distance_px
         self.warnings.extend(plausibility.check_points(len(points), requested, min_distance, int(where.sum())))
         self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
-        self._create(len(points), self._engine.noise(image))
+        self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
@@ -230,7 +231,7 @@ class TrackingStage(Stage):
         texture or noise can cause (impulse noise).
         """
         pixels = np.asarray(image, dtype=np.float32)[0, 0]
-        least = max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))
+        least = max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * noise_of(self._engine, image))
         return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
