@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
@@ -74,10 +73,13 @@ def process(
     if to is not None:
         process_to_file(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
         return open_own(Path(to))
-    with torch.inference_mode(), _prepared(_loaded(scene), outputs, device, engine) as ready:
-        check_memory(ready.size)
-        store = MemoryStore(ready.variables, len(ready.inputs.times))
-        _run(ready, store, progress, earlier)
+    with (
+        torch.inference_mode(),
+        _prepared(_loaded(scene), outputs, device, engine) as (planned, inputs, size, variables),
+    ):
+        check_memory(size)
+        store = MemoryStore(variables, len(inputs.times))
+        _run(planned, inputs, store, progress, earlier)
         return store.dataset
 
 
@@ -97,42 +99,34 @@ def process_to_file(
     scene = _loaded(scene)
     spare(to, *scene.files())
     keep_others(to, is_result, overwrite)
-    with torch.inference_mode(), _prepared(scene, outputs, device, engine) as ready:
-        check_disk(to, ready.size)
-        with written_atomically(to) as part, FileStore(ready.variables, len(ready.inputs.times), part) as file:
-            _run(ready, file, progress, earlier)
+    with torch.inference_mode(), _prepared(scene, outputs, device, engine) as (planned, inputs, size, variables):
+        check_disk(to, size)
+        with written_atomically(to) as part, FileStore(variables, len(inputs.times), part) as file:
+            _run(planned, inputs, file, progress, earlier)
 
 
 def _loaded(scene: Scene | str | Path) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(Path(scene))
 
 
-@dataclass(frozen=True)
-class _PreparedScene:
-    """Scene prepared for a run: plan, opened inputs, result size in bytes, and variable definitions."""
-
-    plan: Plan
-    inputs: Inputs
-    size: float
-    variables: dict[str, Variable]
-
-
 @contextmanager
-def _prepared(scene: Scene, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_PreparedScene]:
+def _prepared(
+    scene: Scene, outputs: Iterable[str] | None, device: str, engine: str
+) -> Iterator[tuple[Plan, Inputs, float, dict[str, Variable]]]:
+    """Yield the plan, opened inputs, result size in bytes and variable definitions of a run."""
     planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
     with inputs.recording:
         possible = (variable for stage in planned.stages for variable in stage.gives)
         variables = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
         size = size_of_results(variables, len(inputs.times), scene.tracking.points)
-        yield _PreparedScene(planned, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        yield planned, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames)
 
 
-def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Path | None) -> None:
+def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: str | Path | None) -> None:
     """Run all passes of the plan and write the results to the store; stages that an `earlier` result has are copied,
     not run.
     """
-    planned, inputs = ready.plan, ready.inputs
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = RunContext(inputs, store, planned.stages, planned.requested, stages)

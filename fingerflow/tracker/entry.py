@@ -10,7 +10,7 @@ position with respect to position in a common frame, F(t) F(entry)^-1 - I.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,18 +122,6 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
     return result
 
 
-class SinceEntry(NamedTuple):
-    """Displacement gradients, in n frames, of E advected points (skin carried over the border into the contact), each
-    relative to its state when it entered the contact.
-
-    They are NaN before the entry and where too little is known.
-    """
-
-    # (n, E, 2, 2) gradient of the displacement since a point's own entry, with respect to positions at that time.
-    gradient: Array
-    covariance: Array  # (n, E, 2, 2, 2, 2) covariance, to first order, as if the skin had not deformed before the entry
-
-
 class EntryGradients:
     """Computation, frame by frame, of the displacement gradients of advected points, each relative to its state when it
     entered the contact.
@@ -170,12 +158,15 @@ class EntryGradients:
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
         self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
-    def update(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
-        """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
-        numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
+    def update(self, frames: Array, position: Array, variance: Array) -> tuple[Array, Array]:
+        """Return the displacement gradients (n, E, 2, 2) of the advected points since their entry into the contact in n
+        frames, numbered `frames` (n,), and their covariances (n, E, 2, 2, 2, 2), from the positions (n, N, 2) mm of all
+        points and their variance (n, N) mm^2.
 
-        `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
-        seeded. Half of it belongs to that frame and is the same at all times.
+        A gradient is with respect to positions at the entry; it is NaN before the entry, and where too little is known.
+        The variance is that of a component relative to the frame in which points were seeded. Half of it belongs to
+        that frame and is the same at all times. The covariance is to first order, as if the skin had not deformed
+        before the entry.
         """
         moved = position[:, self._near] - self._seeded
         noise = variance[:, self._near].astype(np.float64) / 2
@@ -190,7 +181,7 @@ class EntryGradients:
             change = now[k, enter] - course[self.BEFORE + k - steps, enter]
             self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
             self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
-        return SinceEntry(now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance)
+        return now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance
 
 
 class Entries:

@@ -90,7 +90,7 @@ class FrameResults:
         curvature = curvature_variance(self._engine, seeding.points, points.points)
         center, semi_axes = (lengths.astype(np.float64) * size for lengths in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        slip = self._slip.update(points.points[0], noise[0], covered[0])
+        residual = self._slip.update(points.points[0], noise[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
             "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
@@ -104,8 +104,8 @@ class FrameResults:
             "status": points.status[0],
             "in_contact": covered[0],
             **self._since_onset(points, curvature, covered, ellipse),
-            "slip_residual": slip.residual * self._per_px,
-            "slip_flag": slip.slipping,
+            "slip_residual": residual * self._per_px,
+            "slip_flag": self._slip.slipping,
         }
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:

@@ -173,22 +173,6 @@ class _Sparse(NamedTuple):
     wide: Array
 
 
-class _PendingContact(NamedTuple):
-    """Frame whose contact has still to be evaluated: its area tells when to measure the contact threshold anew, and the
-    tracked points in it are counted.
-
-    `points` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
-    `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
-    `Frame` with results is reused for another image.
-    """
-
-    newest: int
-    number: int
-    work: Work
-    points: FoundPoints | None
-    seeding: Seeding | None
-
-
 class StreamTracker:
     """Tracker of a stream: state between frames, and the method `step` for each frame.
 
@@ -231,7 +215,10 @@ class StreamTracker:
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
-        self._unlearnt: deque[_PendingContact] = deque()
+        # Outcomes of frames whose contact is not evaluated yet: its area tells when to measure the threshold again, and
+        # tracked points in it are counted. With the index of the latest frame when the outcome was decided, and the
+        # number of the frame, as a `Frame` with results is reused for another image.
+        self._unlearnt: deque[tuple[int, int, FrameOutcome]] = deque()
         self.seeded = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
@@ -275,7 +262,7 @@ class StreamTracker:
             physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
             work.measured = threshold if physical else math.nan
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._skipped(work, frame.status, index))
+            passed.append(self._outcome(work, frame.status, None, 0, index))
         else:
             assert frame.picture is not None
             decided, status = self._check.update(frame.number, frame.picture, frame.status)
@@ -284,15 +271,17 @@ class StreamTracker:
                 self._deferred.append(work)
             else:
                 passed.append(self._judged(work, status, index))
-        while self._unlearnt and self._unlearnt[0].newest <= index - _LEARNT_AFTER:
-            passed += self._learn_contact(self._unlearnt.popleft())
+        while self._unlearnt and self._unlearnt[0][0] <= index - _LEARNT_AFTER:
+            passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
         templates, another is skipped; `newest` is the index of the latest frame.
         """
-        return self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
+        if status == USABLE:
+            return self._accepted(work, newest)
+        return self._outcome(work, status, None, 0, newest)
 
     def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
         """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes;
@@ -399,13 +388,6 @@ class StreamTracker:
 
     # Outcome of a frame after its computation.
 
-    def _skipped(self, work: Work, status: int, newest: int) -> FrameOutcome:
-        """Return the outcome of a frame that is not usable, which has no points and gives no contact threshold;
-        `newest` is the index of the latest frame.
-        """
-        self._unlearnt.append(_PendingContact(newest, work.frame.number, work, None, None))
-        return self._outcome(work, status, None, 0)
-
     def _accepted(self, work: Work, newest: int) -> FrameOutcome:
         """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
         key frame is due, and return the frame's outcome.
@@ -424,7 +406,6 @@ class StreamTracker:
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_PendingContact(newest, frame.number, work, tracked_points, self._seeding))
         if self._change is None:
             cause = PAGE if self._requested else self._reseeding.update(newest, frame.number, tracked)
             if cause:
@@ -436,7 +417,7 @@ class StreamTracker:
                     least, (counted, region) = self._sparse.points, self._regions(self._sparse)
                 positions = tracked_points.points[0].copy()
                 self._change = _Change(newest, frame.number, image, positions, cause, region, counted, least)
-        return self._outcome(work, USABLE, tracked_points, tracked)
+        return self._outcome(work, USABLE, tracked_points, tracked, newest)
 
     def _track_again(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
@@ -454,10 +435,15 @@ class StreamTracker:
         points.update_due(work.index)
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(self, work: Work, status: int, points: FoundPoints | None, tracked: int) -> FrameOutcome:
+    def _outcome(self, work: Work, status: int, points: FoundPoints | None, tracked: int, newest: int) -> FrameOutcome:
+        """Return the outcome of a frame, whose contact is evaluated later; `points` are None if it is not usable, and
+        `newest` is the index of the latest frame.
+        """
         threshold = work.threshold if status == USABLE else math.nan
         of_points = (self._seeding, tracked, threshold, self._reseeding.key_frame, self.restarts)
-        return FrameOutcome(work, status, points, *of_points)
+        outcome = FrameOutcome(work, status, points, *of_points)
+        self._unlearnt.append((newest, work.frame.number, outcome))
+        return outcome
 
     def _contact(self, work: Work) -> FrameContact:
         """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
@@ -469,21 +455,21 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_contact(self, pending: _PendingContact) -> list[Event]:
-        if pending.points is not None and pending.seeding is self._seeding and pending.work.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(pending.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
-            self._sparse = self._sparse_contact(pending.work, pending.points) if touching else None
+    def _learn_contact(self, newest: int, number: int, outcome: FrameOutcome) -> list[Event]:
+        if outcome.points is not None and outcome.seeding is self._seeding and outcome.work.index % _LOOK_EVERY == 0:
+            touching = float(self._contact(outcome.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(outcome.work, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
-        measured = pending.work.measured
-        if pending.points is None:
+        measured = outcome.work.measured
+        if outcome.points is None:
             if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact(pending.work).real_area_px[0])
-        if self._search.update(pending.newest, area, measured) and measured is not None:
-            return [Event("threshold", pending.number, {"threshold": measured})]
+        area = float(self._contact(outcome.work).real_area_px[0])
+        if self._search.update(newest, area, measured) and measured is not None:
+            return [Event("threshold", number, {"threshold": measured})]
         return []
 
     def _sparse_contact(self, work: Work, tracked_points: FoundPoints) -> _Sparse | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,18 +15,6 @@ _RAISED = 2.0  # factor on the noise of a point above which the flag is raised
 _ALL_ROUND = 2.0  # factor on the spread: the whole rim is ahead, its last part by a third of its first part
 _NEAREST = 4  # number of previous points from which a new one takes its displacement, weighted by distance
 _FRAMES = 3  # number of consecutive frames before the flag is raised or withdrawn
-
-
-class SlipState(NamedTuple):
-    """Slip residual of a frame, the RMS deviation of the contact's displacement from a rigid motion, and the slip flag.
-
-    Attributes:
-        residual: px, RMS deviation per component from a rigid motion; NaN where fewer than 12 points are in contact.
-        slipping: the flag, which changes after three frames in a row that say so.
-    """
-
-    residual: float
-    slipping: bool
 
 
 class SlipFlag:
@@ -52,7 +40,7 @@ class SlipFlag:
     ends.
 
     Attributes:
-        slipping: the flag after the last frame.
+        slipping: the flag after the last frame; it changes after three frames in a row that say so.
     """
 
     def __init__(self) -> None:
@@ -79,8 +67,9 @@ class SlipFlag:
         else:
             self._held |= self.slipping
 
-    def update(self, points: Array, std: Array, covered: Array) -> SlipState:
-        """Add the next frame, and return the slip residual and slip flag of that frame.
+    def update(self, points: Array, std: Array, covered: Array) -> float:
+        """Add the next frame, and return its slip residual, px: the RMS deviation per component of the displacement in
+        the contact from a rigid motion; NaN where fewer than 12 points are in contact.
 
         Args:
             points: (N, 2) px, NaN where lost.
@@ -115,7 +104,7 @@ class SlipFlag:
         self._run = self._run + 1 if above != self.slipping else 0
         if self._run >= _FRAMES:
             self.slipping, self._run = above, 0
-        return SlipState(residual, self.slipping)
+        return residual
 
 
 def rim_motion(before: Array, after: Array) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 from bench.suites.stated import other_presses
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.strain import contact_energy
-from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies, Solid
+from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies
 from fingerflow.synthetic import Press
 from fingerflow.tracker.contact_border import Border
 
@@ -72,7 +72,7 @@ def measured(
     points = len(contact.position)
     pairs = np.argwhere(np.triu(np.zeros((points, points)) if shared is None else shared, 1) > 0)
     correlation = np.zeros(0) if shared is None else shared[tuple(pairs.T)]
-    whole = ContactEnergy(Solid(measure, 1.0, 0.4), pairs, correlation, points)
+    whole = ContactEnergy(measure, (1.0, 0.4), pairs, correlation, points)
     counts = np.ones((1, points), dtype=bool)
     variance = np.full((1, points), std_mm**2)
     moved = 0.1 * displacement if since_growth is None else since_growth
@@ -154,7 +154,7 @@ def test_point_at_its_onset_leaves_the_energy_unchanged(std_mm: float) -> None:
     less than its deviation.
     """
     contact = contact_of(PRESS, 30)
-    whole = ContactEnergy(Solid("green_lagrange", 1.0, 0.4), np.zeros((0, 2), int), np.zeros(0), len(contact.position))
+    whole = ContactEnergy("green_lagrange", (1.0, 0.4), np.zeros((0, 2), int), np.zeros(0), len(contact.position))
     counts = np.ones((1, len(contact.position)), dtype=bool)
     moved, variance = contact.displacement[None].copy(), np.full(counts.shape, 7e-4**2)
     known = whole.estimate(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)

@@ -101,13 +101,13 @@ class FieldsStage(Stage):
         to its position on entry, with covariances; NaN for all other points.
         """
         displacement = self.trial.stage(DisplacementStage)
-        since = entry.update(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
         among[:, displacement.entered] = True
         gradient = np.full((*among.shape, 2, 2), np.nan, np.float32)
         covariance = np.full((*among.shape, 2, 2, 2, 2), np.nan, np.float32)
-        gradient[:, displacement.entered] = since.gradient
-        covariance[:, displacement.entered] = since.covariance
+        gradient[:, displacement.entered], covariance[:, displacement.entered] = entry.update(
+            frames, self.results["position"][frames], displacement.tracked_variance(frames)
+        )
         return EnteredPoints(among, gradient, covariance)
 
     def _state_deviations(self, batch: Batch, fields: FrameFields, shift: NDArray[np.float32]) -> None:

@@ -51,28 +51,22 @@ class FrameEnergies(NamedTuple):
     moves: NDArray[np.bool_]
 
 
-class Solid(NamedTuple):
-    """Strain measure and elastic constants: Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`."""
-
-    measure: str
-    young_modulus_mpa: float
-    poisson_ratio: float
-
-
 class ContactEnergy:
     """Estimator of the strain energy of all skin in contact, from displacements of points since their onset.
 
     Args:
-        solid: strain measure and elastic constants.
+        measure: of strain.
+        elastic: Young's modulus in MPa and Poisson's ratio, as in `triangle_strain`.
         pairs: (K, 2) pairs of the N points whose errors correlate.
         correlation: (K,) of their errors.
         points: N.
     """
 
     def __init__(
-        self, solid: Solid, pairs: NDArray[np.integer], correlation: NDArray[np.floating], points: int
-    ) -> None:
-        self._solid, self._functions = solid, BorderFunctions()
+        self, measure: str, elastic: tuple[float, float], pairs: NDArray[np.integer],
+        correlation: NDArray[np.floating], points: int,
+    ) -> None:  # fmt: skip
+        self._measure, self._elastic, self._functions = measure, elastic, BorderFunctions()
         # By whether fields move at the border: number of fitted frames, last relative effect of the border.
         self._fitted, self._by_border = {False: 0, True: 0}, {False: 0.0, True: 0.0}
         inside = (pairs < points).all(1)
@@ -182,7 +176,6 @@ class ContactEnergy:
         """
         number, area = field.coefficients.shape[1], np.pi * points.axes.prod(1)
         functions, gradient = self._functions, self._functions.gradient[..., :number]
-        solid = self._solid.young_modulus_mpa, self._solid.poisson_ratio
         # By the place in the disc, (2, P, n, 2) [direction, ..., component], then by x and y.
         slope = torch.from_numpy(np.tensordot(gradient, field.coefficients, (2, 1)))
         onto = torch.from_numpy(
@@ -194,13 +187,15 @@ class ContactEnergy:
         # du/dx by the place now; by the place at onset it is F - 1 with F = (1 - du/dx)^-1, and areas were 1 / det F.
         shrunk = (1 - ux) * (1 - vy) - uy * vx
         since = (1 - vy) / shrunk - 1, uy / shrunk, vx / shrunk, (1 - ux) / shrunk - 1
-        exx, eyy, exy = strain_parts(*since, self._solid.measure)
+        exx, eyy, exy = strain_parts(*since, self._measure)
         weights = torch.from_numpy(functions.weights[:, None] * area)
-        energy = (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid) * shrunk * weights).sum(0).numpy()
-        xx, yy, xy = (weights * part for part in stress_parts(exx, eyy, exy, *solid))
+        energy = (
+            (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *self._elastic) * shrunk * weights).sum(0).numpy()
+        )
+        xx, yy, xy = (weights * part for part in stress_parts(exx, eyy, exy, *self._elastic))
         stress = [torch.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(0, 1)]
         forces = np.tensordot(gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
-        direct, _, shear = stiffness(*solid)
+        direct, _, shear = stiffness(*self._elastic)
         # The mean over both components, each with direct x x + shear / 4 y y, where x and y are exchanged.
         scale = ((direct + shear / 4) * area)[:, None] / points.axes**2
         return energy, forces, np.tensordot(scale, functions.squares[:, :number, :number], 1) @ field.covariance

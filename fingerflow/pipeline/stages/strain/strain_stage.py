@@ -17,7 +17,7 @@ from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, Solid, perimeter
+from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
@@ -95,8 +95,8 @@ class StrainStage(Stage):
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
         self._shared = SharedErrors(*(torch.from_numpy(values).to(device) for values in shared))
         self._missing = MissingEnergy(self._areas)
-        solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
-        self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
+        elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
+        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
         self._border = steady_border(Border.from_series(series), self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
