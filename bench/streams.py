@@ -44,7 +44,6 @@ def play(
     results: Path | None = None,
     frames: int | None = None,
     rate: int | None = None,
-    parallel: int = 1,
     provider: str | None = None,
     python: Path | str = sys.executable,
     watch: Callable[[int], None] = lambda pid: None,
@@ -53,8 +52,8 @@ def play(
     """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
     By default all frames are played as fast as it goes, and records are not kept: ``rate`` is in frames a second,
-    ``results`` a folder. ONNX Runtime computes ``parallel`` frames at once. ``watch`` is called with the process id
-    every ``watch_s`` seconds.
+    ``results`` a folder. ``watch`` is called with the process id every
+    ``watch_s`` seconds.
 
     Raises RuntimeError with the player's log where it ends with an error.
     """
@@ -68,7 +67,6 @@ def play(
             "--json": f"{folder}/summary.json",
             "--frames": frames,
             "--rate": rate,
-            "--parallel-frames": parallel if parallel > 1 else None,
             "--provider": provider,
         }
         given = [str(word) for option in options.items() if option[1] is not None for word in option]

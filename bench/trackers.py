@@ -75,12 +75,12 @@ def follow_fingerflow(key: Tensor, points: Tensor, window: int) -> Callable[[Ten
     """
     engine = NativeEngine(EngineSettings(window_px=window))
     start = points[0].numpy()
-    templates = engine.prepare(engine.key(key.numpy()), start)
+    templates = engine.prepare(key.numpy(), start)
 
     def follow(frames: Tensor, speed: Tensor, together: int) -> list[Found]:
         place, moving, found = start, np.broadcast_to(speed.numpy(), start.shape).copy(), list[Found]()
         for some in frames[:, 0].numpy().reshape(-1, together, *frames.shape[2:]):
-            followed = engine.follow(templates, engine.images(some), place, moving)
+            followed = engine.track(templates, engine.images(some), place, moving)
             place, moving = followed.place, followed.speed
             own = followed.found
             found += (

@@ -8,8 +8,8 @@
 #include "interface.h"
 
 void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
-                                  std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
-                                  float* density_margin, float* numbers, int threads) {
+                                  std::int64_t radius, std::int64_t side, unsigned char* real_contact_mask,
+                                  float* density_margin, float* numbers, float* gains, int threads) {
     fingerflow_illumination_gain(given, block, gains, threads);
     std::vector<float> shares(static_cast<std::size_t>(given->frames.batch));
     for (std::size_t frame = 0; frame < shares.size(); ++frame) {

@@ -17,7 +17,7 @@ from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.recipe import GRAPHS, Recipe, recipe_of
+from fingerflow.export.recipe import GRAPHS, Recipe, parse_recipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
@@ -142,7 +142,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
 
 def recipe_of_trials() -> Recipe:
     """Return the recipe of a bundle that plays these trials."""
-    return recipe_of({"views": {"height": HEIGHT, "width": WIDTH}, **tomllib.loads(_SHARED)})
+    return parse_recipe({"views": {"height": HEIGHT, "width": WIDTH}, **tomllib.loads(_SHARED)})
 
 
 def edit_scene(folder: Path, replaced: dict[str, str], name: str = "scene.toml", stream: bool = True) -> Path:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
-from fingerflow.export.build import graphs_of
+from fingerflow.export.build import build_graphs
 from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.ops.tracking.outliers import find_neighbours
 from tests.embedded import CASES
@@ -131,7 +131,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         **dict.fromkeys(("ellipse_angle", "gauge_length", "threshold"), torch.ones(1)),
         **{f"neighbour_{name}": one for name, one in beside._asdict().items()},
     }
-    for name, graph in graphs_of(recipe).items():
+    for name, graph in build_graphs(recipe).items():
         step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)
         yield name, step
         results = run_without_values(step.module, step.inputs())

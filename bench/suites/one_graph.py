@@ -25,13 +25,13 @@ from fingerflow import load_scene, process
 from fingerflow.player import read_results
 from fingerflow.synthetic import Press, Slide
 
-RUNS = (("native", None, 1), ("native", 100, 1), ("onnx", None, 1), ("onnx", None, 2), ("onnx", 30, 2))
+RUNS = (("native", None), ("native", 100), ("onnx", None), ("onnx", 30))
 _LEAST_AREA = 5.0  # mm2
 _CLOCK = ("time", "latency")
 
 
 def run(quick: bool) -> list[Row]:
-    """Return a row for `process` and five per recipe, for each recording."""
+    """Return a row for `process` and four per recipe, for each recording."""
     frames = 60 if quick else 300
     recordings: dict[str, Press | Slide] = {"press": Press(n_frames=frames), "slide": Slide(n_frames=frames)}
     rows: list[Row] = []
@@ -53,16 +53,15 @@ def _rows(scene: Path, recording: Press | Slide, bundles: Mapping[str, Path], fo
     yield {"by": "process", "error": _largest(ours - truth, counted)}
     for recipe, bundle in bundles.items():
         firsts: dict[str, Any] = {}
-        for engine, pace, parallel in RUNS:
-            results = folder.with_name(f"{folder.name}-{recipe}-{engine}-{pace}-{parallel}")
-            play(bundle, engine, scene=scene, results=results, rate=pace, parallel=parallel)
+        for engine, pace in RUNS:
+            results = folder.with_name(f"{folder.name}-{recipe}-{engine}-{pace}")
+            play(bundle, engine, scene=scene, results=results, rate=pace)
             records = read_results(results).records
             first = firsts.setdefault(engine, records)
             divergence = 1e3 * records["median_divergence"]
             yield {
                 "by": recipe,
                 "engine": engine,
-                "beside_each_other": parallel,
                 "rate_hz": pace,
                 "real_area": _largest(records["real_contact_area"] / result["real_contact_area"] - 1, counted),
                 "gross_area": _largest(records["gross_contact_area"] / result["gross_contact_area"] - 1, counted),

@@ -34,9 +34,10 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
-from fingerflow.export.build import graphs_of
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, recipe_of
+from fingerflow.export.build import build_graphs
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, parse_recipe
 from fingerflow.export.write_bundle import write_graph
+from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Press
 
@@ -93,7 +94,7 @@ def _row(graph: str, settings: dict[str, Any], nodes: int, cells: dict[str, floa
 
 
 def _recipe(**tables: dict[str, Any]) -> Recipe:
-    return recipe_of({"views": {"height": 512, "width": 640}, "export": {"graphs": GRAPHS}, **tables})
+    return parse_recipe({"views": {"height": 512, "width": 640}, "export": {"graphs": GRAPHS}, **tables})
 
 
 def _inputs(scene: Press) -> dict[str, Tensor]:
@@ -119,8 +120,9 @@ def _corners(view: Tensor, recipe: Recipe) -> Tensor:
 
 def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
     """Return the number of nodes of the exported graph, and a call that runs it."""
-    graphs = graphs_of(recipe)
-    tensors = known | graphs["light"].run(known)
+    graphs = build_graphs(recipe)
+    light, black = glass_light(known["empty"], known["dark"])
+    tensors = known | {"light": light, "black": black}
     if "points" in tensors:
         key = {**tensors, "topography_view": tensors["topography_before"]}
         for graph in (graphs["noise"], graphs["prepare"]):

@@ -3,10 +3,8 @@
 Every frame is computed and its results are written.
 
 Each recipe of `export/` is played from its bundle, without torch, by the compiled library (`native`) and by ONNX
-Runtime (`onnx`), as fast as it goes, with ONNX Runtime one frame after the other and two beside each other (the option
-`--parallel-frames 2`), and then for 60 s at 300 frames a second, as a camera would give them, or at two thirds of the
-better of these rates where that is less. As fast as it goes is the median of five runs, with the slowest and the
-fastest.
+Runtime (`onnx`), as fast as it goes, and then for 60 s at 300 frames a second, as a camera would give them, or at two
+thirds of its rate where that is less. As fast as it goes is the median of five runs, with the slowest and the fastest.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
 waiting. `load` is how many processes the machine had to run on average when the row ended: on cores that do other work
 latencies mean little.
@@ -24,32 +22,30 @@ FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
 
 
 def run(quick: bool) -> list[Row]:
-    """Return two or three rows per recipe and engine."""
+    """Return two rows per recipe and engine."""
     rows: list[Row] = []
     with exported_recipes() as bundles:
         for recipe, bundle in bundles.items():
-            for engine, beside in (("native", (1,)), ("onnx", (1, 2))):
+            for engine in ("native", "onnx"):
                 of = {"recipe": recipe, "engine": engine}
-                free = {parallel: _free(bundle, engine, parallel, quick) for parallel in beside}
-                best = max(free, key=lambda parallel: free[parallel]["rate_hz"])
-                pace = min(CAMERA, round(free[best]["rate_hz"] * 2 / 3))
-                rows += [of | row for row in (*free.values(), _played(bundle, engine, best, pace, quick))]
+                free = _free(bundle, engine, quick)
+                pace = min(CAMERA, round(free["rate_hz"] * 2 / 3))
+                rows += [of | free, of | _played(bundle, engine, pace, quick)]
     return rows
 
 
-def _free(bundle: Path, engine: str, parallel: int, quick: bool) -> dict[str, Any]:
+def _free(bundle: Path, engine: str, quick: bool) -> dict[str, Any]:
     """Return the run of median rate, with the slowest and fastest rate."""
-    runs = [_played(bundle, engine, parallel, None, quick) for _ in range(1 if quick else 5)]
+    runs = [_played(bundle, engine, None, quick) for _ in range(1 if quick else 5)]
     runs.sort(key=lambda run: run["rate_hz"])
     return runs[len(runs) // 2] | {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}
 
 
-def _played(bundle: Path, engine: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
+def _played(bundle: Path, engine: str, pace: int | None, quick: bool) -> dict[str, Any]:
     seconds = 2 if quick else 60
     count = seconds * pace if pace else FRAMES[engine] // (5 if quick else 1)
-    summary = play(bundle, engine, frames=count, rate=pace, parallel=parallel)
+    summary = play(bundle, engine, frames=count, rate=pace)
     return {
-        "side_by_side": parallel,
         "asked_hz": pace,
         "rate_hz": summary["rate_hz"],
         "frames": summary["processed"],

@@ -23,15 +23,15 @@ def deviations(rows: Rows) -> list[list[str]]:
 
 def live(rows: Rows) -> list[list[str]]:
     """Return rates and latencies of the player, by recipe and engine."""
-    table = [["recipe, engine", "frames/s as fast as it goes", "two frames at once", "at a camera's rate: latency"]]
+    table = [["recipe, engine", "frames/s as fast as it goes", "at a camera's rate: latency"]]
     for recipe, engine in dict.fromkeys((row["recipe"], row["engine"]) for row in rows):
         some = [row for row in rows if (row["recipe"], row["engine"]) == (recipe, engine)]
-        free = {row["side_by_side"]: row for row in some if row["asked_hz"] is None}
+        free = next(row for row in some if row["asked_hz"] is None)
         (paced,) = (row for row in some if row["asked_hz"] is not None)
-        rates = [f"{free[at]['slowest_hz']:.0f} to {free[at]['fastest_hz']:.0f}" if at in free else "" for at in (1, 2)]
+        rate = f"{free['slowest_hz']:.0f} to {free['fastest_hz']:.0f}"
         lost = f"{paced['dropped']} dropped" if paced["dropped"] else "none dropped"
         late = ", ".join(f"{paced[f'{of}_ms']:.3g}" for of in ("median", "p99", "worst"))
-        table.append([f"{recipe}, {engine}", *rates, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
+        table.append([f"{recipe}, {engine}", rate, f"{paced['asked_hz']}/s: {lost}; {late} ms"])
     return table
 
 

@@ -9,17 +9,6 @@ from fingerflow.calibration.overlay_image import draw_overlay
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
 
 __all__ = [
-    "FILE",
-    "Calibration",
-    "Disc",
-    "Transform",
-    "calibrate",
-    "calibrate_files",
-    "draw_overlay",
-    "find_discs",
-    "find_hole",
-    "fit_affine",
-    "fit_similarity",
-    "is_calibration",
-    "match_discs",
-]
+    "FILE", "Calibration", "Disc", "Transform", "calibrate", "calibrate_files", "draw_overlay", "find_discs",
+    "find_hole", "fit_affine", "fit_similarity", "is_calibration", "match_discs",
+]  # fmt: skip

@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from fingerflow.calibration.edge import Array, Disc
+from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import CalibrationError, TransformRows, read_calibration
+from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.views import View
 
@@ -33,11 +33,6 @@ class Calibration:
     similarity: Transform | None = None
     warnings: tuple[str, ...] = ()
 
-    @property
-    def topography_to_contact(self) -> Array | None:
-        """Return the affine map (2, 3) from px (x, y, 1) of the topography view to px (x, y) of the contact view."""
-        return None if self.affine is None else self.affine.matrix
-
     def to_toml(self) -> str:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
@@ -59,33 +54,12 @@ class Calibration:
             lines += _section("[discs.contact]", asdict(contact))
         return "\n".join(lines) + "\n"
 
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a calibration from a calibration file, which has the format that `to_toml` returns.
-
-        Raises FingerflowError if it cannot be read, lacks an entry, or has an impossible scale or transform.
-        """
-        try:
-            found = read_calibration(Path(path))
-        except CalibrationError as error:
-            raise FingerflowError(str(error)) from None
-        return cls(
-            mm_per_px=found.mm_per_px,
-            hole_radius_mm=found.hole_radius_mm,
-            hole=Disc(**found.hole),
-            views={name: View(rows, columns) for name, (rows, columns) in found.views.items()},
-            discs=tuple((Disc(**topography), Disc(**contact)) for topography, contact in found.discs),
-            affine=_transform(found.affine),
-            similarity=_transform(found.similarity),
-            warnings=found.warnings,
-        )
-
 
 def is_calibration(path: Path) -> bool:
     """Return whether a file is a valid calibration file."""
     try:
         read_calibration(path)
-    except CalibrationError:
+    except FingerflowError:
         return False
     return True
 
@@ -99,7 +73,3 @@ def _toml_number(value: Any) -> str:
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(_toml_number, value))}]"
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
-
-
-def _transform(rows: TransformRows | None) -> Transform | None:
-    return None if rows is None else Transform(*(np.array(part, dtype=np.float64) for part in rows))

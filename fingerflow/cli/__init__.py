@@ -8,16 +8,7 @@ import threading
 import typer
 
 # Importing these modules adds their commands to the app.
-from fingerflow.cli import (  # noqa: F401
-    bundles,
-    preparation,
-    processing,
-    reporting,
-    study,
-    synthetic_recordings,
-    tables,
-    viewing,
-)
+from fingerflow.cli import bundles, preparation, processing, reporting, study, synthetic_recordings, tables, viewing  # noqa: F401
 from fingerflow.cli.app import INTERRUPTED
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError

@@ -104,39 +104,3 @@ def slip(
         typer.echo(f"figures: {write_figures(trials, figure, overwrite, files)}")
     if not trials:
         raise typer.Exit(2)
-
-
-@app.command()
-def figures(
-    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S1.txt (the caption), S5.png ...")],
-    trials: Annotated[
-        Path,
-        typer.Option(
-            help="A CSV file, one row a trial: participant, trial, condition (vibration amplitude in µm), answer (1 or "
-            "0) and any of max_force, time_to_max_force, duration, force_rate, max_displacement, global_displacement, "
-            "force_angle, real_contact_area, gross_contact_area, divergence, curl, strain, strain_rate, strain_energy, "
-            "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit; "
-            "of any with _difference behind its name, comparison less reference."
-        ),
-    ],
-    yes_no: Annotated[
-        bool, typer.Option("--yes-no", help="Fit the guess rate of figure S12 C; 0.5, of a forced choice, without it.")
-    ] = False,
-    formats: Format = None,
-    width: Width = None,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
-) -> None:
-    """Draw the figures of the supplement of Willemet et al. 2021 that a table of trials supports."""
-    from fingerflow.models.observer import FORCED_CHOICE, YES_NO
-    from fingerflow.report.supplement import write_supplement
-    from fingerflow.report.trials_file import load_trials
-
-    files = figure_files(formats, width)
-    written = write_supplement(load_trials(trials), folder, YES_NO if yes_no else FORCED_CHOICE, overwrite, files)
-    facts = [{"figure": name, "file": path and str(path), "left_out": missing} for name, path, missing in written]
-    lines = [
-        f"{name}: {path or 'skipped'}" + (f" (without: {'; '.join(missing)})" if missing else "")
-        for name, path, missing in written
-    ]
-    tell(facts, "\n".join(lines), as_json)

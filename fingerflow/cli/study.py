@@ -34,11 +34,12 @@ def init(
     """Write study.toml and trials.csv for the recordings found in a folder."""
     from fingerflow.study.init import init_study
 
-    found = init_study(folder, answers)
-    typer.echo(f"{found.manifest} and {found.table.name} were written: {found.trials} trials")
-    for lacking in found.to_fill_in:
+    trials, to_fill_in = init_study(folder, answers)
+    manifest = folder / "study.toml"
+    typer.echo(f"{manifest} and trials.csv were written: {trials} trials")
+    for lacking in to_fill_in:
         typer.echo(f"to be filled in: {lacking}")
-    typer.echo(f"then: fingerflow study run {found.manifest}")
+    typer.echo(f"then: fingerflow study run {manifest}")
 
 
 @study.command()

@@ -90,23 +90,10 @@ def _simulate(
 ) -> None:
     from dataclasses import replace
 
-    from fingerflow.synthetic import (
-        ChainPress,
-        FingerprintTexture,
-        PartialSlip,
-        Press,
-        Slide,
-        SyntheticScene,
-        scene_of_print,
-        write_recording,
-    )
+    from fingerflow import synthetic
 
-    kinds: dict[str, type[SyntheticScene]] = {
-        "press": Press,
-        "chain-press": ChainPress,
-        "slide": Slide,
-        "partial-slip": PartialSlip,
-    }
+    kinds: dict[str, type[synthetic.SyntheticScene]] = {"press": synthetic.Press, "chain-press": synthetic.ChainPress}
+    kinds |= {"slide": synthetic.Slide, "partial-slip": synthetic.PartialSlip}
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:
@@ -114,13 +101,13 @@ def _simulate(
     if dpi is not None and picture is None:
         raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
     if picture is not None:
-        scene = scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
+        scene = synthetic.scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
     else:
-        scene = kinds[kind]() if skin is None else kinds[kind](texture=FingerprintTexture(pattern=skin))
+        scene = kinds[kind]() if skin is None else kinds[kind](texture=synthetic.FingerprintTexture(pattern=skin))
     if friction is not None:
-        if not isinstance(scene, ChainPress):
+        if not isinstance(scene, synthetic.ChainPress):
             raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
         if not 0 <= friction < float("inf"):
             raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
         scene = replace(scene, friction=friction)
-    write_recording(folder, scene)
+    synthetic.write_recording(folder, scene)

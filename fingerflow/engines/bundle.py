@@ -17,7 +17,6 @@ from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.keys import keys_of
 
 GraphName = Literal[
-    "light",
     "contact",
     "threshold",
     "noise",

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import STEP, Array, Engine, EnteredPoints, FrameEllipse
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.tracking_limits import TrackStatus
 
 # Threshold of the relative intensity loss. It lies between those of two grey levels, even if the illumination gain is
 # off by 0.5 %.
@@ -37,6 +39,7 @@ _DARKER = 0.9  # light of the empty glass of the reversed motion, and of its fra
 # Displacements for fields: points move this many times as far as they do, so that rounding is a smaller share.
 _LARGER = 5.0
 _AWAY = np.float32(3.0)  # px along x and y, by which an outlier is put off its place
+_CURVED = np.float32(8.0)  # px, displacement at the far corner of a view by a field that is quadratic in x and y
 _CERTAIN, _UNCERTAIN = np.float32(0.02), np.float32(0.5)  # px, deviations of positions
 
 
@@ -227,34 +230,34 @@ def numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> dict
 
 
 def _contact_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
-    light, images = engine.light(frame.empty.astype(np.float32), None), engine.images(frame.contact[None])
+    light, images = glass_light(frame.empty, None), engine.images(frame.contact[None])
     contact = engine.contact(images, light, np.array([THRESHOLD], np.float32))
     names = "real_area_px", "gross_area_px", "center", "semi_axes", "illumination_gain"
-    covered = engine.covered(contact.density_margin, frame.expected[None], np.eye(2, 3))[0]
+    covered = covers(contact.density_margin, frame.expected[None], np.eye(2, 3), engine.cell_px)[0]
     return {
         **{name: getattr(contact, name)[0] for name in names},
         "axis": np.stack((np.cos(2 * contact.angle[0]), np.sin(2 * contact.angle[0]))),
-        "threshold": engine.threshold(images, light)[0],
+        "threshold": engine.contact(images, light).threshold[0],
         "covered": np.where(covered, 1.0, np.nan),  # a point at the border may be known to one engine only
     }
 
 
 def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     count, few = len(frame.points), frame.few
-    key, images = engine.key(engine.images(frame.key[None])), engine.images(frame.topography[None])
-    templates = engine.prepare(key, frame.points)
+    images = engine.images(frame.topography[None])
+    templates = engine.prepare(engine.images(frame.key[None]), frame.points)
     still, straight = np.zeros_like(frame.expected), np.broadcast_to(np.eye(2, dtype=np.float32), (count, 2, 2)).copy()
-    found = engine.follow(templates, images, frame.expected, still).found
+    found = engine.track(templates, images, frame.expected, still).found
     corrected = engine.correct(frame.points, found, templates.numbers, straight)
 
     start, near, unmoved = frame.points[few], frame.expected[few], still[few]
-    alone = engine.follow(templates, images, near, unmoved, few).found.points[0]
+    alone = engine.track(templates, images, near, unmoved, few).found.points[0]
     stretched = np.broadcast_to(_STRETCH.astype(np.float32), (len(few), 2, 2)).copy()
-    engine.update(templates, few, engine.prepare(key, start, stretched))
-    updated = engine.follow(templates, images, frame.expected, still).found.points[0]
+    templates.update(few, engine.prepare(templates, start, stretched))
+    updated = engine.track(templates, images, frame.expected, still).found.points[0]
     windows = engine.windows(images, np.zeros(len(few), np.int64), near, stretched, STEP)
     results = {
-        "noise": key.noise,
+        "noise": templates.noise,
         "seeded": engine.detect(images, np.ones(frame.key.shape, bool), count),
         "found": found.points[0],
         "found_alone": alone,
@@ -265,13 +268,16 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     }
     places = frame.truth[None].copy()
     places[0, few[::4]] += _AWAY
-    off = found._replace(points=places, covariance=_covariance(frame))
-    judged = engine.outliers(engine.neighbours(frame.points), frame.points, off)
-    results |= zip(("off_neighbours", "uncertain"), (one[0] for one in judged), strict=True)
-    # Among points off their place a local fit depends on its weights, which it does not in a uniform stretch.
-    results["warp"] = engine.correct(frame.points, off, templates.numbers, straight).warp[0]
+    off = found._replace(points=places, covariance=_covariance(frame), status=np.zeros_like(found.status))
+    judged = engine.correct(frame.points, off, templates.numbers, straight)
+    for name, status in (("off_neighbours", TrackStatus.OFF_NEIGHBOURS), ("uncertain", TrackStatus.UNCERTAIN)):
+        results[name] = judged.found.status[0] == status
+    # In a curved field a local fit depends on its weights, which it does not in a uniform stretch.
+    size = np.array(frame.key.shape[::-1], np.float32)
+    curved = found._replace(points=(frame.truth + _CURVED * np.square(frame.truth / size))[None])
+    results["warp"] = engine.correct(frame.points, curved, templates.numbers, straight).warp[0]
     if engine.settings.search_px:
-        places, returns = engine.search(key, images, start, near)
+        places, returns = engine.search(templates, images, start, near)
         results["searched"] = np.where(returns[:, None], places, np.nan)
     return results
 

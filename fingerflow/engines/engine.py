@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene_tables import ContactCells, FieldSettings, GaugeSettings, PointSettings
 
 Array = NDArray[Any]
@@ -29,13 +31,13 @@ class EngineSettings(ContactCells, PointSettings, GaugeSettings):
 
 
 class GlassLight(NamedTuple):
-    """Light of the empty glass and black level per pixel, in the internal format of an engine.
+    """Light of the empty glass and black level per pixel (1, 1, H, W), float32, by `contact_view.glass_light`.
 
     `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
     """
 
-    light: Any
-    black: Any
+    light: Array
+    black: Array
 
 
 class FrameContact(NamedTuple):
@@ -47,6 +49,7 @@ class FrameContact(NamedTuple):
         center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
         density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `ops.contact.cells.covered`.
         illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible.
+        threshold: (K,) relative intensity loss above which a pixel touches; NaN without contact.
     """
 
     real_contact_mask: Array | None
@@ -57,21 +60,25 @@ class FrameContact(NamedTuple):
     angle: Array
     density_margin: Array
     illumination_gain: Array
-
-
-class KeyFrame(NamedTuple):
-    """Key frame in the internal format of an engine, and the standard deviation of the frame's noise in grey levels."""
-
-    image: Images
-    noise: float
+    threshold: Array
 
 
 class TemplateBuffers(Protocol):
-    """Templates of N points (image windows that tracking finds again in later frames), in buffers of the engine."""
+    """Templates of N points (image windows that tracking finds again in later frames), in buffers of the engine.
+
+    Attributes:
+        noise: standard deviation of the white noise of the key frame, grey levels.
+    """
+
+    noise: float
 
     @property
     def numbers(self) -> Array:
         """Return the template statistics (N, 32) in the order of `kernels.tracking_limits.Number`."""
+        ...
+
+    def update(self, rows: Array, updated: Any) -> None:
+        """Replace the templates with indices `rows` (L,) by templates that `Engine.prepare` has returned."""
         ...
 
 
@@ -100,6 +107,26 @@ class FoundPoints(NamedTuple):
     def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
         """Return the tracking results of selected frames and points; all points by default."""
         return FoundPoints(*(one[frames][:, points] for one in self))
+
+    def rejected(self, which: Array, status: TrackStatus) -> FoundPoints:
+        """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are
+        NaN, their status is `status`.
+        """
+        if not which.any():
+            return self
+        points, covariance = self.points.copy(), self.covariance.copy()
+        points[which] = covariance[which] = np.nan
+        return self._replace(
+            points=points, covariance=covariance, status=np.where(which, np.uint8(status), self.status)
+        )
+
+    def without_outliers(self, off_neighbours: Array, uncertain: Array) -> FoundPoints:
+        """Return the results with the tracked points rejected that two masks (K, N) mark: those that are far more
+        uncertain than their neighbours, and those that deviate from them.
+        """
+        tracked = self.status == TrackStatus.TRACKED
+        certain = self.rejected(tracked & uncertain, TrackStatus.UNCERTAIN)
+        return certain.rejected(tracked & off_neighbours, TrackStatus.OFF_NEIGHBOURS)
 
 
 class Followed(NamedTuple):
@@ -180,20 +207,22 @@ class FrameFields(NamedTuple):
 class Engine(Protocol):
     """Interface that every engine implements: stateless computations on frames.
 
-    The engine creates and reads templates and key frames; the caller keeps them. All methods but `update` may be called
-    from several threads at once. Positions are (x, y) px, float32; pixel centres lie at integers.
+    The engine creates and reads templates; the caller keeps them. All methods may be called from several threads at
+    once. Positions are (x, y) px, float32; pixel centres lie at integers.
 
     Attributes:
-        name: "native", "torch" or "onnx".
+        name: "native", "torch" or "onnx", as results state it.
         described: name with its device or provider, as in "onnx (CPUExecutionProvider)".
         settings: with which it was created.
         cell_px: side of the cells of the apparent contact.
+        deviations: whether `fields` and `fit` take covariances.
     """
 
     name: str
     described: str
     settings: EngineSettings
     cell_px: int
+    deviations: bool
 
     def images(self, frames: Array) -> Images:
         """Convert frames (K, H, W) of 8 to 16 bit or floating point to the internal format of the engine.
@@ -202,29 +231,11 @@ class Engine(Protocol):
         """
         ...
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        """Compute the light of the empty glass and the black level (`ops.glass_light`), from counts (H, W).
+    def contact(self, images: Images, light: GlassLight, threshold: Array | None = None) -> FrameContact:
+        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN.
 
-        `dark` is the view without light. Where the mask `inside` (H, W) bool is False, `light` is set to 0, so that no
-        contact is found there.
-        """
-        ...
-
-    def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN."""
-        ...
-
-    def threshold(self, images: Images, light: GlassLight) -> Array:
-        """Measure the contact threshold (K,): the relative intensity loss at the edges of ridges in contact.
-
-        It is NaN without contact.
-        """
-        ...
-
-    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        """Return a mask (K, N) of points (K, N, 2) px of the topography view that lie in the apparent contact.
-
-        `topography_to_contact` (2, 3) maps px of the topography view to px of the contact view.
+        Without a threshold it is measured: the relative intensity loss at the edges of ridges in contact, NaN without
+        contact.
         """
         ...
 
@@ -232,23 +243,16 @@ class Engine(Protocol):
         """Detect up to `count` corners (n, 2) px inside a mask (H, W) bool, strongest first."""
         ...
 
-    def key(self, image: Images) -> KeyFrame:
-        """Return a copy of a frame (1, 1, H, W) as key frame, with the standard deviation of its noise."""
-        ...
-
-    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
+    def prepare(self, key: Any, points: Array, warp: Array | None = None) -> TemplateBuffers:
         """Prepare the templates (image windows to be tracked) of points (N, 2) px in a key frame, deformed by the
         matrices `warp` (N, 2, 2) if given.
 
+        `key` is the image (1, 1, H, W) of the key frame, of which a copy is kept, or templates of the same key frame.
         Points that are NaN match nothing.
         """
         ...
 
-    def update(self, templates: Any, rows: Array, updated: Any) -> None:
-        """Replace the templates with indices `rows` (L,) by templates that `prepare` has returned."""
-        ...
-
-    def follow(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
+    def track(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
         """Track templates through consecutive frames: all templates, or those with indices `rows` (L,).
 
         Their predicted position in the first frame is `place` + `speed` (N or L, 2), in later ones that of
@@ -258,28 +262,18 @@ class Engine(Protocol):
         ...
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        """Correct the tracking results `found` for the deformation of the skin since the templates were prepared, and
-        return them with that deformation.
+        """Reject outliers among the tracking results `found`, correct the others for the deformation of the skin since
+        the templates were prepared, and return them with that deformation.
 
-        The method is that of `ops.tracking.deformation`. `start` (N, 2) px lies in the key frame; statistics `numbers`
-        (N, 32) and inverse deformation (N, 2, 2) are those of the templates.
+        The methods are those of `ops.tracking.outliers` and `ops.tracking.deformation`. `start` (N, 2) px lies in the
+        key frame, and is the same array for all its frames; statistics `numbers` (N, 32) and inverse deformation
+        (N, 2, 2) are those of the templates.
         """
         ...
 
-    def neighbours(self, start: Array) -> Any:
-        """Return the lists of neighbours of points (N, 2) px in a key frame, as needed by `outliers`."""
-        ...
-
-    def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        """Return two masks (K, N): points that deviate from their neighbours, and points with a far larger uncertainty.
-
-        The test is that of `ops.tracking.outliers`.
-        """
-        ...
-
-    def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        """Search `image` for the image content around `points` (n, 2) px of a key frame, near `guess` (n, 2) px; return
-        the positions found (n, 2) px and a mask (n,) of those confirmed by a search back.
+    def search(self, templates: Any, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
+        """Search `image` for the image content around `points` (n, 2) px of the key frame of templates, near `guess`
+        (n, 2) px; return the positions found (n, 2) px and a mask (n,) of those confirmed by a search back.
 
         A position is confirmed where the backward search returns to the start.
         """
@@ -289,10 +283,6 @@ class Engine(Protocol):
         """Sample the grey levels (N, m) in windows around positions `places` (N, 2) px, deformed by the matrices `warp`
         (N, 2, 2), on a grid of `step` px; `number` (N,) is the frame of each window.
         """
-        ...
-
-    def noise(self, image: Images) -> float:
-        """Estimate the standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
         ...
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
@@ -315,6 +305,34 @@ class Engine(Protocol):
         from displacements (K, N, 2) mm of points with reference positions (N, 2) mm.
         """
         ...
+
+
+def noise_of(engine: Engine, image: Images) -> float:
+    """Estimate the standard deviation of the white noise of a frame (1, 1, H, W), grey levels."""
+    return engine.prepare(image, np.zeros((0, 2), np.float32)).noise
+
+
+_T = TypeVar("_T")
+_RECENT = 4  # number of arrays whose values are kept
+
+
+class Recent(Generic[_T]):
+    """Cache of what a function computes of the arrays of its latest calls, which are known by identity and must not
+    change.
+    """
+
+    def __init__(self, compute: Callable[[Any], _T]) -> None:
+        self._compute = compute
+        self._values: tuple[tuple[Any, _T], ...] = ()
+
+    def __call__(self, array: Any) -> _T:
+        """Return the value for an array, computed at its first call."""
+        for known, value in self._values:
+            if known is array:
+                return value
+        value = self._compute(array)
+        self._values = ((array, value), *self._values[: _RECENT - 1])
+        return value
 
 
 def nothing_found(frames: int) -> FoundPoints:

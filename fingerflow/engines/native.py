@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,32 +20,38 @@ from fingerflow.engines.engine import (
     FrameEllipse,
     FrameFields,
     GlassLight,
-    KeyFrame,
+    Recent,
 )
 from fingerflow.engines.native_fields import fields_of_frames
-from fingerflow.kernels import contact_frames, deformation, tracked_points, tracking
+from fingerflow.kernels import tracking
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, cell_of
+from fingerflow.kernels.contact import contact_threshold
+from fingerflow.kernels.contact_sizes import block_of, cell_of
+from fingerflow.kernels.detection_limits import NOISE, QUALITY
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
-from fingerflow.kernels.tracked_points import NeighbourLists
+from fingerflow.kernels.library import run
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 
 
 @dataclass
 class _NativeTemplates:
     """Templates of N points: reference positions (1, N, 2), sampled grey levels of the windows around them, and
-    statistics of these samples.
-
-    They are the results of `kernels.tracking.prepare_templates`.
+    statistics of these samples, which the kernel `prepare_templates` computes; key frame, and its noise.
     """
 
     arrays: tuple[Array, Array, Array]
+    key: Array
+    noise: float
 
     @property
     def numbers(self) -> Array:
         numbers: Array = self.arrays[2][0]
         return numbers
+
+    def update(self, rows: Array, updated: _NativeTemplates) -> None:
+        for array, part in zip(self.arrays, updated.arrays, strict=True):
+            array[:, rows] = part
 
 
 class NativeEngine:
@@ -54,80 +61,83 @@ class NativeEngine:
     """
 
     name = described = "native"
+    deviations = True
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
+        if self.cell_px > 2 * settings.gross_radius_px + 1:
+            raise ValueError(f"cells of {self.cell_px} px: the boxes of {settings.gross_radius_px} px are narrower")
+        self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
         if frames.dtype == np.float64:
             frames = frames.astype(np.float32)
         return frames[:, None]
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        light, black = _glass_light(empty.astype(np.float32), dark)
-        if inside is not None:
-            light = np.where(inside, light, np.float32(0))
-        return GlassLight(light[None, None], black[None, None])
-
-    def contact(self, images: Array, light: GlassLight, threshold: Array) -> FrameContact:
-        own = self.settings
-        limits = (1 - threshold).astype(np.float32)
-        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "cell": self.cell_px}
-        found = contact_frames.contact_of_frames(images, light.light, light.black, limits, **sizes)
-        numbers = found.numbers
-        real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-        return FrameContact(
-            found.real_contact_mask, real, gross, center, axes, angle, found.density_margin, found.gains
+    def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
+        radius = self.settings.gross_radius_px
+        if threshold is None:
+            unknown = np.full(len(images), np.nan, np.float32)
+            gains = self.contact(images, light, unknown).illumination_gain
+            sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
+            threshold = contact_threshold(images, light.light, light.black, gains, **sizes)
+        mask, density_margin, numbers, gains = run(
+            "contact_of_frames",
+            frames=images,
+            light=light.light,
+            black=light.black,
+            limits=(1 - threshold).astype(np.float32),
+            size=self.settings.median_px,
+            block=block_of(radius),
+            radius=radius,
+            side=self.cell_px,
         )
-
-    def threshold(self, images: Array, light: GlassLight) -> Array:
-        own = self.settings
-        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "stride_px": own.stride_px}
-        unknown = np.full(len(images), np.nan, np.float32)
-        gains = self.contact(images, light, unknown).illumination_gain
-        return contact_frames.contact_threshold(images, light.light, light.black, gains, **sizes)
-
-    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        transform = topography_to_contact.astype(np.float32)
-        return contact_frames.covered(density_margin, points, transform, self.cell_px)
+        real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
+        return FrameContact(mask, real, gross, center, axes, angle, density_margin, gains, threshold)
 
     def detect(self, image: Array, mask: Array, count: int) -> Array:
-        own = self.settings
-        found = tracked_points.detect_points(
-            image, mask, count, min_distance_px=own.min_distance_px, window=own.window_px
+        height, width = mask.shape
+        count = min(count, mask.size)
+        border = min(self.settings.window_px // 2 + 3, (min(mask.shape) - 1) // 2)
+        beside = max(1, round(self.settings.min_distance_px / 2))
+        farthest = max(beside + 1, math.isqrt(height * width // count))
+        limits = {"border": border, "beside": beside, "farthest": farthest, "quality": QUALITY, "noise": NOISE}
+        points, _ = run("detect_points", frame=image, mask=mask[None, None], count=count, **limits)
+        return points[np.isfinite(points[:, 0])]
+
+    def prepare(self, key: Array | _NativeTemplates, points: Array, warp: Array | None = None) -> _NativeTemplates:
+        if isinstance(key, _NativeTemplates):
+            image, noise = key.key, key.noise
+        else:
+            image = key.copy()
+            noise = float(np.float32(math.sqrt(math.pi / 2) / 6 * run("mean_response", frames=image)[0]))
+        arrays = run(
+            "prepare_templates",
+            image=image,
+            start=points.astype(np.float32, copy=False)[None],
+            inverse_warp=None if warp is None else inverse_2x2(warp.astype(np.float32))[None],
+            variance=np.square(np.array([noise], np.float32)),
+            window=self.settings.window_px,
+            gain_offset=self.settings.gain_offset,
+            rounding=ROUNDING if image.dtype.kind in "iu" else 0.0,
         )
-        return found.points[np.isfinite(found.points[:, 0])]
+        return _NativeTemplates(arrays, image, noise)
 
-    def key(self, image: Array) -> KeyFrame:
-        return KeyFrame(image.copy(), self.noise(image))
-
-    def noise(self, image: Array) -> float:
-        return float(np.float32(math.sqrt(math.pi / 2) / 6 * tracking.mean_response(image)[0]))
-
-    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _NativeTemplates:
-        own = self.settings
-        variance = np.square(np.array([key.noise], np.float32))
-        inverse = None if warp is None else inverse_2x2(warp.astype(np.float32))[None]
-        rounding = ROUNDING if key.image.dtype.kind in "iu" else 0.0
-        given = (key.image, np.ascontiguousarray(points, np.float32)[None], inverse, variance)
-        return _NativeTemplates(tracking.prepare_templates(*given, own.window_px, own.gain_offset, rounding))
-
-    def update(self, templates: _NativeTemplates, rows: Array, updated: _NativeTemplates) -> None:
-        for old, new in zip(templates.arrays, updated.arrays, strict=True):
-            old[:, rows] = new
-
-    def follow(
+    def track(
         self, templates: _NativeTemplates, images: Array, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
-        some = templates.arrays if rows is None else tuple(one[:, rows] for one in templates.arrays)
+        arrays = templates.arrays if rows is None else tuple(array[:, rows] for array in templates.arrays)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
-        found = tracking.find_templates(some, images, place[None], speed[None], None, ROUNDS, *limits)
-        return Followed(FoundPoints(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
+        tracked = tracking.find_templates(arrays, images, place[None], speed[None], None, ROUNDS, *limits)
+        return Followed(FoundPoints(*(values[:, 0] for values in tracked[:5])), tracked.place[0], tracked.speed[0])
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
-        corrected = deformation.correct_points(
+        if len(start) > 1:  # a single point has no neighbour
+            moved, deviation = found.points - start, np.sqrt(found.variance)
+            found = found.without_outliers(*tracking.find_outliers(self._neighbours(start), moved, deviation))
+        corrected = tracking.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,
             gauge_px=WARP_GAUGE_PX,
@@ -135,26 +145,16 @@ class NativeEngine:
         better = found._replace(points=corrected.points, covariance=corrected.covariance)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
-    def neighbours(self, start: Array) -> NeighbourLists:
-        return tracked_points.find_neighbours(start, WARP_GAUGE_PX)
-
-    def outliers(self, neighbours: NeighbourLists, start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        moved, deviation = found.points - start, np.sqrt(found.variance)
-        judged = tracked_points.find_outliers(neighbours, moved, deviation)
-        return judged.off_neighbours, judged.uncertain
-
-    def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
-        own = self.settings
-        return tracked_points.search_and_return(
-            *(key.image, image, points, guess),
-            window=own.window_px,
-            radius=own.search_px,
-            forward_backward_limit=own.forward_backward_limit_px,
-        )
+    def search(self, templates: _NativeTemplates, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+        size, reach = tracking.sizes_of(self.settings.window_px, self.settings.search_px)
+        positions = {"start": points, "guess": guess, "image_index": np.zeros(len(points), np.int64)}
+        limit = self.settings.forward_backward_limit_px + tracking.SEARCHED
+        search = {"size": size, "reach": reach, "limit": limit}
+        return run("search_and_return", key=templates.key, current=image, **positions, **search)
 
     def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
-        given = (places.astype(np.float32), np.ascontiguousarray(warp, np.float32))
-        return tracking.sample_windows(images, number, *given, self.settings.window_px, step)
+        grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
+        return run("sample_windows", images=images, image_index=number, **grid)
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
         places, moved, asked = (np.ascontiguousarray(one, np.float64) for one in (points[None], values, queries[None]))
@@ -184,18 +184,3 @@ class NativeEngine:
             covariance=covariance,
             entered=entered,
         )
-
-
-def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
-    """Compute light of the empty glass (0 at unlit pixels) and black level, as `ops.glass_light`.
-
-    Images are (H, W).
-    """
-    black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
-    light = empty - black
-    step = max(1, min(light.shape) // PIXELS_OF_LIGHT)
-    some = np.sort(light[::step, ::step], axis=None)
-    some = some[np.isfinite(some)]
-    full = some[max(math.ceil(len(some) * FULL_LIGHT), 1) - 1] if len(some) else math.nan
-    lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
-    return np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))

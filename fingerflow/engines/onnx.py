@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.engines.cells import covered
 from fingerflow.engines.engine import (
     ROWS,
     STEP,
@@ -24,35 +23,31 @@ from fingerflow.engines.engine import (
     FrameFields,
     GlassLight,
     Images,
-    KeyFrame,
+    Recent,
 )
 from fingerflow.engines.prediction import MotionState
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.contact_sizes import cell_of
-from fingerflow.kernels.tracked_points import find_neighbours
+from fingerflow.kernels.tracking import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
 _TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
-_SUPPORTS = 4  # number of point sets whose neighbours are cached
 _LEAST_POINTS = 256  # smallest number of points of a graph that is exported for the points at hand
 
 
-class _KeyImage:
-    """Image of a key frame (1, 1, H, W); its spline coefficients are computed at the first template update."""
+class _KeyFrame:
+    """Image of a key frame (1, 1, H, W), and its noise; its spline is computed at the first template update."""
 
-    def __init__(self, view: Array) -> None:
-        self.view, self.spline = view, None
-
-    def __len__(self) -> int:
-        return len(self.view)
+    def __init__(self, view: Array, noise: float) -> None:
+        self.view, self.noise, self.spline = view, noise, None
 
 
 class _OnnxTemplates:
     """Templates of n points, stored as arrays and, for fast calls, as prepared inputs of the ONNX graph `track`."""
 
-    def __init__(self, arrays: dict[str, Array]) -> None:
-        self.arrays = arrays
-        self._count = arrays["template_start"].shape[1]
+    def __init__(self, arrays: dict[str, Array], key: _KeyFrame, track: Any) -> None:
+        self.arrays, self.key, self.noise, self._track = arrays, key, key.noise, track
+        self._count = arrays["template_start"].shape[1] if arrays else 0
         self._values: dict[str, Any] = {}
         self._lock = threading.Lock()
 
@@ -61,21 +56,21 @@ class _OnnxTemplates:
         """Return the template statistics (n, 32) in the order of `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
-    def kept(self, track: Any, points: int) -> dict[str, Any]:
+    def kept(self, points: int) -> dict[str, Any]:
         """Return the templates, padded to `points`, as graph inputs kept in the memory of the execution provider."""
         with self._lock:
             if not self._values:
                 self.arrays = {name: filled(array, points, axis=1) for name, array in self.arrays.items()}
-                self._values = {name: track.kept(name, array) for name, array in self.arrays.items()}
+                self._values = {name: self._track.kept(name, array) for name, array in self.arrays.items()}
             return self._values
 
-    def update(self, rows: Array, updated: _OnnxTemplates, track: Any) -> None:
+    def update(self, rows: Array, updated: _OnnxTemplates) -> None:
         """Replace the templates with indices `rows` by `updated`, also in the memory of the execution provider."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
-        if not track.shares_memory:
+        if not self._track.shares_memory:
             for name in self._values:
-                self._values[name] = track.kept(name, self.arrays[name])
+                self._values[name] = self._track.kept(name, self.arrays[name])
 
 
 class OnnxEngine:
@@ -90,6 +85,7 @@ class OnnxEngine:
     """
 
     name = "onnx"
+    deviations = False
 
     def __init__(
         self,
@@ -101,7 +97,8 @@ class OnnxEngine:
         self.settings, self.described = settings, described
         self._sessions, self._points = sessions, points
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
-        self._supports: dict[bytes, dict[str, Any]] = {}
+        self._light, self._support = Recent(self._kept_light), Recent(self._computed_support)
+        self._neighbours = Recent(self._found_neighbours)
 
     def images(self, frames: Array) -> Array:
         images: Array = np.ascontiguousarray(frames)[:, None]
@@ -111,25 +108,16 @@ class OnnxEngine:
         """Return the number of points to which the inputs of a graph of `count` points are padded."""
         return self._points or max(_LEAST_POINTS, 1 << (count - 1).bit_length())
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
-        nothing = np.zeros_like(empty, np.float32) if dark is None else dark
-        found = self._sessions["light"]({"empty": empty[None, None], "dark": nothing[None, None]})
-        if inside is not None:
-            found["light"] = np.where(inside, found["light"], np.float32(0))
+    def contact(self, images: Images, light: GlassLight, threshold: Array | None = None) -> FrameContact:
+        views = {"contact_view": images, **self._light(light)}
+        if threshold is None:
+            threshold = self._sessions["threshold"](views)["threshold"]
+        outputs = self._sessions["contact"]({**views, "threshold": threshold}) | {"threshold": threshold}
+        return FrameContact(**{name: outputs.get(name) for name in FrameContact._fields})
+
+    def _kept_light(self, light: GlassLight) -> dict[str, Any]:
         contact = self._sessions["contact"]
-        return GlassLight(*(contact.kept(name, found[name]) for name in GlassLight._fields))
-
-    def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
-        given = {"contact_view": images, **light._asdict(), "threshold": threshold}
-        found = self._sessions["contact"](given)
-        return FrameContact(**{name: found.get(name) for name in FrameContact._fields})
-
-    def threshold(self, images: Images, light: GlassLight) -> Array:
-        found: Array = self._sessions["threshold"]({"contact_view": images, **light._asdict()})["threshold"]
-        return found
-
-    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        return covered(density_margin, points, topography_to_contact, self.cell_px)
+        return {name: contact.kept(name, array) for name, array in light._asdict().items()}
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
         if count != self._points:
@@ -138,28 +126,26 @@ class OnnxEngine:
         found: Array = points[np.isfinite(points).all(1)]
         return found
 
-    def key(self, image: Images) -> KeyFrame:
-        return KeyFrame(_KeyImage(image.copy()), self.noise(image))
-
-    def noise(self, image: Images) -> float:
-        return float(self._sessions["noise"]({"topography_view": image})["noise"][0])
-
-    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _OnnxTemplates:
-        noise = np.array([key.noise], np.float32)
+    def prepare(self, key: Images | _OnnxTemplates, points: Array, warp: Array | None = None) -> _OnnxTemplates:
+        frame = key.key if isinstance(key, _OnnxTemplates) else self._key_frame(key)
+        track, noise = self._sessions["track"], np.array([frame.noise], np.float32)
+        if not len(points):
+            return _OnnxTemplates({}, frame, track)
         if warp is None:
-            given = {"topography_view": key.image.view, "noise": noise, **self._pad_points(points=points[None])}
-            found = self._sessions["prepare"](given)
-            return _OnnxTemplates({name: found[name][:, : len(points)] for name in _TEMPLATES})
-        if key.image.spline is None:
-            spline = self._sessions["spline"]({"topography_view": key.image.view})["spline"]
-            key.image.spline = self._sessions["renew"].kept("spline", spline)
-        shared = {"spline": key.image.spline, "noise": noise}
-        return _OnnxTemplates(self._in_pieces("renew", {"points": points[None], "warp": warp[None]}, shared))
+            inputs = {"topography_view": frame.view, "noise": noise, **self._pad_points(points=points[None])}
+            outputs = self._sessions["prepare"](inputs)
+            return _OnnxTemplates({name: outputs[name][:, : len(points)] for name in _TEMPLATES}, frame, track)
+        if frame.spline is None:
+            spline = self._sessions["spline"]({"topography_view": frame.view})["spline"]
+            frame.spline = self._sessions["renew"].kept("spline", spline)
+        shared = {"spline": frame.spline, "noise": noise}
+        arrays = self._in_pieces("renew", {"points": points[None], "warp": warp[None]}, shared)
+        return _OnnxTemplates(arrays, frame, track)
 
-    def update(self, templates: _OnnxTemplates, rows: Array, updated: _OnnxTemplates) -> None:
-        templates.update(rows, updated, self._sessions["track"])
+    def _key_frame(self, image: Images) -> _KeyFrame:
+        return _KeyFrame(image.copy(), float(self._sessions["noise"]({"topography_view": image})["noise"][0]))
 
-    def follow(
+    def track(
         self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
         course, frames = MotionState.begin(place, speed), []
@@ -190,7 +176,7 @@ class OnnxEngine:
             near = np.full((1, points, 2), np.nan, np.float32)
             near[0, rows] = guess
             given = {
-                **templates.kept(self._sessions["track"], points),
+                **templates.kept(points),
                 "topography_view": images,
                 "prediction": near,
             }
@@ -203,6 +189,10 @@ class OnnxEngine:
 
     def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
+        if count > 1:  # a single point has no neighbour
+            inputs = self._pad_points(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
+            masks = self._sessions["outliers"]({**self._neighbours(start), **inputs})
+            found = found.without_outliers(masks["off_neighbours"][:, :count], masks["uncertain"][:, :count])
         given = self._pad_points(
             start=start[None],
             found=found.points,
@@ -210,38 +200,31 @@ class OnnxEngine:
             template_numbers=numbers[None],
             inverse_warp=inverse_warp[None],
         )
-        got = self._sessions["correct"]({**given, **self._support(given["start"])})
+        got = self._sessions["correct"]({**given, **self._support(start)})
         points, covariance, *others = (one[:, :count] for one in got.values())
         return Corrected(found._replace(points=points, covariance=covariance), *others)
 
-    def _support(self, start: Array) -> dict[str, Any]:
-        """Return the inputs of the graph `correct` that depend only on the key-frame positions (1, N, 2) of the points.
-
-        They describe the neighbours of each point, and are cached.
+    def _computed_support(self, start: Array) -> dict[str, Any]:
+        """Return the inputs of the graph `correct` that depend only on the key-frame positions (N, 2) of the points:
+        the neighbours of each.
         """
-        name = start.tobytes()
-        if name not in self._supports:
-            correct = self._sessions["correct"]
-            found = self._sessions["support"]({"start": start})
-            kept = {key: correct.kept(key, array) for key, array in found.items()}
-            latest = list(self._supports.items())[1 - _SUPPORTS :]
-            self._supports = {**dict(latest), name: kept}
-        return self._supports[name]
+        outputs = self._sessions["support"](self._pad_points(start=start[None]))
+        return {name: self._sessions["correct"].kept(name, array) for name, array in outputs.items()}
 
-    def neighbours(self, start: Array) -> dict[str, Array]:
+    def _found_neighbours(self, start: Array) -> dict[str, Array]:
+        """Return the inputs of the graph `outliers` that depend only on the positions (N, 2) in the key frame."""
         points = self._room(len(start))
-        near = find_neighbours(filled(start, points), WARP_GAUGE_PX)
-        number, x, y, within = (one[None, :, :points] for one in near)
-        offset = np.stack((x, y), axis=-1)
-        return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
+        number, x, y, within = (
+            array[None, :, :points] for array in find_neighbours(filled(start, points), WARP_GAUGE_PX)
+        )
+        return {
+            "neighbour_number": number,
+            "neighbour_offset": np.stack((x, y), axis=-1),
+            "neighbour_within": within,
+        }
 
-    def outliers(self, neighbours: dict[str, Array], start: Array, found: FoundPoints) -> tuple[Array, Array]:
-        given = self._pad_points(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
-        judged = self._sessions["outliers"]({**neighbours, **given})
-        return judged["off_neighbours"][:, : len(start)], judged["uncertain"][:, : len(start)]
-
-    def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
-        views = {"key_view": key.image.view, "topography_view": image}
+    def search(self, templates: _OnnxTemplates, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
+        views = {"key_view": templates.key.view, "topography_view": image}
         found = self._in_pieces("search", {"points": points[None], "prediction": guess[None]}, views)
         return found["places"][0], found["returns"][0]
 

@@ -12,16 +12,14 @@ import torch
 from torch import Tensor
 
 from fingerflow.engines import engine as arrays
-from fingerflow.engines.cells import covered
-from fingerflow.engines.engine import Array, EngineSettings
+from fingerflow.engines.engine import Array, EngineSettings, Recent
 from fingerflow.engines.prediction import MotionState
 from fingerflow.graphs import ContactGraph, DetectGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, TrackGraph
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.deformation import correct_points
-from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours, find_outliers
+from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
@@ -30,11 +28,21 @@ from fingerflow.ops.tracking.window_correlation import sample_windows
 @dataclass
 class _TorchTemplates:
     """Templates of N points, stored as tensors (1, N, ...) in an `ops.Templates`, with their statistics `numbers` (N,
-    32) on the host.
+    32) on the host; key frame, and its noise.
     """
 
     templates: Templates
     numbers: Array
+    key: Tensor
+    noise: float
+
+    def update(self, rows: Array, updated: _TorchTemplates) -> None:
+        chosen = torch.from_numpy(rows).to(self.key.device)
+        for old, new in zip(self.templates, updated.templates, strict=True):
+            if old is not None and new is not None:
+                # In place: few rows are updated, and all templates take megabytes.
+                old.index_copy_(1, chosen, new[:, : len(rows)])
+        self.numbers[rows] = updated.numbers
 
 
 class TorchEngine:
@@ -46,6 +54,7 @@ class TorchEngine:
     """
 
     name = "torch"
+    deviations = True
 
     def __init__(self, settings: EngineSettings, device: torch.device) -> None:
         self.settings, self._device = settings, device
@@ -56,6 +65,8 @@ class TorchEngine:
         self._fields = FieldsGraph(own.gauge_length_mm, own.strain)
         self.cell_px: int = self._contact.cell_px
         self.described = f"torch ({device})"
+        self._light = Recent(lambda light: tuple(map(self._tensor, light)))
+        self._neighbours = Recent(lambda start: find_neighbours(self._tensor(start)[None], WARP_GAUGE_PX))
 
     def _tensor(self, array: Array, dtype: torch.dtype | None = None) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self._device, dtype)
@@ -63,22 +74,15 @@ class TorchEngine:
     def images(self, frames: Array) -> Tensor:
         return images_on(self._device, frames)
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> arrays.GlassLight:
-        unlit = None if dark is None else self._tensor(dark)[None, None]
-        light, black = glass_light(self._tensor(empty, torch.float32)[None, None], unlit)
-        if inside is not None:
-            light = torch.where(self._tensor(inside), light, 0.0)
-        return arrays.GlassLight(light, black)
-
-    def contact(self, images: Tensor, light: arrays.GlassLight, threshold: Array) -> arrays.FrameContact:
+    def contact(self, images: Tensor, light: arrays.GlassLight, threshold: Array | None = None) -> arrays.FrameContact:
+        glass = self._light(light)
+        if threshold is None:
+            threshold = _array(self._contact.threshold(images, *glass))
         limit = self._tensor(1 - threshold.astype(np.float32))
-        return arrays.FrameContact(*_arrays(self._contact(images, light.light, light.black, limit)))
-
-    def threshold(self, images: Tensor, light: arrays.GlassLight) -> Array:
-        return _array(self._contact.threshold(images, light.light, light.black))
-
-    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
-        return covered(density_margin, points, topography_to_contact, self.cell_px)
+        contact = self._contact(images, *glass, limit)
+        return arrays.FrameContact(
+            **{name: _array(value) for name, value in contact._asdict().items()}, threshold=threshold
+        )
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
@@ -86,27 +90,17 @@ class TorchEngine:
         found = _array(points[0])
         return found[np.isfinite(found).all(-1)]
 
-    def key(self, image: Tensor) -> arrays.KeyFrame:
-        return arrays.KeyFrame(image.clone(), self.noise(image))
-
-    def noise(self, image: Tensor) -> float:
-        return float(estimate_noise(image))
-
-    def prepare(self, key: arrays.KeyFrame, points: Array, warp: Array | None = None) -> _TorchTemplates:
-        noise = self._tensor(np.array([key.noise], np.float32))
+    def prepare(self, key: Tensor | _TorchTemplates, points: Array, warp: Array | None = None) -> _TorchTemplates:
+        if isinstance(key, _TorchTemplates):
+            image, noise = key.key, key.noise
+        else:
+            image, noise = key.clone(), float(estimate_noise(key))
         deformed = None if warp is None else self._tensor(warp)[None]
-        templates = self._key(key.image, self._tensor(points)[None], noise, deformed)
-        return _TorchTemplates(templates, _array(templates.numbers[0]).copy())
+        deviation = self._tensor(np.array([noise], np.float32))
+        templates = self._key(image, self._tensor(points)[None], deviation, deformed)
+        return _TorchTemplates(templates, _array(templates.numbers[0]).copy(), image, noise)
 
-    def update(self, templates: _TorchTemplates, rows: Array, updated: _TorchTemplates) -> None:
-        chosen = self._tensor(rows)
-        for old, new in zip(templates.templates, updated.templates, strict=True):
-            if old is not None and new is not None:
-                # In place: few rows are updated, and all templates take megabytes.
-                old.index_copy_(1, chosen, new[:, : len(rows)])
-        templates.numbers[rows] = updated.numbers
-
-    def follow(
+    def track(
         self, templates: _TorchTemplates, images: Tensor, place: Array, speed: Array, rows: Array | None = None
     ) -> arrays.Followed:
         chosen = templates.templates if rows is None else templates.templates.of(self._tensor(rows)[None])
@@ -128,26 +122,22 @@ class TorchEngine:
         return found
 
     def correct(self, start: Array, found: arrays.FoundPoints, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
+        if len(start) > 1:  # a single point has no neighbour
+            moved = self._tensor(found.points) - self._tensor(start)[None]
+            masks = find_outliers(self._neighbours(start), moved, self._tensor(np.sqrt(found.variance)))
+            found = found.without_outliers(*_arrays(masks))
         given = self._tensor(start)[None], self._tensor(found.points), self._tensor(found.covariance)
         of_templates = self._tensor(numbers)[None], self._tensor(inverse_warp)[None]
         corrected = correct_points(*given, *of_templates, self.settings.window_px, WARP_GAUGE_PX)
         points, covariance, *others = _arrays(corrected)
         return arrays.Corrected(found._replace(points=points, covariance=covariance), *others)
 
-    def neighbours(self, start: Array) -> Neighbours:
-        return find_neighbours(self._tensor(start)[None], WARP_GAUGE_PX)
-
-    def outliers(self, neighbours: Neighbours, start: Array, found: arrays.FoundPoints) -> tuple[Array, Array]:
-        moved = self._tensor(found.points) - self._tensor(start)[None]
-        off, uncertain = _arrays(find_outliers(neighbours, moved, self._tensor(np.sqrt(found.variance))))
-        return off, uncertain
-
-    def search(self, key: arrays.KeyFrame, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, templates: _TorchTemplates, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:
         own = self.settings
         number = torch.zeros(len(points), dtype=torch.int64, device=self._device)
         given = (number, self._tensor(points), self._tensor(guess))
         reach = (own.window_px, own.search_px, own.forward_backward_limit_px)
-        places, returns = search_and_return(key.image, image, *given, *reach)
+        places, returns = search_and_return(templates.key, image, *given, *reach)
         return _array(places), _array(returns)
 
     def windows(self, images: Tensor, number: Array, places: Array, warp: Array, step: int) -> Array:

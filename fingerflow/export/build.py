@@ -22,11 +22,10 @@ from fingerflow.graphs import (
 )
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
-from fingerflow.ops.fields.point_gradients import gradients_at
-from fingerflow.ops.filters.illumination import glass_light
+from fingerflow.ops.fields.point_gradients import query_gradients
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
-from fingerflow.ops.tracking.deformation import Supports, correct_points, supports_of
+from fingerflow.ops.tracking.deformation import Supports, correct_points, fit_supports
 from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
@@ -67,12 +66,12 @@ class Graph:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
-    def run(self, known: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def run(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Run the graph in torch, with implementations that ONNX can express; return its outputs by name, from its
-        inputs by name in `known`.
+        inputs by name in `values`.
         """
         with torch.inference_mode(), Portable():
-            results = self.module(*(known[name] for name in self.inputs))
+            results = self.module(*(values[name] for name in self.inputs))
         return dict(zip(self.outputs, results, strict=True))
 
 
@@ -87,7 +86,7 @@ class _Call(nn.Module):
         return self.function(*tensors)
 
 
-def graphs_of(recipe: Recipe) -> dict[GraphName, Graph]:
+def build_graphs(recipe: Recipe) -> dict[GraphName, Graph]:
     """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported."""
     settings = bundle_settings(asdict(recipe))
     return build(settings, recipe.tracking.points, recipe.contact.real_contact_mask)
@@ -123,58 +122,58 @@ def build(
 _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]
 
 
-def _contact_graphs(own: EngineSettings, real_contact_mask: bool) -> _Described:
+def _contact_graphs(settings: EngineSettings, real_contact_mask: bool) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of the contact view."""
-    graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
+    graph = ContactGraph(settings.median_px, settings.gross_radius_px, settings.cell_px, settings.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or real_contact_mask)
 
     def contact(view: Tensor, light: Tensor, black: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
-        found = graph(view, light, black, 1 - threshold)
-        return tuple(getattr(found, name) for name in shown)
+        frame_contact = graph(view, light, black, 1 - threshold)
+        return tuple(getattr(frame_contact, name) for name in shown)
 
     return {
-        "light": (lambda empty, dark: glass_light(empty, dark, torch.float32), ("empty", "dark"), _LIGHT),
         "contact": (contact, ("contact_view", *_LIGHT, "threshold"), shown),
-        "threshold": (lambda *given: (graph.threshold(*given),), ("contact_view", *_LIGHT), ("threshold",)),
+        "threshold": (lambda *inputs: (graph.threshold(*inputs),), ("contact_view", *_LIGHT), ("threshold",)),
     }
 
 
-def _point_graphs(own: EngineSettings) -> _Described:
+def _point_graphs(settings: EngineSettings) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of tracked points."""
-    key, track = KeyGraph(own.window_px, own.gain_offset), TrackGraph(own.forward_backward_limit_px)
+    key, track = KeyGraph(settings.window_px, settings.gain_offset), TrackGraph(settings.forward_backward_limit_px)
 
     def prepare(view: Tensor, points: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
         return _known_tensors(key(view, points, noise))
 
     def renew(spline: Tensor, noise: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        return _known_tensors(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
+        window, gain_offset = settings.window_px, settings.gain_offset
+        return _known_tensors(renew_templates(spline, noise, points, window, warp, gain_offset=gain_offset))
 
-    def find(*given: Tensor) -> tuple[Tensor, ...]:
-        return tuple(track(Templates(*given[:3]), *given[3:]))
+    def find(*inputs: Tensor) -> tuple[Tensor, ...]:
+        return tuple(track(Templates(*inputs[:3]), *inputs[3:]))
 
     def support(start: Tensor) -> tuple[Tensor, ...]:
         # Compiled kernels need no precomputed supports.
-        return tuple(part for one in supports_of(start, WARP_GAUGE_PX) if one is not None for part in one)
+        return tuple(part for one in fit_supports(start, WARP_GAUGE_PX) if one is not None for part in one)
 
-    def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
-        numbers, inverse_warp, *of = known
-        given = start, points, covariance, numbers, inverse_warp
+    def correct(start: Tensor, points: Tensor, covariance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
+        numbers, inverse_warp, *of = rest
+        inputs = start, points, covariance, numbers, inverse_warp
         supports = Supports(Support(*of[:2]), Support(*of[2:]))
-        return tuple(correct_points(*given, own.window_px, WARP_GAUGE_PX, supports))
+        return tuple(correct_points(*inputs, settings.window_px, WARP_GAUGE_PX, supports))
 
-    def outliers(number: Tensor, offset: Tensor, within: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
-        start, points, deviation = given
+    def outliers(number: Tensor, offset: Tensor, within: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
+        start, points, deviation = inputs
         return tuple(find_outliers(Neighbours(number, offset, within), points - start, deviation))
 
     def search(key_view: Tensor, view: Tensor, points: Tensor, prediction: Tensor) -> tuple[Tensor, ...]:
-        image, places, guess = _flat(points, points, prediction)
-        reach = (own.window_px, own.search_px, own.forward_backward_limit_px)
-        found = search_and_return(key_view, view, image, places, guess, *reach)
-        return tuple(one.unflatten(0, points.shape[:2]) for one in found)
+        image, positions, guess = _flat(points, points, prediction)
+        reach = (settings.window_px, settings.search_px, settings.forward_backward_limit_px)
+        results = search_and_return(key_view, view, image, positions, guess, *reach)
+        return tuple(one.unflatten(0, points.shape[:2]) for one in results)
 
     def windows(view: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
-        image, places, deformed = _flat(points, points, warp)
-        flat = sample_windows(view, image, places, deformed, own.window_px, STEP)
+        image, positions, deformed = _flat(points, points, warp)
+        flat = sample_windows(view, image, positions, deformed, settings.window_px, STEP)
         return (flat.unflatten(0, points.shape[:2]),)
 
     followed = (find, (*_TEMPLATES, "topography_view", "prediction"), Found._fields)
@@ -204,9 +203,9 @@ def _point_graphs(own: EngineSettings) -> _Described:
     }
 
 
-def _field_graphs(own: EngineSettings, deviations: bool) -> _Described:
+def _field_graphs(settings: EngineSettings, deviations: bool) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of deformation fields."""
-    graph = FieldsGraph(own.gauge_length_mm, own.strain)
+    graph = FieldsGraph(settings.gauge_length_mm, settings.strain)
     inputs: tuple[str, ...] = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
     entered: tuple[str, ...] = ("among", "gradient")
     outputs: tuple[str, ...] = _FIELDS
@@ -214,20 +213,20 @@ def _field_graphs(own: EngineSettings, deviations: bool) -> _Described:
         inputs, outputs = (*inputs, "covariance"), (*outputs, "divergence_std", "curl_std", "median_std")
         entered = (*entered, "gradient_covariance")
 
-    def fields(*given: Tensor) -> tuple[Tensor, ...]:
-        reference, displacement, *ellipse = given[:5]
-        covariance = given[5] if deviations else None
+    def fields(*arguments: Tensor) -> tuple[Tensor, ...]:
+        reference, displacement, *ellipse = arguments[:5]
+        covariance = arguments[5] if deviations else None
         among = None
-        if rest := given[len(inputs) :]:
+        if rest := arguments[len(inputs) :]:
             among = Entered(rest[0], rest[1], rest[2] if deviations else None)
-        found = graph(reference, displacement, covariance, GrossEllipse(*ellipse), among)
-        return tuple(getattr(found, name) for name in outputs)
+        frame_fields = graph(reference, displacement, covariance, GrossEllipse(*ellipse), among)
+        return tuple(getattr(frame_fields, name) for name in outputs)
 
     return {
         "fields": (fields, inputs, outputs),
         "fields_entered": (fields, (*inputs, *entered), outputs),
         "fit": (
-            lambda *given: (gradients_at(*given),),
+            lambda *arguments: (query_gradients(*arguments),),
             ("reference", "displacement", "queries", "gauge_length"),
             ("gradient",),
         ),
@@ -238,11 +237,11 @@ def _flat(points: Tensor, *of_points: Tensor) -> tuple[Tensor, ...]:
     """Return the image (B N,) of each of the points (B, N, 2), and tensors (B, N, ...) as (B N, ...)."""
     batch, count = points.shape[:2]
     number = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
-    return number, *(one.flatten(0, 1) for one in of_points)
+    return number, *(tensor.flatten(0, 1) for tensor in of_points)
 
 
 def _known_tensors(templates: Templates) -> tuple[Tensor, ...]:
     """Return the tensors of `Templates` (image windows around the tracked points) as a tuple, without fields that are
     None.
     """
-    return tuple(one for one in templates if one is not None)
+    return tuple(tensor for tensor in templates if tensor is not None)

@@ -41,6 +41,6 @@ class PortableSession:
     def kept(self, name: str, array: NDArray[Any]) -> NDArray[Any]:
         return array
 
-    def __call__(self, given: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        self.inputs = {name: torch.from_numpy(np.ascontiguousarray(given[name])) for name in self.graph.inputs}
-        return {name: one.numpy() for name, one in self.graph.run(self.inputs).items()}
+    def __call__(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+        self.inputs = {name: torch.from_numpy(np.ascontiguousarray(inputs[name])) for name in self.graph.inputs}
+        return {name: tensor.numpy() for name, tensor in self.graph.run(self.inputs).items()}

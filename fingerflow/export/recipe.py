@@ -84,10 +84,10 @@ def load_recipe(path: Path) -> Recipe:
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise FingerflowError(f"{path} is no TOML file: {error}") from None
-    return recipe_of(written, path, text)
+    return parse_recipe(written, path, text)
 
 
-def recipe_of(written: Mapping[str, Any], path: Path = Path("recipe"), text: str = "") -> Recipe:
+def parse_recipe(written: Mapping[str, Any], path: Path = Path("recipe"), text: str = "") -> Recipe:
     """Return the recipe with the given tables and keys, parsed from the file `path` with this text; raise errors as
     :func:`load_recipe`.
     """

@@ -40,6 +40,8 @@ class RecordingEngine(OnnxEngine):
         threads: inside an operator.
     """
 
+    deviations = True
+
     def __init__(self, settings: EngineSettings, threads: int) -> None:
         with_deviations = build(settings, points=1, deviations=True)
         graphs: dict[str, Graph] = {str(name): graph for name, graph in build(settings, points=1).items()}
@@ -69,40 +71,38 @@ class ExportedGraph:
     def kept(self, name: str, array: Array) -> Array:
         return array
 
-    def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        arrays = {name: _single(given[name]) for name in self._graph.inputs}
+    def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Array]:
+        arrays = {name: inputs[name] for name in self._graph.inputs}
+        for name, array in arrays.items():
+            arrays[name] = np.ascontiguousarray(array, np.float32 if array.dtype == np.float64 else None)
         frames = max(map(len, arrays.values()))
         parts = [
-            self._run({name: one[k : k + 1] if len(one) == frames else one for name, one in arrays.items()})
+            self._run({name: values[k : k + 1] if len(values) == frames else values for name, values in arrays.items()})
             for k in range(frames)
         ]
         return {
-            name: np.concatenate(one) for name, one in zip(self._graph.outputs, zip(*parts, strict=True), strict=True)
+            name: np.concatenate(part) for name, part in zip(self._graph.outputs, zip(*parts, strict=True), strict=True)
         }
 
     def _run(self, arrays: dict[str, Array]) -> list[Array]:
-        shapes = tuple((one.shape, one.dtype) for one in arrays.values())
+        shapes = tuple((array.shape, array.dtype) for array in arrays.values())
         with _EXPORT:
             if shapes not in self._sessions:
                 self._sessions[shapes] = self._exported(arrays)
         session = self._sessions[shapes]
         # The session lacks inputs that the graph does not use.
-        found: list[Array] = session.run(
-            self._graph.outputs, {one.name: arrays[one.name] for one in session.get_inputs()}
+        results: list[Array] = session.run(
+            self._graph.outputs, {feed.name: arrays[feed.name] for feed in session.get_inputs()}
         )
-        return found
+        return results
 
     def _exported(self, arrays: dict[str, Array]) -> Any:
         import onnxruntime
 
         with torch.inference_mode(False):
             # Copies: the exporter would merge two inputs that are the same tensor.
-            tensors = tuple(torch.from_numpy(one.copy()) for one in arrays.values())
+            tensors = tuple(torch.from_numpy(array.copy()) for array in arrays.values())
             model = standard_model(self._graph.module, tensors, self._graph.inputs, self._graph.outputs)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = self._threads
         return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-
-
-def _single(array: Array) -> Array:
-    return np.ascontiguousarray(array, np.float32 if array.dtype == np.float64 else None)

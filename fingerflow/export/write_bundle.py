@@ -25,7 +25,7 @@ from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.sessions import open_sessions
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
-from fingerflow.export.build import UNITS, Graph, graphs_of
+from fingerflow.export.build import UNITS, Graph, build_graphs
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.portable import Portable, PortableSession
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
@@ -61,7 +61,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         part.mkdir(parents=True)
         views, settings = recipe.views, bundle_settings(asdict(recipe))
         size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
-        sessions = {name: PortableSession(graph) for name, graph in graphs_of(recipe).items()}
+        sessions = {name: PortableSession(graph) for name, graph in build_graphs(recipe).items()}
         numbers_of(OnnxEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
         models = {
             name: write_graph(recipe, name, sessions[name].graph, tuple(sessions[name].inputs.values()), part)
@@ -69,7 +69,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         }
         with torch.inference_mode(), Portable():
             expected = expected_of(TorchEngine(settings, torch.device("cpu")), *size)
-        found = verify(recipe, part, sessions, expected)
+        differences = verify(recipe, part, sessions, expected)
         _bundle(recipe, models, expected, part)
         finish(part, folder)
     except OSError as error:
@@ -78,7 +78,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         ) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    return found
+    return differences
 
 
 def verify(
@@ -108,7 +108,7 @@ def write_graph(
     import onnx
 
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
-    model = standard_model(graph.module, tuple(one.clone() for one in tensors), graph.inputs, graph.outputs)
+    model = standard_model(graph.module, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
     model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()
@@ -116,7 +116,7 @@ def write_graph(
         "version": __version__,
         "graph": name,
         "recipe": json.dumps(asdict(recipe)),
-        "units": json.dumps({one: UNITS[one] for one in (*graph.inputs, *graph.outputs)}),
+        "units": json.dumps({name: UNITS[name] for name in (*graph.inputs, *graph.outputs)}),
         "coordinates": COORDINATES,
         "hash": digest,
     }
@@ -152,11 +152,11 @@ def scene_for(template: str, height: int, width: int) -> str:
     """Return the text of a scene template, made for two views of 512 x 640 px side by side, adapted to views of height
     x width px.
     """
-    places = {
+    replacements = {
         "[0, 512]": (0, height),
         "[0, 640]": (0, width),
         "[640, 1280]": (width, 2 * width),
         "[100, 400]": (height // 5, 4 * height // 5),
         "[100, 540]": (width // 5, 4 * width // 5),
     }
-    return re.sub("|".join(map(re.escape, places)), lambda found: str(list(places[found[0]])), template)
+    return re.sub("|".join(map(re.escape, replacements)), lambda match: str(list(replacements[match[0]])), template)

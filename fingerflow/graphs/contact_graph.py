@@ -18,7 +18,7 @@ class Contact(NamedTuple):
         real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
         real_area_px, gross_area_px: (B,) px, area of the micro-junctions and of the apparent contact that they span.
         center, semi_axes: (B, 2) px, `angle` (B,) rad: ellipse of the apparent contact, NaN without contact.
-        density_margin: (B, 1, h, w) of the apparent contact on cells; `engines.cells.covered` tests with it
+        density_margin: (B, 1, h, w) of the apparent contact on cells; `engines.contact_view.covers` tests with it
             whether a position lies inside.
         illumination_gain: (B,) gain of the light relative to the image of the empty glass. NaN where no glass is
             visible; a gain of 1 is used there.

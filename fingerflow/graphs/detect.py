@@ -80,9 +80,9 @@ class DetectGraph(nn.Module):
         rank = torch.where(corners > 0, alone + corners / strongest.clamp_min(_TINY), 0.0)
         chosen = rank.flatten(1).topk(count, dim=1).indices
         falling = corners.flatten(1).gather(1, chosen).topk(count, dim=1)
-        place = chosen.gather(1, falling.indices)
-        row = (place // (right - left) + top).to(self.precision)
-        column = (place % (right - left) + left).to(self.precision)
+        index = chosen.gather(1, falling.indices)
+        row = (index // (right - left) + top).to(self.precision)
+        column = (index % (right - left) + left).to(self.precision)
         missing = falling.values <= 0
         points = torch.stack((column, row), dim=2).masked_fill(missing[..., None], torch.nan)
         return points, falling.values.masked_fill(missing, torch.nan)

@@ -102,10 +102,10 @@ class FieldsGraph(nn.Module):
         gradient, spread = point_gradients(reference, rest, self.gauge_length, covariance)
         if entered is not None:
             # A point that entered and was lost has no gradient.
-            own = entered.among & finite(sum_rows(displacement.mT))[:, 0]
-            gradient = torch.where(own[..., None, None], entered.gradient, gradient)
+            own_points = entered.among & finite(sum_rows(displacement.mT))[:, 0]
+            gradient = torch.where(own_points[..., None, None], entered.gradient, gradient)
             if spread is not None and entered.covariance is not None:
-                spread = torch.where(own[..., None, None, None, None], entered.covariance, spread)
+                spread = torch.where(own_points[..., None, None, None, None], entered.covariance, spread)
         median = median_std = known_share = None
         if ellipse is not None:
             median, median_std, known_share = area_medians(

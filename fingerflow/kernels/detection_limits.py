@@ -6,4 +6,3 @@ BOX = 5
 QUALITY = 0.01  # least response of a corner as a share of the strongest one
 # Upper bound of the corner response of white noise with variance 1 (`ops.tracking.corners`).
 NOISE = 12 / 64 * (1 + 18 / BOX)
-LEAST_SIDE = BOX + 2  # px, smallest side of a frame for which the structure tensor exists

@@ -1,7 +1,14 @@
-// What fingerflow/kernels calls, declared once: Python reads this file too (fingerflow/kernels/declarations.py), and the
-// entries that it calls are written from it (kernels/generate_entries.py). Arguments go by name, those of a structure among
-// the others, so a name stands once in a function. Shapes, strides and dtypes are checked in Python. Strides are in pixels.
+// What fingerflow/kernels calls, declared once: Python reads this file too (fingerflow/kernels/declarations.py), checks
+// arguments and allocates results by it, and the entries that it calls are written from it (kernels/generate_entries.py).
+// Arguments go by name, those of a structure among the others, so a name stands once in a function.
 // What a function throws becomes an exception of Python's.
+//
+// A comment behind an address declares the array: its shape, whose names are arguments (whole numbers, which Python takes
+// from the shapes) or only names; `a|b` is 1 or b, known as a. Before the shape stands the dtype where C++ does not tell it
+// (several, or that of another array); behind it `optional` (null where Python has None), `rows` (pixels of a row are
+// contiguous, with strides in pixels <name>_stride and <name>_row_stride), `updated` (a copy of it is written and returned; zeros for None),
+// `below n` (values lie from 0 to n - 1). An address that is not const is a result, `if x` one that x asks for.
+// A comment behind a number limits it: `from a to b`, `by c` (in steps of c from a on), `among a b c`.
 #pragma once
 
 #include <cstdint>
@@ -14,25 +21,26 @@ struct fingerflow_frames {
 
 // The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
 // -1 for all that the processor has; `taken` is the one in use then. For tests; every set gives the same answers.
-void fingerflow_limit_instruction_set(int most, std::int32_t* taken);
+void fingerflow_limit_instruction_set(int most /* from -1 */, std::int32_t* taken /* (1) */);
 
 // For tests: faults and threads of parallel.h, by their numbers.
-void fingerflow_inject_fault(int fault, std::int64_t piece, int thread);
+void fingerflow_inject_fault(int fault, std::int64_t piece /* from -1 */, int thread);
 
 // Medians of size x size windows of uint8 or uint16 frames; `medians` is contiguous. `table` is null for a compiled size,
 // else what fingerflow/kernels/median_rows.py writes for it.
-void fingerflow_median(const fingerflow_frames* frames, void* medians, int size, const std::uint16_t* table, int threads);
+void fingerflow_median(const fingerflow_frames* frames /* uint8 uint16 */, void* medians /* frames (batch, 1, height, width) */,
+                       int size /* from 3 to 31 by 2 */, const std::uint16_t* table /* (entries) optional */, int threads);
 
 // Templates of `points` of each image prepared, as fingerflow/ops/tracking/templates.py describes; all contiguous. Of P =
 // images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null, samples
 // (P, 3, window, window), numbers (P, 32); variance one an image.
 struct fingerflow_prepared_templates {
-    fingerflow_frames image;
-    float* start;
-    const float *inverse_warp, *variance;
-    float *samples, *numbers;
+    fingerflow_frames image /* 4 x 4 */;
+    float* start /* (batch, points, 2) updated */;
+    const float *inverse_warp /* (batch, points, 2, 2) optional */, *variance /* (batch) */;
+    float *samples /* (batch, points, 3, window * window) */, *numbers /* (batch, points, 32) */;
     std::int64_t points;
-    std::int32_t window, gain_offset;
+    std::int32_t window /* from 5 to 4095 by 2 */, gain_offset;
     float rounding;
 };
 void fingerflow_prepare_templates(const fingerflow_prepared_templates* given, int threads);
@@ -41,53 +49,65 @@ void fingerflow_prepare_templates(const fingerflow_prepared_templates* given, in
 // recording b is number k x recordings + b, from place on at speed (P, 2), px and px a frame; both are replaced by those
 // after the last frame. Variance one a frame, or null for that of the templates. Results are (steps, P, ...).
 struct fingerflow_found_templates {
-    fingerflow_frames frames;
-    const float *start, *samples, *numbers, *variance;
-    float *place, *speed, *found, *error, *covariance;
-    unsigned char* status;
-    float* estimate;
+    fingerflow_frames frames /* 4 x 4 */;
+    const float *start /* (recordings, points, 2) */, *samples /* (recordings, points, 3, window * window) */,
+        *numbers /* (recordings, points, 32) */, *variance /* (batch) optional */;
+    float *place /* (recordings, points, 2) updated */, *speed /* (recordings, points, 2) updated optional */,
+        *found /* (steps, recordings, points, 2) */, *error /* (steps, recordings, points) */,
+        *covariance /* (steps, recordings, points, 2, 2) */;
+    unsigned char* status /* (steps, recordings, points) */;
+    float* estimate /* (steps, recordings, points, 2) */;
     std::int64_t recordings, points, steps;
-    std::int32_t window, rounds;
+    std::int32_t window /* from 5 to 4095 by 2 */, rounds;
     float rounding, forward_backward_limit, mismatch_limit;
 };
 void fingerflow_find_templates(const fingerflow_found_templates* given, int threads);
 
 // Both at once, of images and as many others with the same strides, points at rest in place: samples are kept nowhere.
-void fingerflow_find_pairs(const fingerflow_frames* previous, const void* current, std::int64_t points, float* start,
-                           const float* inverse_warp, const float* variance, int window, int gain_offset, int rounds,
-                           float* place, float* speed, float rounding, float forward_backward_limit,
-                           float mismatch_limit, float* numbers, float* found, float* error, float* covariance,
-                           unsigned char* status, float* estimate, int threads);
+void fingerflow_find_pairs(const fingerflow_frames* previous /* 4 x 4 whole */,
+                           const void* current /* previous (batch, 1, height, width) */, std::int64_t points,
+                           float* start /* (batch, points, 2) updated */,
+                           const float* inverse_warp /* (batch, points, 2, 2) optional */,
+                           const float* variance /* (batch) */, int window /* from 5 to 4095 by 2 */, int gain_offset,
+                           int rounds, float* place /* (batch, points, 2) updated */,
+                           float* speed /* (batch, points, 2) updated optional */, float rounding, float forward_backward_limit,
+                           float mismatch_limit, float* numbers /* (batch, points, 32) */,
+                           float* found /* (batch, points, 2) */, float* error /* (batch, points) */,
+                           float* covariance /* (batch, points, 2, 2) */, unsigned char* status /* (batch, points) */,
+                           float* estimate /* (batch, points, 2) */, int threads);
 
 // Means of 2 x 2 pixels: (batch, height / 2, width / 2), contiguous, as the search takes them.
-void fingerflow_halve(const fingerflow_frames* frames, float* halved, int threads);
+void fingerflow_halve(const fingerflow_frames* frames /* 3 x 3 */, float* halved /* (batch, 1, height / 2, width / 2) */,
+                      int threads);
 
 // Spline coefficients (batch, height, width), contiguous (fingerflow/ops/filters/spline.py).
-void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients, int threads);
+void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients /* (batch, 1, height, width) */,
+                                    int threads);
 
 // Windows found within `reach` px of a guess by normalised cross-correlation, as fingerflow/ops/tracking/search.py
 // describes: images (B, height, width) of half resolution, templates `size` px wide; image index (count), and points,
 // guess and found (count, 2) px of full resolution.
 struct fingerflow_search {
-    const float *templates, *images;
-    const std::int64_t* image_index;
-    const float *points, *guess;
-    float* found;
+    const float *templates /* (batch, 1, height, width) */, *images /* (batch, 1, height, width) */;
+    const std::int64_t* image_index /* (count) below batch */;
+    const float *points /* (count, 2) */, *guess /* (count, 2) */;
+    float* found /* (count, 2) */;
     std::int64_t height, width, count;
-    std::int32_t size, reach;
+    std::int32_t size /* from 1 to 32768 by 2 */, reach;
 };
 void fingerflow_search_windows(const fingerflow_search* given, int threads);
 
 // The same in images of two kinds of pixels.h, halved first, and the search back from where a window was found: found
 // (count, 2), and returns (count) bytes, whether it ends within `limit` px of `start`; guess (count, 2).
 struct fingerflow_search_both_ways {
-    const void *key, *current;
-    const std::int64_t* image_index;
-    const float *start, *guess;
-    float* found;
-    unsigned char* returns;
+    const void *key /* uint8 uint16 int32 float32 (batch, 1, height, width) rows */,
+        *current /* uint8 uint16 int32 float32 (batch, 1, height, width) rows */;
+    const std::int64_t* image_index /* (count) below batch */;
+    const float *start /* (count, 2) */, *guess /* (count, 2) */;
+    float* found /* (count, 2) */;
+    unsigned char* returns /* bool (count) */;
     std::int64_t key_stride, key_row_stride, key_kind, current_stride, current_row_stride, current_kind;
-    std::int64_t batch, height, width, count;
+    std::int64_t batch, height /* from 3 */, width /* from 3 */, count;
     std::int32_t size, reach;
     float limit;
 };
@@ -96,12 +116,12 @@ void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int 
 // Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/tracking/window_correlation.py): image
 // index (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
 struct fingerflow_sampled_windows {
-    fingerflow_frames images;
-    const std::int64_t* image_index;
-    const float *places, *warp;
-    float* found;
+    fingerflow_frames images /* 4 x 4 */;
+    const std::int64_t* image_index /* (windows) below batch */;
+    const float *places /* (windows, 2) */, *warp /* (windows, 2, 2) */;
+    float* found /* (windows, (2 * reach / step + 1) ** 2) */;
     std::int64_t windows;
-    std::int32_t reach, step;
+    std::int32_t reach /* to 2047 */, step /* from 1 */;
 };
 void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
@@ -109,93 +129,111 @@ void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int thre
 // windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
 // the round before, and replaced. Deviations and shares excluded (windows).
 struct fingerflow_window_shifts {
-    const float *then, *now, *around;
-    double *shift, *weight, *deviations, *excluded;
+    const float *then /* (windows, samples) */, *now /* (windows, samples) */, *around /* (4, windows, samples) */;
+    double *shift /* (windows, 2) updated */, *weight /* (windows, samples) updated */, *deviations /* (windows) */,
+        *excluded /* (windows) */;
     std::int64_t windows;
-    std::int32_t samples;
+    std::int32_t samples /* from 1 */;
     double noise;
 };
 void fingerflow_shift_windows(const fingerflow_window_shifts* given, int threads);
 
 // Mean absolute response (batch) of the noise mask, of frames of at least 3 x 3; NaN where no response is finite.
-void fingerflow_mean_response(const fingerflow_frames* frames, double* means, int threads);
+void fingerflow_mean_response(const fingerflow_frames* frames /* 3 x 3 */, double* means /* (batch) */, int threads);
 
 // Frames and the light of the empty glass behind them (height, width), with the counts without light: one image, or as
 // many as frames.
 struct fingerflow_lit_frames {
     fingerflow_frames frames;
-    const float *light, *black;
+    const float *light /* (lights|batch, 1, height, width) */, *black /* (blacks|batch, 1, height, width) */;
     std::int64_t lights, blacks;
 };
 
 // Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
 // (fingerflow/ops/contact/real_contact_mask.py); limits (batch), `real_contact_mask` is contiguous.
-void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
-                                  unsigned char* real_contact_mask, int threads);
+void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits /* (batch) */,
+                                  int size /* from 1 to 15 by 2 */,
+                                  unsigned char* real_contact_mask /* bool (batch, 1, height, width) */, int threads);
 
 // Brightness of the lamp in each frame (fingerflow/ops/contact/illumination_gain.py), from blocks of `side` px, a multiple of 8.
-void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
+void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64_t side /* from 8 by 8 */,
+                                  float* gains /* (batch) */, int threads);
 
 // Contact of frames in one call, as fingerflow/graphs/contact_graph.py has it: the gains (batch) of the light from blocks of
 // `block` px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it
 // spans with `radius` on cells of `side` px. Each as its own function here has it.
-void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
-                                  std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
-                                  float* density_margin, float* numbers, int threads);
+void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits /* (batch) */,
+                                  int size /* from 1 to 15 by 2 */, std::int64_t block /* from 8 by 8 */, std::int64_t radius /* from 1 to 255 */,
+                                  std::int64_t side /* among 1 2 4 8 */, unsigned char* real_contact_mask /* bool (batch, 1, height, width) */,
+                                  float* density_margin /* (batch, 1, -(-height / side), -(-width / side)) */,
+                                  float* numbers /* (batch, 7) */, float* gains /* (batch) */, int threads);
 
 // Relative intensity losses (batch) at the edges of ridges in contact (fingerflow/ops/contact/contact_threshold.py),
 // with gains (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of
 // `side` px, and every `stride`-th line read.
-void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size,
-                                  const std::uint16_t* table, std::int64_t radius, std::int64_t side, std::int64_t stride,
-                                  float* thresholds, int threads);
+void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains /* (batch) */,
+                                  int size /* from 1 to 15 by 2 */, const std::uint16_t* table /* (entries) optional */,
+                                  std::int64_t radius /* from 1 to 255 */, std::int64_t side /* among 1 2 4 8 */,
+                                  std::int64_t stride /* from 1 */, float* thresholds /* (batch) */, int threads);
 
 // Light over that of the empty glass, (frame - black) / light, and where it is known
 // (fingerflow/ops/filters/illumination.py): where the light exceeds `least`, one number an image of it, and all is finite;
 // elsewhere 1. Contiguous.
-void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients,
-                          unsigned char* known, int threads);
+void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least /* (lights) */,
+                          float* quotients /* (batch, 1, height, width) */,
+                          unsigned char* known /* bool (batch, 1, height, width) */, int threads);
 
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
-void fingerflow_histogram(const fingerflow_frames* frames, const unsigned char* mask, std::int64_t masks,
-                          std::int64_t mask_stride, std::int64_t mask_row_stride, const std::uint16_t* bins,
-                          std::int64_t count, std::int64_t* counts, int threads);
+void fingerflow_histogram(const fingerflow_frames* frames /* uint8 uint16 */,
+                          const unsigned char* mask /* bool (masks|batch, 1, height, width) rows optional */,
+                          std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
+                          const std::uint16_t* bins /* (levels) below count optional */,
+                          std::int64_t count /* from 1 to 65536 */, std::int64_t* counts /* (batch, count) */, int threads);
 
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
 // fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
 // (batch, 7): pixels covered, area, centre x and y, semi axes, angle.
 struct fingerflow_apparent_contacts {
-    const unsigned char* masks;
-    float *density_margin, *numbers;
-    std::int64_t batch, height, width, radius, side;
+    const unsigned char* masks /* bool (batch, 1, height, width) */;
+    float *density_margin /* (batch, 1, -(-height / side), -(-width / side)) */, *numbers /* (batch, 7) */;
+    std::int64_t batch, height, width, radius /* from 1 to 255 */, side /* among 1 2 4 8 */;
 };
 void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
 // Whether (batch, count) regions of density margins (batch, cells down, cells across) on cells of `side` px cover points
 // (batch, count, 2), each by the rows of `transform` (2, 3) times x, y and 1 (fingerflow/ops/contact/cells.py).
-void fingerflow_covered(const float* density_margin, std::int64_t batch, std::int64_t down, std::int64_t across,
-                        std::int64_t side, const float* points, std::int64_t count, const float* transform,
-                        unsigned char* covered);
+void fingerflow_covered(const float* density_margin /* (batch, 1, down, across) */, std::int64_t batch,
+                        std::int64_t down /* from 1 */, std::int64_t across /* from 1 */, std::int64_t side /* from 1 */,
+                        const float* points /* (batch, count, 2) */, std::int64_t count,
+                        const float* transform /* (2, 3) */, unsigned char* covered /* bool (batch, count) */);
 
 // Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
 // fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
 void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
-                            std::int64_t columns, float* blocks, float* lines, int threads);
+                            std::int64_t columns, float* blocks /* (batch, rows, columns) */,
+                            float* lines /* (batch, (height - down / 2 + down - 1) / down) */, int threads);
 
 // Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
 // those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
-void fingerflow_frame_distances(const float* now, const float* before, std::int64_t pairs, std::int64_t lines,
-                                std::int64_t pixels, std::int64_t bands, float most, float* distances, int threads);
+void fingerflow_frame_distances(const float* now /* (pairs, lines, pixels) */, const float* before /* (pairs, lines, pixels) */,
+                                std::int64_t pairs, std::int64_t lines, std::int64_t pixels /* from 1 */,
+                                std::int64_t bands /* from 1 */, float most, float* distances /* (pairs, bands + 1) */,
+                                int threads);
 
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
 struct fingerflow_local_fit {
-    const void *points, *values, *queries, *noise;
+    const void *points /* float32 float64 (points_batch|batch, point_count, 2) */,
+        *values /* points (values_batch|batch, point_count, components) */,
+        *queries /* points (queries_batch|batch, query_count, 2) */,
+        *noise /* points (noise_batch|batch, point_count, noises|components ** 2) optional */;
     std::int64_t points_batch, values_batch, queries_batch, noise_batch;
     std::int64_t batch, point_count, query_count, components, noises, minimum_points;
-    void *value, *gradient, *covariance, *offset;  // covariance null without noise
-    std::int64_t* counts;
+    void *value /* points (batch, query_count, components) */, *gradient /* points (batch, query_count, components, 2) */,
+        *covariance /* points (batch, query_count, components, 2, components, 2) if noise */;
+    std::int64_t* counts /* (batch, query_count) */;
+    void* offset /* points (batch, query_count) */;
 };
 void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
                                 int threads);
@@ -204,9 +242,11 @@ void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius
 // found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
 // corrected, remaining (covariance) and warp of those shapes, shift (frames, points) and expected (frames, points, 2).
 struct fingerflow_deformation {
-    const float *start, *found, *covariance, *numbers, *inverse_warp;
-    float *corrected, *remaining, *warp, *shift, *expected;
-    std::int64_t frames, points, window, minimum_points;
+    const float *start /* (points, 2) */, *found /* (frames, points, 2) */, *covariance /* (frames, points, 2, 2) */,
+        *numbers /* (points, 32) */, *inverse_warp /* (points, 2, 2) */;
+    float *corrected /* (frames, points, 2) */, *remaining /* (frames, points, 2, 2) */, *warp /* (frames, points, 2, 2) */,
+        *shift /* (frames, points) */, *expected /* (frames, points, 2) */;
+    std::int64_t frames, points, window /* from 3 */, minimum_points;
     double radius, least_spread;
 };
 void fingerflow_correct_points(const fingerflow_deformation* given, int threads);
@@ -216,9 +256,10 @@ void fingerflow_correct_points(const fingerflow_deformation* given, int threads)
 // least `points`, with zeros behind them. Displacement (frames, points, 2), deviation (frames, points); results (frames,
 // points) bytes.
 struct fingerflow_outliers {
-    const std::int32_t* number;
-    const float *x, *y, *within, *displacement, *deviation;
-    unsigned char *off_neighbours, *uncertain;
+    const std::int32_t* number /* (neighbours, stride) below points */;
+    const float *x /* (neighbours, stride) */, *y /* (neighbours, stride) */, *within /* (neighbours, stride) */,
+        *displacement /* (frames, points, 2) */, *deviation /* (frames, points) */;
+    unsigned char *off_neighbours /* bool (frames, points) */, *uncertain /* bool (frames, points) */;
     std::int64_t frames, points, stride, neighbours;
     float spread, ridge, least_deviation, most_disagreement, most_uncertainty;
     std::int32_t least_neighbours;
@@ -231,10 +272,10 @@ void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
 // largest that are compared. Responses exceed `quality` times the strongest, and `noise` times the variance of the frame's
 // noise.
 struct fingerflow_detection {
-    fingerflow_frames frame;
-    const unsigned char* mask;
-    float *points, *responses;
-    std::int64_t mask_row_stride, border, beside, farthest, count;
+    fingerflow_frames frame /* 7 x 7 */;
+    const unsigned char* mask /* bool (batch, 1, height, width) rows */;
+    float *points /* (count, 2) */, *responses /* (count) */;
+    std::int64_t mask_row_stride, border, beside, farthest, count /* from 1 */;
     float quality, noise;
 };
 void fingerflow_detect_points(const fingerflow_detection* given, int threads);
@@ -247,11 +288,12 @@ void fingerflow_detect_points(const fingerflow_detection* given, int threads);
 // not known, and their deviations where there are covariances; positions that such a point is nearest to have them
 // within `same_place` radii.
 struct fingerflow_area_medians {
-    const float *reference, *displacement, *ellipses, *covariance, *lattice;
-    const unsigned char* apart;
-    const float *apart_fields, *apart_deviations;
-    float *medians, *deviations, *shares;
-    std::int64_t batch, reference_batch, point_count, positions, measure, minimum_points;
+    const float *reference /* (reference_batch|batch, point_count, 2) */, *displacement /* (batch, point_count, 2) */,
+        *ellipses /* (batch, 6) */, *covariance /* (batch, point_count, 2, 2) optional */, *lattice /* (positions, 2) */;
+    const unsigned char* apart /* bool (batch, point_count) optional */;
+    const float *apart_fields /* (batch, point_count, 5) optional */, *apart_deviations /* (batch, point_count, 5) optional */;
+    float *medians /* (batch, 5) */, *deviations /* (batch, 5) if covariance */, *shares /* (batch) */;
+    std::int64_t batch, reference_batch, point_count, positions, measure /* to 2 */, minimum_points;
     double radius, least_spread, farthest, least_ratio, least_share, reach, even, same_place;
 };
 void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
@@ -263,15 +305,17 @@ void fingerflow_medians_over_area(const fingerflow_area_medians* given, int thre
 // factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy. Results (batch, triangle_count, ...), energy (batch),
 // forces (batch, point_count, 2), and the sum (batch) of the squares of what each point's error adds to the energy.
 struct fingerflow_triangle_strain {
-    const float *displacement, *covariance;
-    const unsigned char* in_contact;
-    const std::int32_t* corners;
-    const float *slopes, *products, *areas, *flat;
-    float *strain, *strain_std, *density;
-    double* energy;
-    float* forces;
-    double* own;
-    std::int64_t batch, point_count, triangle_count, measure;
+    const float *displacement /* (batch, point_count, 2) */, *covariance /* (batch, point_count, 2, 2) */;
+    const unsigned char* in_contact /* bool (batch, triangle_count) */;
+    const std::int32_t* corners /* (3, triangle_count) below point_count */;
+    const float *slopes /* (2, 3, triangle_count) */, *products /* (3, 3, triangle_count) */, *areas /* (triangle_count) */,
+        *flat /* (triangle_count) */;
+    float *strain /* (batch, triangle_count, 3) */, *strain_std /* (batch, triangle_count, 3) */,
+        *density /* (batch, triangle_count) */;
+    double* energy /* (batch) */;
+    float* forces /* (batch, point_count, 2) */;
+    double* own /* (batch) */;
+    std::int64_t batch, point_count, triangle_count, measure /* to 2 */;
     double direct, between, shear;
 };
 void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
@@ -284,9 +328,10 @@ struct fingerflow_flow_level {
     std::int64_t height, width;
 };
 struct fingerflow_flow_descend_of {
-    const fingerflow_flow_level* levels;
-    const float *pull, *flow, *known, *weights;
-    float* moved;
+    const fingerflow_flow_level* levels /* int64 (count, 7) */;
+    const float *pull /* (batch, 2, height, width) */, *flow /* (batch, 2, height, width) */,
+        *known /* (batch, 1, height, width) */, *weights /* (half + 1) */;
+    float* moved /* (batch, 2, height, width) */;
     std::int64_t count, batch, half;
     std::int32_t cycles, sweeps, coarsest;
     float damping;
@@ -297,8 +342,12 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
 // the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
 struct fingerflow_flow_template_of {
-    const float *coefficients, *mask;
-    float *value, *gradient, *inside, *tensor, *known, *right, *down;
+    const float *coefficients /* (batch, 1, height, width) */, *mask /* (batch, 1, height, width) */;
+    float *value /* (batch, 1, height, width) */, *gradient /* (batch, 2, height, width) */,
+        *inside /* (batch, 1, height, width) */, *tensor /* (batch, 3, (height + 1) / 2, (width + 1) / 2) */,
+        *known /* (batch, 1, (height + 1) / 2, (width + 1) / 2) */,
+        *right /* (batch, 1, (height + 1) / 2, (width + 1) / 2 - 1) */,
+        *down /* (batch, 1, (height + 1) / 2 - 1, (width + 1) / 2) */;
     std::int64_t batch, height, width, margin;
 };
 void fingerflow_flow_template(const fingerflow_flow_template_of* given, int threads);
@@ -307,8 +356,11 @@ void fingerflow_flow_template(const fingerflow_flow_template_of* given, int thre
 // coefficients, value, gradient (batch, 2, height, width), inside; of their cells of 2 x 2 flow and data (batch, 2, ...), known,
 // squares and seen; gain (batch).
 struct fingerflow_flow_left_of {
-    const float *coefficients, *value, *gradient, *inside, *flow, *known;
-    float *data, *squares, *seen, *gain;
+    const float *coefficients /* (batch, 1, height, width) */, *value /* (batch, 1, height, width) */,
+        *gradient /* (batch, 2, height, width) */, *inside /* (batch, 1, height, width) */,
+        *flow /* (batch, 2, (height + 1) / 2, (width + 1) / 2) */, *known /* (batch, 1, (height + 1) / 2, (width + 1) / 2) */;
+    float *data /* (batch, 2, (height + 1) / 2, (width + 1) / 2) */, *squares /* (batch, 1, (height + 1) / 2, (width + 1) / 2) */,
+        *seen /* (batch, 1, (height + 1) / 2, (width + 1) / 2) */, *gain /* (batch, 1, 1, 1) */;
     std::int64_t batch, height, width;
     float margin, most_gain;
 };

@@ -13,4 +13,4 @@ def may_branch(*tensors: Tensor | None) -> bool:
     It must not while torch traces or compiles, nor for tensors off the CPU, where it would wait for the device.
     """
     traced = torch.compiler.is_compiling() or is_recorded()
-    return not traced and all(one is None or (type(one) is Tensor and one.is_cpu) for one in tensors)
+    return not traced and all(tensor is None or (type(tensor) is Tensor and tensor.is_cpu) for tensor in tensors)

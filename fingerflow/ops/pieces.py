@@ -25,7 +25,7 @@ def frames_at_once(frames: Tensor) -> int:
     return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 
-def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
+def in_pieces(compute: Callable[..., Any], at_once: int, *tensors: Tensor | None) -> Any:
     """Evaluate `compute(*given)` for at most `at_once` frames of the batch at a time, and return the concatenated
     results.
 
@@ -35,16 +35,16 @@ def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) 
     Args:
         compute: function that treats frames independently.
         at_once: frames per piece; values below 1 count as 1.
-        given: tensors of B frames, tensors of one frame shared by all, or None.
+        tensors: tensors of B frames, tensors of one frame shared by all, or None.
     """
-    frames = max(len(one) for one in given if one is not None)
+    frames = max(len(tensor) for tensor in tensors if tensor is not None)
     at_once = max(1, at_once)
-    if frames <= at_once or not may_branch(*given):
-        return compute(*given)
+    if frames <= at_once or not may_branch(*tensors):
+        return compute(*tensors)
     pieces = [
-        compute(*(one if one is None or len(one) == 1 else one[start : start + at_once] for one in given))
+        compute(*(part if part is None or len(part) == 1 else part[start : start + at_once] for part in tensors))
         for start in range(0, frames, at_once)
     ]
     if isinstance(pieces[0], Tensor):
         return torch.cat(pieces)
-    return type(pieces[0])(*(None if some[0] is None else torch.cat(some) for some in zip(*pieces, strict=True)))
+    return type(pieces[0])(*(None if parts[0] is None else torch.cat(parts) for parts in zip(*pieces, strict=True)))

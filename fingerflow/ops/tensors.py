@@ -66,7 +66,7 @@ def products(left: Tensor, right: Tensor) -> Tensor:
     return result
 
 
-def bytes_of(mask: Tensor) -> Tensor:
+def count_bytes(mask: Tensor) -> Tensor:
     """Convert a bool mask to uint8 (0 or 1), without a copy unless a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)
 
@@ -75,10 +75,10 @@ def constant_like(constant: Tensor, like: Tensor) -> Tensor:
     """Return a constant on the device and with the dtype of another tensor; copies on a device are cached."""
     if like.device == constant.device or torch.compiler.is_compiling():
         return constant.to(like)
-    return _copy_on(constant, like.device, like.dtype)
+    return _copy_to(constant, like.device, like.dtype)
 
 
 @cache
-def _copy_on(constant: Tensor, device: torch.device, dtype: torch.dtype) -> Tensor:
+def _copy_to(constant: Tensor, device: torch.device, dtype: torch.dtype) -> Tensor:
     with torch.inference_mode(False):  # otherwise autograd could not use the constant later
         return constant.to(device, dtype)

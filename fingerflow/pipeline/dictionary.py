@@ -35,9 +35,9 @@ class DictionaryEntry(NamedTuple):
 
     def __str__(self) -> str:
         """Return a description of the variable in three or four lines of plain text."""
-        asked = "" if self.unasked else ", only where it is named"
+        note = "" if self.unasked else ", only where it is named"
         lines = [
-            f"{self.name}  [{self.units}{self.unit_note}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
+            f"{self.name}  [{self.units}{self.unit_note}]  ({', '.join(self.dimensions)})  stage {self.stage}{note}",
             f"    {self.definition}",
             f"    {self.equation}",
         ]
@@ -61,9 +61,9 @@ def dictionary() -> tuple[DictionaryEntry, ...]:
             tuple(dict.fromkeys((*needs, *variable.needs))),
             variable.flags,
         )
-        for stage, given, needs in (
+        for stage, variables, needs in (
             *((stage.name, stage.gives, stage.needs) for stage in all_stages()),
             ("stream", STREAM, ()),
         )
-        for variable in given
+        for variable in variables
     )

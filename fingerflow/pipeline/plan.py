@@ -27,7 +27,7 @@ class Plan(NamedTuple):
     """Plan of a run: stages sorted by dependency, and names of requested optional variables."""
 
     stages: tuple[type[Stage], ...]
-    asked: frozenset[str]
+    requested: frozenset[str]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -37,13 +37,13 @@ class Plan(NamedTuple):
     def passes(self) -> list[list[type[Stage]]]:
         """Return the planned stages as a list of groups, each of which is run in one pass over the frames.
 
-        Stages of one pass depend on each other only through their steps (`Stage.beside`); a stage in `Stage.after`
+        Stages of one pass depend on each other only through their steps (`Stage.same_pass`); a stage in `Stage.after`
         belongs to an earlier pass.
         """
         number: dict[type[Stage], int] = {}
         for stage in self.stages:
             later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
-            number[stage] = max([0, *later, *(number[other] for other in stage.beside)])
+            number[stage] = max([0, *later, *(number[neighbour] for neighbour in stage.same_pass)])
         return [
             [stage for stage in self.stages if number[stage] == k] for k in range(max(number.values(), default=-1) + 1)
         ]
@@ -57,13 +57,10 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     """
     stages = {stage: stage.variant(scene) for stage in all_stages()}
     if outputs is None:
-        kind = KINDS[scene.kind]
-        wanted = [
-            stage
-            for base, stage in stages.items()
-            if kind.computes(base.name) and any(one.unasked for one in stage.gives) and not _missing_keys(stage, scene)
-        ]
-        return _with_needs(wanted, frozenset(), stages.values())
+        computes = KINDS[scene.kind].computes
+        possible = [stage for base, stage in stages.items() if computes(base.name) and not _missing_keys(stage, scene)]
+        requested = [stage for stage in possible if any(variable.unasked for variable in stage.gives)]
+        return _add_needs(requested, frozenset(), stages.values())
     names, stage_of = list(outputs), {variable.name: stage for stage in stages.values() for variable in stage.gives}
     for name in names:
         if name not in VARIABLES:
@@ -72,25 +69,25 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
         stage = stage_of[name]
         lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _missing_keys(stage, scene)
         if lacking:
-            possible = [one for one in OUTPUTS if not _missing_keys(stage_of[one], scene)]
-            possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
+            outputs = [output for output in OUTPUTS if not _missing_keys(stage_of[output], scene)]
+            outputs = [output for output in outputs if all(map(scene.has, VARIABLES[output].needs))]
             why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
-            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
-    return _with_needs([stage_of[name] for name in names], frozenset(names), stages.values())
+            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(outputs)}")
+    return _add_needs([stage_of[name] for name in names], frozenset(names), stages.values())
 
 
-def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
+def _add_needs(requested: Iterable[type[Stage]], named: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
     needed = set[type[Stage]]()
 
     def need(stage: type[Stage]) -> None:
         needed.add(stage)
-        for earlier in (*stage.after, *stage.beside):
+        for earlier in (*stage.after, *stage.same_pass):
             need(earlier)
 
-    for stage in wanted:
+    for stage in requested:
         need(stage)
     run = tuple(stage for stage in stages if stage in needed)
-    return Plan(run, asked.union(*(stage.reads for stage in run)))
+    return Plan(run, named.union(*(stage.reads for stage in run)))
 
 
 def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:
@@ -98,4 +95,4 @@ def _missing_keys(stage: type[Stage], scene: Scene) -> list[str]:
     depends needs, and that the scene lacks.
     """
     lacking = [need for need in stage.needs if not scene.has(need)]
-    return lacking + [key for one in (*stage.after, *stage.beside) for key in _missing_keys(one, scene)]
+    return lacking + [key for needed in (*stage.after, *stage.same_pass) for key in _missing_keys(needed, scene)]

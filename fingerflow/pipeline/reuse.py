@@ -86,7 +86,7 @@ class Reused(NamedTuple):
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
-def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
+def stage_keys(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
     """Return the cache keys of all planned stages, as a dictionary by stage class.
 
     `engine` is the name that the result states, `recording` the digest by `identity_of`.
@@ -94,18 +94,19 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], StageKey] = {}
-    known: dict[str, list[tuple[str, Any]]] = {}  # cache, since several stages digest the same background frames
+    # Cache, since several stages digest the same background frames.
+    setting_values: dict[str, list[tuple[str, Any]]] = {}
     pictures: set[type[Stage]] = set()  # stages whose results depend on frames
     for stage in plan.stages:
-        before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
-        for one in stage.settings:
-            if one not in known:
-                known[one] = list(_settings(one, values, inputs))
-        settings = {key: value for one in stage.settings for key, value in known[one]}
+        before = sorted({*stage.after, *stage.same_pass}, key=lambda earlier: earlier.name)
+        for name in stage.settings:
+            if name not in setting_values:
+                setting_values[name] = list(_settings(name, values, inputs))
+        settings = {key: value for name in stage.settings for key, value in setting_values[name]}
         if stage.reads_frames or pictures.intersection(before):
             pictures.add(stage)
         seen = recording if stage in pictures else ""
-        of_stages = [keys[one].digest for one in before]
+        of_stages = [keys[earlier].digest for earlier in before]
         on = stage.depends_on(plan.stages)
         keys[stage] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
     return keys
@@ -119,12 +120,12 @@ def record(
     """
     return json.dumps(
         {
-            kind.name: {
-                **keys[kind]._asdict(),
-                "gave": [one.name for one in kind.gives if one.name in results],
-                "warnings": stages[kind].warnings,
+            stage.name: {
+                **keys[stage]._asdict(),
+                "gave": [variable.name for variable in stage.gives if variable.name in results],
+                "warnings": stages[stage].warnings,
             }
-            for kind in plan.stages
+            for stage in plan.stages
         }
     )
 
@@ -140,39 +141,39 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
             f"{earlier.attrs['recording']}, the scene {inputs.scene.path} {now}. Name the result of this scene, or "
             f"compute it again without --from"
         )
-    known: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
+    earlier_stages: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
     older = f"{path} was written by an older version, which does not say what its stages depend on"
-    whole = "" if known else older
+    whole = "" if earlier_stages else older
     computed: dict[type[Stage], str] = {}
     for stage in plan.stages:
-        why = whole or _reason_to_compute(stage, plan, keys[stage], known.get(stage.name), computed)
+        why = whole or _reason_to_compute(stage, plan, keys[stage], earlier_stages.get(stage.name), computed)
         if why:
             computed[stage] = why
-    # A stage that runs needs the steps of the stages in `beside`, and the stages in `after` unless these can be
+    # A stage that runs needs the steps of the stages in `same_pass`, and the stages in `after` unless these can be
     # `restored`.
     for stage in reversed(plan.stages):
         if stage in computed:
-            for other in plan.stages:
-                wanted = other in stage.beside or (other in stage.after and not other.restored)
-                if wanted:
-                    computed.setdefault(other, f"{stage.name} needs what only it knows")
+            for needed in plan.stages:
+                required = needed in stage.same_pass or (needed in stage.after and not needed.restored)
+                if required:
+                    computed.setdefault(needed, f"{stage.name} needs what only it knows")
     taken = frozenset(stage for stage in plan.stages if stage not in computed)
     return Reused(earlier, path, taken, computed)
 
 
 def _reason_to_compute(
-    stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
+    stage: type[Stage], plan: Plan, key: StageKey, record: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
     """Return why a stage must be computed, or "" if the earlier results of the stage can be reused."""
-    if known is None:
+    if record is None:
         return "it was not computed there"
-    lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
-    lacking = [name for name in lacking if name not in known["gave"]]
+    lacking = [variable.name for variable in stage.gives if variable.name in plan.requested and not variable.unasked]
+    lacking = [name for name in lacking if name not in record["gave"]]
     if lacking:
         return f"{', '.join(lacking)} is not there"
-    if known["digest"] == key.digest:
+    if record["digest"] == key.digest:
         return ""
-    then: Mapping[str, Any] = known["settings"]
+    then: Mapping[str, Any] = record["settings"]
     changed = [
         f"{name} was {_shown(then.get(name))} and is {_shown(value)}"
         for name, value in key.settings.items()
@@ -180,7 +181,7 @@ def _reason_to_compute(
     ]
     if changed:
         return ", ".join(changed)
-    before = [one.name for one in (*stage.after, *stage.beside) if one in computed]
+    before = [variable.name for variable in (*stage.after, *stage.same_pass) if variable in computed]
     if before:
         return f"it depends on {', '.join(before)}"
     return "it was computed by another version of the code, by another engine, with other outputs, or elsewhere"

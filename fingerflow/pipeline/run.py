@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.pipeline.plan import VARIABLES, Plan, plan
-from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
+from fingerflow.pipeline.reuse import STAGES, TAKEN_OVER, Reused, record, reused, stage_keys
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs, read_frames
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.recordings.identity import identity_of
@@ -119,41 +119,42 @@ class _PreparedScene:
 
 @contextmanager
 def _prepared(scene: Scene, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_PreparedScene]:
-    wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
+    planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
     with inputs.recording:
-        given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
-        size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        yield _PreparedScene(wanted, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        possible = (variable for stage in planned.stages for variable in stage.gives)
+        variables = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
+        size = size_of_results(variables, len(inputs.times), scene.tracking.points)
+        yield _PreparedScene(planned, inputs, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
 def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Path | None) -> None:
     """Run all passes of the plan and write the results to the store; stages that an `earlier` result has are copied,
     not run.
     """
-    wanted, inputs = ready.plan, ready.inputs
+    planned, inputs = ready.plan, ready.inputs
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
-    trial = RunContext(inputs, store, wanted.stages, wanted.asked, stages)
-    said: dict[str, str] = {}
+    trial = RunContext(inputs, store, planned.stages, planned.requested, stages)
+    reuse: dict[str, str] = {}
     with ExitStack() as held:
         # If only forces are processed, no frame is read and the recording needs no identity.
-        recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
-        keys = keys_of(wanted, inputs, inputs.engine.name, recording)
-        known: Reused | None = None
+        recording = identity_of(inputs.recording) if any(stage.reads_frames for stage in planned.stages) else ""
+        keys = stage_keys(planned, inputs, inputs.engine.name, recording)
+        earlier_result: Reused | None = None
         if earlier is not None:
             path = Path(earlier)
-            known = reused(held.enter_context(open_result(path)), path, wanted, keys, inputs)
-            said[TAKEN_OVER] = known.as_json()
-        for kinds in wanted.passes():
-            stages.update({kind: kind(trial) for kind in kinds})
-            running = [stages[kind] for kind in kinds]
-            if known is not None:
+            earlier_result = reused(held.enter_context(open_result(path)), path, planned, keys, inputs)
+            reuse[TAKEN_OVER] = earlier_result.as_json()
+        for kinds in planned.passes():
+            stages.update({stage_class: stage_class(trial) for stage_class in kinds})
+            running = [stages[stage_class] for stage_class in kinds]
+            if earlier_result is not None:
                 for stage in running:
-                    if type(stage) in known.stages:
+                    if type(stage) in earlier_result.stages:
                         with _timed(seconds, stage.name):
-                            known.restore(stage)
-                running = [stage for stage in running if type(stage) not in known.stages]
+                            earlier_result.restore(stage)
+                running = [stage for stage in running if type(stage) not in earlier_result.stages]
             _pass(running, trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
@@ -168,13 +169,13 @@ def _run(ready: _PreparedScene, store: Store, progress: bool, earlier: str | Pat
             "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
             "engine": inputs.engine.name,
-            "warnings": json.dumps([*inputs.warnings, *(one for stage in stages.values() for one in stage.warnings)]),
-            STAGES: record(wanted, keys, stages, store),
+            "warnings": json.dumps([*inputs.warnings, *(text for stage in stages.values() for text in stage.warnings)]),
+            STAGES: record(planned, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
-            **said,
+            **reuse,
             **({"recording": recording} if recording else {}),
         },
     )
@@ -221,7 +222,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: RunContext, seconds: dict[st
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
     ahead = pictures and (early or trial.inputs.device.type != "cpu") and torch.get_num_threads() > 1
     # `closing` waits for the thread also after an error, so that the recording is not closed while the thread reads.
-    with bar, closing(_compute_ahead(begin, batches) if ahead else (begin(one) for one in batches)) as begun:
+    with bar, closing(_compute_ahead(begin, batches) if ahead else (begin(indices) for indices in batches)) as begun:
         for batch in begun:
             _step(last, batch, seconds)
             bar.update(len(batch.indices))
@@ -233,18 +234,18 @@ def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
         batch.keep(stage, stage.step(batch))
 
 
-def _compute_ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
+def _compute_ahead(act: Callable[[_Given], _Result], items: Iterable[_Given]) -> Generator[_Result, None, None]:
     """Yield `act(item)` for each item, like `map`, while a second thread computes the result for the next item.
 
     Closing the generator waits for the running computation.
     """
     with ThreadPoolExecutor(max_workers=1) as worker:
         coming: Future[_Result] | None = None
-        for some in given:
+        for item in items:
             # Wait for a result before submitting the next computation: then two results are in memory at a time, not
             # three.
             result = [] if coming is None else [coming.result()]
-            coming = worker.submit(act, some)
+            coming = worker.submit(act, item)
             if result:
                 yield result.pop()
         if coming is not None:

@@ -3,8 +3,8 @@
     python -m fingerflow.player --source synthetic  # in the bundle's folder
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
-A bundle contains this folder unchanged. Frames pass through threads: one for capture, one for each frame that is
-computed in parallel, one to measure, one to store, and one for each output and for a force sensor. The main thread
+A bundle contains this folder unchanged. Frames pass through threads: one for capture, one to
+compute, one to measure, one to store, and one for each output and for a force sensor. The main thread
 monitors them, and another serves the live page. Frame buffers and records are allocated once. Positions are (x, y) px
 of the views with integer pixel centres, areas mm², axes mm, times s.
 """

@@ -2,64 +2,47 @@
 before the colon selects one of the modules of a folder.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Any
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 
 
-class AddressKind(Protocol):
-    """Interface of a module that opens addresses of one kind, such as those that begin with "udp:"; modules of the
-    folder without an `ADDRESS` are ignored.
-
-    Attributes:
-        ADDRESS: form of an address, such as "udp:HOST:PORT", which begins with the name of the kind.
-    """
-
-    ADDRESS: str
-
-    def open_address(self, address: str, *arguments: Any) -> Any:
-        """Open and return the output, force sensor or camera of an address, given without its kind, such as
-        "127.0.0.1:5005"; outputs take the units of their values as a further argument.
-
-        ImportError with the name of a package means that this package is to be installed.
-        """
-
-
-def kinds(package: str) -> dict[str, AddressKind]:
+def kinds(package: str) -> dict[str, Any]:
     """Return the modules of a package that open addresses, by the word that begins these addresses, such as "udp"; in
     alphabetical order of the modules.
+
+    Such a module has `ADDRESS`, the form of an address such as "udp:HOST:PORT", and `open_address`, which takes an
+    address without its kind; of outputs the units of their values too. Its ImportError names the package to install.
     """
-    found = pkgutil.iter_modules(import_module(package).__path__)
-    modules = [import_module(f"{package}.{one.name}") for one in found]
-    return {one.ADDRESS.partition(":")[0]: cast(AddressKind, one) for one in modules if hasattr(one, "ADDRESS")}
+    files = pkgutil.iter_modules(import_module(package).__path__)
+    modules = [import_module(f"{package}.{module.name}") for module in files]
+    return {module.ADDRESS.partition(":")[0]: module for module in modules if hasattr(module, "ADDRESS")}
 
 
 def forms(package: str) -> str:
     """Return the forms of the addresses that a package can open, such as "osc:HOST:PORT, udp:HOST:PORT", for error
     messages.
     """
-    return ", ".join(one.ADDRESS for one in kinds(package).values())
+    return ", ".join(module.ADDRESS for module in kinds(package).values())
 
 
-def open_address(package: str, what: str, asked: str, *arguments: Any) -> Any:
-    """Open and return the output, force sensor or camera with the address `asked`, by the module of a package that its
-    first word names; `what` names the object in error messages.
+def open_address(package: str, what: str, requested: str, *arguments: Any) -> Any:
+    """Open and return the output, force sensor or camera with the address `requested`, by the module of a package that
+    its first word names; `what` names the object in error messages.
 
     Raises PlayerError with the reason where there is no such kind or it cannot be opened.
     """
-    name, _, address = asked.partition(":")
+    name, _, address = requested.partition(":")
     kind = kinds(package).get(name)
     if kind is None:
-        raise PlayerError(f"{what} {asked!r}: there is no kind {name!r}; give one of {forms(package)}")
+        raise PlayerError(f"{what} {requested!r}: there is no kind {name!r}; give one of {forms(package)}")
     try:
         return kind.open_address(address, *arguments)
     except FingerflowError as error:
-        raise PlayerError(f"{what} {asked!r}: {error}; its form is {kind.ADDRESS}") from None
+        raise PlayerError(f"{what} {requested!r}: {error}; its form is {kind.ADDRESS}") from None
     except ImportError as error:
-        raise PlayerError(f"{what} {asked!r}: needs the package {error.name}: `pip install {error.name}`") from None
+        raise PlayerError(f"{what} {requested!r}: needs the package {error.name}: `pip install {error.name}`") from None
     except Exception as error:  # a user's or library's code may raise anything
-        raise PlayerError(f"{what} {asked!r}: cannot be opened ({first_line(error)})") from error
+        raise PlayerError(f"{what} {requested!r}: cannot be opened ({first_line(error)})") from error

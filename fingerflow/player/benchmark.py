@@ -1,7 +1,5 @@
 """Benchmark of this computer: the frame rate that it holds with a bundle, and the latency at that rate."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path

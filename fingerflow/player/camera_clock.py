@@ -1,7 +1,5 @@
 """Clock of a camera on the time axis of this computer, from the time stamps and the arrivals of its frames."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """Command line of the player."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -18,9 +16,9 @@ from fingerflow.player.benchmark import benchmark
 from fingerflow.player.opening import ReadForces, open_player
 from fingerflow.player.options import option_parser
 from fingerflow.player.stream_player import Player
-from fingerflow.schema.unfinished import finish, remove, unfinished
+from fingerflow.results.atomic_write import write_atomically
 
-_COMPUTING = ("engine", "provider", "threads", "parallel_frames")  # options that a benchmark heeds
+_COMPUTING = ("engine", "provider", "threads")  # options that a benchmark heeds
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which a summary of a stream is recognised
 
 
@@ -57,15 +55,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     text = json.dumps(summary, indent=1)
     print(text)
     if options.json is not None:
-        part = unfinished(options.json)
-        try:
-            part.write_text(text + "\n", encoding="utf-8")
-            finish(part, options.json)
-        except OSError as error:
-            remove(part)
-            raise PlayerError(
-                f"{options.json}: cannot be written ({error.strerror}); results are in {summary['results']}"
-            ) from None
+        write_atomically(options.json, lambda part: part.write_text(text + "\n", encoding="utf-8"))
     return 128 + received[0] if received else 0
 
 

@@ -1,13 +1,11 @@
 """Condition on a live value, such as "gross_contact_area > 20 mm2", for triggers."""
 
-from __future__ import annotations
-
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping
 
-from fingerflow.errors import PlayerError
+from fingerflow.errors import PlayerError, did_you_mean
 from fingerflow.schema.variable_record import Variable
 
 _COMPARE: dict[str, Callable[[float, float], bool]] = {
@@ -17,7 +15,7 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
 }
 _NUMBER = r"([\d.]+(?:[eE][-+]?\d+)?)"
-_FORM = re.compile(rf"\s*([\w ]+?)\s*(>=|<=|>|<)\s*([-+]?){_NUMBER}\s*([^\s,]*)(?:\s*,\s*margin\s+{_NUMBER})?\s*")
+_FORM = re.compile(rf"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?){_NUMBER}\s*([^\s,]*)(?:\s*,\s*margin\s+{_NUMBER})?\s*")
 
 
 class Condition:
@@ -45,7 +43,12 @@ class Condition:
                 "margin 2'"
             )
         self.text = text
-        self.name = _meant(parts[1], variables)
+        self.name = parts[1]
+        if self.name not in variables:
+            raise PlayerError(
+                f"there is no live value {self.name!r}; {did_you_mean(self.name, variables)}there are "
+                f"{', '.join(variables)}"
+            )
         self._compare = _COMPARE[parts[2]]
         factor = _factor(variables[self.name], parts[5])
         try:
@@ -68,25 +71,6 @@ class Condition:
         limit = self.limit + (self.margin if down else -self.margin) * self._true
         before, self._true = self._true, self._compare(value, limit)
         return self._true and not before
-
-
-def _meant(asked: str, variables: Mapping[str, Variable]) -> str:
-    """Return the name of the only variable that a user's text means: its exact name, or words that occur in the name or
-    at the beginning of the definition; raise PlayerError if none or several match.
-    """
-    if asked in variables:
-        return asked
-    words = set(re.findall(r"[^\W_]+", asked.lower()))
-    named = {
-        name: set(re.findall(r"[^\W_]+", f"{name.replace('_', ' ')} {one.long_name.split(',')[0]}".lower()))
-        for name, one in variables.items()
-    }
-    found = [name for name, own in named.items() if words <= own]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise PlayerError(f"{asked!r} may be any of {', '.join(found)}")
-    raise PlayerError(f"there is no live value {asked!r}; there are {', '.join(variables)}")
 
 
 def _factor(variable: Variable, unit: str) -> float:

@@ -1,7 +1,5 @@
 """Warnings about results, such as contact, that were found in no frame of a stream, or in too few."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

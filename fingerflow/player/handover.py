@@ -1,10 +1,8 @@
-"""Objects that the threads of a stream exchange: closable queues, ordered completion, frame buffers."""
-
-from __future__ import annotations
+"""Objects that the threads of a stream exchange: closable queues and frame buffers."""
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -69,71 +67,6 @@ class Channel(Generic[T]):
         """Close the queue: no further items are accepted, and all waiting threads continue."""
         with self._changed:
             self._closed = True
-            self._changed.notify_all()
-
-
-class InOrder(Generic[T]):
-    """Ordered completion: items end in the order in which they began, although threads compute them in parallel.
-
-    A thread that finishes before its turn leaves its item to the thread whose turn it is.
-
-    Args:
-        end: called with one item after the other, by any of the threads; False stops.
-        most: largest number of items that have begun and not ended.
-
-    Attributes:
-        begun: number of items that have begun.
-    """
-
-    def __init__(self, end: Callable[[T], bool], most: int) -> None:
-        self._end, self._most = end, most
-        self._done: dict[int, T] = {}
-        self.begun = self._ended = 0
-        self._ending = self._stopped = False
-        self._changed = threading.Condition()
-
-    def wait_for_room(self) -> bool:
-        """Wait until another item may begin; return False after a stop."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self.begun - self._ended < self._most)
-            return not self._stopped
-
-    def wait_for_all(self) -> bool:
-        """Wait until all items that have begun have ended; return False after a stop."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._ended == self.begun)
-            return not self._stopped
-
-    def begin(self) -> int:
-        """Register a new item and return its number; must not be called by two threads at once."""
-        self.begun += 1
-        return self.begun - 1
-
-    def done(self, number: int, piece: T) -> None:
-        """Take over an item that has been computed under its number, and end each computed item whose predecessors have
-        all ended.
-        """
-        with self._changed:
-            self._done[number] = piece
-            if self._ending:
-                return
-            self._ending = True
-        while True:
-            with self._changed:
-                if self._ended not in self._done:
-                    self._ending = False
-                    return
-                piece = self._done.pop(self._ended)
-            going = self._end(piece)
-            with self._changed:
-                self._ended += 1
-                self._stopped |= not going
-                self._changed.notify_all()
-
-    def stop(self) -> None:
-        """Let no further items begin; items already computed still end if all earlier items are computed."""
-        with self._changed:
-            self._stopped = True
             self._changed.notify_all()
 
 

@@ -1,7 +1,5 @@
 """Decide whether the results of a stream keep up with its frames."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """Statistics of latency: the time from the arrival of a frame to the result of that frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

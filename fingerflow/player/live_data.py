@@ -1,10 +1,6 @@
 """Latest image and time traces of a stream, for display on the live page."""
 
-from __future__ import annotations
-
-import json
 import math
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +10,7 @@ import numpy as np
 
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
+from fingerflow.player.binary_answer import packed
 from fingerflow.player.handover import Slot
 from fingerflow.schema.variables import VARIABLES
 
@@ -98,24 +95,14 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Return the latest image and the time traces, with further facts about the stream, as bytes for the live page:
-        a JSON text, then the arrays it describes.
-
-        The length of the text (little-endian uint32) comes first; text and arrays are padded to 4 bytes.
-        """
+        """Return the latest image and the time traces, with further facts about the stream, for the live page."""
         self._asked = time.perf_counter()
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
-        arrays = self._arrays | {"traces": traces}
-        said = {
+        shown = {
             "every": self._every,
-            "scalars": {name: value if math.isfinite(value) else None for name, value in self._scalars.items()},
+            "scalars": self._scalars,
             "expected": dict(self._expected),
             "forces": self._forces,
             "trace_columns": self._columns,
-            "arrays": [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()],
         }
-        text = json.dumps({**facts, **said}).encode()
-        blocks = [struct.pack("<I", len(text)), text, b"\0" * (-len(text) % 4)]
-        for array in arrays.values():
-            blocks += [array.tobytes(), b"\0" * (-array.nbytes % 4)]
-        return b"".join(blocks)
+        return packed({**facts, **shown}, self._arrays | {"traces": traces})

@@ -1,14 +1,12 @@
 """Forces of the frames of a stream: recorded with them, or measured by a live sensor."""
 
-from __future__ import annotations
-
 import bisect
 import logging
 import math
 import threading
 from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
@@ -19,22 +17,6 @@ log = logging.getLogger("fingerflow.player")
 _REMEMBERED = 4096  # largest number of samples kept
 _CLOSE_BY = 0.05  # s, largest time between a frame and its sample; with more the force is NaN
 _FAILED_WAIT = 0.2  # s to wait after a sample that could not be read
-
-
-class FrameForces(Protocol):
-    """Interface of a provider of the normal and tangential forces in each frame of a stream."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the force variables that are available, such as `normal_force`."""
-
-    def at(self, number: int, time: float) -> Mapping[str, float]:
-        """Return the forces in a frame, N, by variable name, NaN where unknown; the frame is given by its number and
-        its time in s on the axis of `time.perf_counter`.
-        """
-
-    def close(self) -> None:
-        """Stop measuring, and close the sensor if there is one."""
 
 
 class LiveForces(NamedTuple):
@@ -54,8 +36,8 @@ class LiveForces(NamedTuple):
         """Return the forces recorded in frame `number`, N, by variable name; NaN for frames outside the recorded range.
         The time is not used.
         """
-        place = number - self.first
-        return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
+        index = number - self.first
+        return {name: float(row[index]) if 0 <= index < len(row) else math.nan for name, row in self.values.items()}
 
     def close(self) -> None:
         """Do nothing, as no sensor is open."""
@@ -112,3 +94,6 @@ class SensorForces:
             self._sensor.close()
         except Exception as error:
             log.warning("%s: closing: %s", self._name, first_line(error))
+
+
+FrameForces = LiveForces | SensorForces  # where the forces of the frames of a stream come from

@@ -1,7 +1,5 @@
 """Live values: the numbers of a frame that outputs send and conditions compare, taken from its record."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,10 +1,9 @@
 """Lab Streaming Layer: the package pylsl, and the offset of its clock to `time.perf_counter`."""
 
-from __future__ import annotations
-
-import importlib
 import time
 from typing import Any
+
+from fingerflow.player.named_objects import load_library
 
 
 def load_lsl() -> tuple[Any, float]:
@@ -13,10 +12,7 @@ def load_lsl() -> tuple[Any, float]:
 
     A few readings are taken, of which the one with the shortest time around it counts.
     """
-    try:
-        pylsl = importlib.import_module("pylsl")
-    except (ImportError, RuntimeError):  # RuntimeError: the package is installed without its library liblsl
-        raise ImportError(name="pylsl") from None
+    pylsl = load_library("pylsl", "pylsl")
     readings = []
     for _ in range(5):
         before, there, after = time.perf_counter(), pylsl.local_clock(), time.perf_counter()

@@ -1,6 +1,4 @@
-"""Import of functions from a user's own module, given as ``module:name``."""
-
-from __future__ import annotations
+"""Import of optional libraries, and of functions from a user's own module, given as ``module:name``."""
 
 import importlib
 import os
@@ -9,6 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 from fingerflow.errors import PlayerError
+
+
+def load_library(module: str, package: str) -> Any:
+    """Import and return a module of an optional library; raise ImportError with the name of the package to install."""
+    try:
+        return importlib.import_module(module)
+    except (ImportError, RuntimeError):  # RuntimeError: pylsl is installed without its library liblsl
+        raise ImportError(name=package) from None
 
 
 def load_callable(name: str) -> Callable[..., Any]:

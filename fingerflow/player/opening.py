@@ -1,7 +1,5 @@
 """Opening of a stream: from the options of the player to a `Player` with source, engine, outputs and results folder."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys
@@ -14,7 +12,7 @@ from typing import Any
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.engines.choice import engine_of_stream
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.kernels.library import set_threads, threads
+from fingerflow.kernels.kernel import set_threads, threads
 from fingerflow.player.addresses import open_address
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Slot
@@ -58,19 +56,16 @@ def open_player(
     scene, name = played.scene, played.name
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
-    parallel = options.parallel_frames
     # Leave one core to the other threads: reading frames, results of the previous frame, the page.
     set_threads(options.threads or max(1, threads() - 1))
-    of_onnx = parallel > 1 or options.provider is not None
-    if options.engine == "native" and of_onnx:
+    if options.engine == "native" and options.provider is not None:
         raise PlayerError(
-            "--parallel-frames and --provider are of ONNX Runtime, and the engine native computes one frame at a time "
-            "on all threads; leave them out, or take --engine onnx"
+            "--provider is of ONNX Runtime, and the engine native computes on the processor; leave it out, or take "
+            "--engine onnx"
         )
-    engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
-    # With ONNX Runtime the lag is at least 2, so that frames computed one by one and in parallel give the same numbers.
-    lag = 1 if engine.name == "native" else max(2, parallel)
-    tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
+    of_stream = options.engine if options.provider is None else "onnx"
+    engine = engine_of_stream(bundle, of_stream, options.provider, options.threads or 1)
+    tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark)
     tracker.warm_up(Slot(bundle))
     named = options.output or scene.stream.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
@@ -82,7 +77,6 @@ def open_player(
         rate=options.rate or (None if live else scene.recording.frame_rate),
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
-        parallel=parallel,
         page=options.page,
     )
     header: dict[str, Any] = {

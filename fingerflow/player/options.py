@@ -1,7 +1,5 @@
 """Options of the player, on the command line and as arguments of `play`."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path
@@ -21,13 +19,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog, description="Contact area, points and divergence of a live stream.")
     here = Path(__file__).resolve().parents[2]
     add = parser.add_argument
-    add(
-        "bundle",
-        nargs="?",
-        type=Path,
-        default=here,
-        help="folder of the exported bundle; default: the player's own",
-    )
+    add("bundle", nargs="?", type=Path, default=here, help="folder of the exported bundle; default: the player's own")
     add("--source", help=f"{KINDS}, or `synthetic`; default: recording.frames of the scene")
     add(
         "--camera",
@@ -50,19 +42,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     add(
         "--provider", help="execution provider of ONNX Runtime, such as cpu, cuda or openvino; default: the first there"
     )
-    add(
-        "--threads",
-        type=_count,
-        default=0,
-        help="threads of the engine; default one a core less one, of ONNX Runtime one",
-    )
-    add(
-        "--parallel-frames",
-        type=_count,
-        default=1,
-        metavar="N",
-        help="with ONNX Runtime: compute N frames beside each other",
-    )
+    add("--threads", type=_count, default=0, help="of the engine; default one a core less one, of ONNX Runtime one")
     add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
     add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")
     add("--page", type=_address, default=("127.0.0.1", 8765), metavar="[HOST:]PORT", help="of the live page, or `off`")
@@ -72,11 +52,7 @@ def option_parser(prog: str | None = None) -> argparse.ArgumentParser:
     add("--when", **repeated, metavar="CONDITION", help="such as 'gross_contact_area > 20 mm2, margin 2'; needs --then")
     add("--then", **repeated, metavar="ADDRESS", help="where to send when the --when before it becomes true")
     add("--values", type=lambda text: text.split(","), metavar="NAME,...", help="that --send sends; default all")
-    add(
-        "--benchmark",
-        action="store_true",
-        help="tell which frame rate this PC holds (with --engine, --threads ...)",
-    )
+    add("--benchmark", action="store_true", help="tell which frame rate this PC holds (with --engine, --threads ...)")
     add("--give-up", type=_positive, default=Settings.give_up, metavar="S", help="end after so long without a frame")
     return parser
 

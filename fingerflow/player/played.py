@@ -1,7 +1,5 @@
 """Input of a stream: frame source, range of frames, background image (empty glass) and dark image."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path

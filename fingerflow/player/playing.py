@@ -1,7 +1,5 @@
 """Playing a stream from Python: a function is called with each frame, or a loop receives them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path

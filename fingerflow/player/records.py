@@ -1,7 +1,5 @@
 """Layout of records: the variables of `schema` that are stored for each frame of a stream."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,28 +7,16 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.schema.variable_record import LABELS, Variable
-from fingerflow.schema.variables import (
-    CONTACT,
-    FIELDS,
-    FRAME,
-    FRAME_CHECK,
-    LOADING,
-    STREAM,
-    TIME,
-    TRACK_STATUS,
-    TRACKING,
-    by_name,
-)
+from fingerflow.schema.variables import FRAME, TRACK_STATUS, VARIABLES
 from fingerflow.tracker.frame_results import RESULTS
 
-_VARIABLES = by_name((TIME,), FRAME_CHECK, LOADING, CONTACT, TRACKING, FIELDS, STREAM)
 _FRAME_NUMBER = Variable(
     "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
 )
 # Variables of a record that the player adds to those of the tracker.
 _OWN = (
     _FRAME_NUMBER,
-    *(_VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
+    *(VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
 )
 _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
@@ -59,8 +45,8 @@ class RecordLayout:
 
     def __init__(self, points: int, forces: Sequence[str] = ()) -> None:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
-        self.fields = [_entry(one, one.kind, ()) for one in (*_OWN, *(_VARIABLES[name] for name in forces))]
-        for variable in (_VARIABLES[name] for name in RESULTS):
+        self.fields = [_entry(one, one.kind, ()) for one in (*_OWN, *(VARIABLES[name] for name in forces))]
+        for variable in (VARIABLES[name] for name in RESULTS):
             # The tracker computes in single precision, so floats are stored with 4 bytes.
             kind = "f4" if variable.kind.startswith("f") else variable.kind
             self.fields.append(_entry(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))

@@ -1,7 +1,5 @@
 """Sending of live values: one thread per output, so that a slow output delays neither the stream nor other outputs."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import threading

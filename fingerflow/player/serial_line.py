@@ -1,29 +1,14 @@
 """Serial line: opened by termios on Linux and macOS, by the package pyserial on Windows."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys
-from typing import Protocol
 
 from fingerflow.errors import PlayerError
+from fingerflow.player.named_objects import load_library
 
 FORM = "serial:DEVICE[@BAUD]"
 _BAUD = 115200
-
-
-class SerialLine(Protocol):
-    """Interface of an open serial line."""
-
-    def read(self, size: int) -> bytes:
-        """Return at least one byte and at most `size`, after waiting for them; b"" if none came for a while."""
-
-    def write(self, data: bytes) -> object:
-        """Write all bytes to the line."""
-
-    def close(self) -> None:
-        """Close the line."""
 
 
 class PosixLine:
@@ -76,10 +61,7 @@ class WindowsLine:
     """Serial line of Windows, opened by the package pyserial."""
 
     def __init__(self, device: str, baud: int) -> None:
-        try:
-            self._port = importlib.import_module("serial").Serial(device, baud, timeout=0.2)
-        except ImportError:
-            raise ImportError(name="pyserial") from None
+        self._port = load_library("serial", "pyserial").Serial(device, baud, timeout=0.2)
         self.write, self.close = self._port.write, self._port.close
 
     def read(self, size: int) -> bytes:
@@ -89,6 +71,9 @@ class WindowsLine:
         # With a larger size pyserial would wait until so many bytes have arrived.
         data: bytes = self._port.read(min(size, max(1, self._port.in_waiting)))
         return data
+
+
+SerialLine = PosixLine | WindowsLine
 
 
 def open_line(address: str) -> SerialLine:

@@ -1,7 +1,5 @@
 """Stream player: the threads of a stream, and the transfer of frames, outcomes and records between threads."""
 
-from __future__ import annotations
-
 import logging
 import math
 import sys
@@ -18,7 +16,7 @@ from fingerflow.engines.engine import Array
 from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.camera_clock import EPOCH, CameraClock
 from fingerflow.player.findings import Findings
-from fingerflow.player.handover import Channel, InOrder, Slot
+from fingerflow.player.handover import Channel, Slot
 from fingerflow.player.keeping_up import KeepingUp
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData
@@ -33,7 +31,7 @@ from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_distances import LONGEST
-from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker, Work
+from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
 from fingerflow.tracker.stream_frame_quality import USABLE
 
 log = logging.getLogger("fingerflow.player")
@@ -52,8 +50,8 @@ _RECORDS_WAITING = 512  # number of queued records, of more than a second: the t
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of one run of the player: which frames are processed, at what rate and how many at once, when the stream
-    ends, and where the live page is served.
+    """Settings of one run of the player: which frames are processed and at what rate, when the stream ends,
+    and where the live page is served.
 
     Attributes:
         every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
@@ -61,7 +59,6 @@ class Settings:
         rate: Hz at which a recording is played, None for as fast as possible.
         frames: number of frames after which the stream ends, None for the source's end.
         give_up: s without a frame after which the stream ends with an error.
-        parallel: number of frames that are computed in parallel.
         page: host and port of the live page, None for none; port 0 takes a free one.
     """
 
@@ -70,7 +67,6 @@ class Settings:
     rate: float | None = None
     frames: int | None = None
     give_up: float = 30.0
-    parallel: int = 1
     page: tuple[str, int] | None = None
 
 
@@ -98,9 +94,9 @@ class Player:
         self.computed_by, self.source_name = computed_by, played.name
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
-        # Slots in use: one is being filled, `lag` or fewer are computed, up to LONGEST are deferred, one is measured,
+        # Slots in use: one is being filled, one is computed, up to LONGEST are deferred, one is measured,
         # one is drawn on the page. The others form the queue, whose length is limited.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3 + LONGEST + tracker.lag)]
+        slots = [Slot(bundle) for _ in range(settings.queue + 4 + LONGEST)]
         # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
@@ -122,7 +118,7 @@ class Player:
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
         self._behind = ""  # message shown on the page: how results fall behind the camera
-        self._keeping_up = KeepingUp(LONGEST + tracker.lag)
+        self._keeping_up = KeepingUp(LONGEST + 1)
         # Number and time of the newest frame, and of the frame of the newest result; None before there is a frame.
         self._newest: tuple[int, float] | None = None
         self._measured: tuple[int, float] | None = None
@@ -131,8 +127,6 @@ class Player:
         self._finished = threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # time since which the source has been waited for
-        self._computing = settings.parallel  # number of running computing threads
-        self._beginning, self._order = threading.Lock(), InOrder(self._end, tracker.lag)
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
@@ -146,14 +140,13 @@ class Player:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
         and warnings.
         """
-        after_computing = (self._free.close, self._frames.close, self._close_outcomes)
-        after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
+        after_computing = (self._free.close, self._frames.close, self._outcomes.close)
         threads = [
             threading.Thread(target=self._run_guarded, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
                 (self._capture, (self._frames.close,)),
-                *[(self._compute, after_computing)] * self.settings.parallel,
-                (self._measure, after_measuring),
+                (self._compute, after_computing),
+                (self._measure, (*after_computing, self._records.close)),
                 (self._store, (self._records.close, self._finished.set)),
             )
         ]
@@ -243,7 +236,7 @@ class Player:
             "rate": None if math.isnan(self.rate) else self.rate,
             "recent_ms": self.recent,
             "tracked": self.tracked,
-            "found": self._tracker.found,
+            "found": self._tracker.seeded,
             **self.summary(),
         }
 
@@ -317,7 +310,7 @@ class Player:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
         return (
             f"{self.rate:.1f} frames/s; in {self.frames_in}, processed {self.processed}, dropped {self.dropped}, "
-            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.found}"
+            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.seeded}"
         )
 
     # Capturing thread: from the source to frames.
@@ -386,50 +379,15 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Computing threads, one for each frame that is computed in parallel: from frames to outcomes.
+    # Computing thread: from frames to outcomes.
 
     def _compute(self) -> None:
-        try:
-            while (begun := self._begin()) is not None:
-                number, work = begun
-                self._tracker.compute(work)
-                self._order.done(number, work)
-            with self._beginning:  # the first computing thread that ends settles the deferred frames
-                if self._order.wait_for_all():
-                    self._queue_outcomes(self._tracker.settle())
-        except BaseException:
-            self._order.stop()
-            raise
-
-    def _begin(self) -> tuple[int, Work] | None:
-        """Take the next frame from the queue and begin it; return its number and its `Work`, the data of a frame in
-        progress, or None if no frame is left or the stream has failed.
-        """
-        with self._beginning:
-            if not self._order.wait_for_room():
-                return None
-            slot = self._frames.get()
-            if slot is None:
-                return None
+        while (slot := self._frames.get()) is not None:
             if math.isnan(self._first):
                 self._first = slot.time
-            if self._tracker.must_wait(slot) and not self._order.wait_for_all():
-                return None
-            work, passed = self._tracker.begin(slot)
-            return (self._order.begin(), work) if self._queue_outcomes(passed) else None
-
-    def _close_outcomes(self) -> None:
-        """Close the queue of frame outcomes once the last computing thread has ended."""
-        with self._beginning:
-            self._computing -= 1
-            if not self._computing:
-                self._outcomes.close()
-
-    def _end(self, work: Work) -> bool:
-        """Finish a frame that has been computed, and queue the frame outcomes that are now final; return False if the
-        stream has failed.
-        """
-        return self._queue_outcomes(self._tracker.finish(work))
+            if not self._queue_outcomes(self._tracker.step(slot)):
+                return
+        self._queue_outcomes(self._tracker.settle())
 
     def _queue_outcomes(self, passed: Iterable[Event | FrameOutcome]) -> bool:
         """Queue final frame outcomes, and events such as a new choice of points, for the measuring thread; return False
@@ -442,19 +400,16 @@ class Player:
     def _measure(self) -> None:
         while (one := self._outcomes.get()) is not None:
             if isinstance(one, Event):
-                self._write_event(one)
+                self._sink.event(one.name, one.frame, **one.facts)
+                log.info("frame %d: %s", one.frame, _SENTENCES[one.name].format(**one.facts))
             elif not self._pass_record(one):
                 return
-
-    def _write_event(self, event: Event) -> None:
-        self._sink.event(event.name, event.frame, **event.facts)
-        log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _pass_record(self, outcome: FrameOutcome) -> bool:
         """Compute the results of a frame from its outcome, offer them to the outputs, and queue a record of them to be
         stored; return False if the stream has failed.
         """
-        results = self._tracker.results_of(outcome)
+        results = self._tracker.compute_results(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
         self.tracked = outcome.tracked

@@ -1,7 +1,5 @@
 """Experiment settings of a stream, read from a scene file by the rules of `schema`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path

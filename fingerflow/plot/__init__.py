@@ -42,25 +42,7 @@ from fingerflow.plot.panels import row_of_panels
 from fingerflow.plot.picture import picture
 
 __all__ = [
-    "QUANTITIES",
-    "FigureFiles",
-    "abscissa",
-    "caption_of",
-    "colour_limit",
-    "contact_area",
-    "contact_axes",
-    "displacement",
-    "drawable",
-    "field_map",
-    "figure_style",
-    "forces",
-    "forward_backward",
-    "load_ratio",
-    "median_divergence",
-    "median_strain",
-    "picture",
-    "position_std",
-    "row_of_panels",
-    "strain_energy",
-    "tracked_share",
-]
+    "QUANTITIES", "FigureFiles", "abscissa", "caption_of", "colour_limit", "contact_area", "contact_axes",
+    "displacement", "drawable", "field_map", "figure_style", "forces", "forward_backward", "load_ratio",
+    "median_divergence", "median_strain", "picture", "position_std", "row_of_panels", "strain_energy", "tracked_share",
+]  # fmt: skip

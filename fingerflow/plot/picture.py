@@ -87,23 +87,17 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(f"{name.capitalize()} view, {frame_text(one)}")
-    _describe(axes, name, one, result)
+    text = (
+        f"The {name} view in {frame_text(one)}. The gross contact is the ellipse of the region which the contact spans."
+    )
+    if "position" in result:
+        text += f" n = {int(np.isfinite(one['position'].values).all(-1).sum())} points with a position."
+    describe(axes, text)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
             frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, handletextpad=0.3, markerscale=3,
         )  # fmt: skip
     return axes
-
-
-def _describe(axes: Axes, view: str, frame: xr.Dataset, result: xr.Dataset) -> None:
-    text = (
-        f"The {view} view in {frame_text(frame)}. "
-        "The gross contact is the ellipse of the region which the contact spans."
-    )
-    if "position" in result:
-        known = int(np.isfinite(frame["position"].values).all(-1).sum())
-        text += f" n = {known} points with a position."
-    describe(axes, text)
 
 
 def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:

@@ -34,15 +34,15 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
     known = _known(result)
     if not known.any():
         return []
-    found: list[ReportFrame] = []
+    frames: list[ReportFrame] = []
     pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
     if pulled:
-        found += _of_a_pull(result, known)
+        frames += _of_a_pull(result, known)
     elif varies(result, "normal_force"):
-        found += _of_a_press(result, known)
-    if len(found) < 2:
-        found += _of_contact(result, known)
-    return _select_spaced(found, result.sizes["frame"])
+        frames += _of_a_press(result, known)
+    if len(frames) < 2:
+        frames += _of_contact(result, known)
+    return _select_spaced(frames, result.sizes["frame"])
 
 
 def _known(result: xr.Dataset) -> NDArray[np.bool_]:
@@ -98,12 +98,12 @@ def _largest_and_half(values: NDArray[np.floating], name: str) -> list[ReportFra
     return [ReportFrame(top, f"largest {name}"), ReportFrame(half, f"half of the largest {name}")]
 
 
-def _select_spaced(found: list[ReportFrame], count: int) -> list[ReportFrame]:
+def _select_spaced(candidates: list[ReportFrame], count: int) -> list[ReportFrame]:
     """Select, in order of preference as given, up to five candidate frames more than 2 % of the recording's `count`
     frames apart, and return them sorted by time.
     """
     kept: list[ReportFrame] = []
-    for one in found:
-        if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):
-            kept.append(one)
+    for frame in candidates:
+        if len(kept) < _MOST and all(abs(frame.frame - other.frame) > _APART * count for other in kept):
+            kept.append(frame)
     return sorted(kept)

@@ -1,7 +1,6 @@
 """Table of a trial's main quantities, with uncertainty, at the frames that its report shows in detail."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -14,42 +13,20 @@ from fingerflow.schema.variables import VARIABLES
 _WINDOW = 11  # number of frames of the parabola fit
 _DEGREES = 3  # number of coefficients of a parabola
 _QUANTITIES = (
-    "normal_force",
-    "tangential_force",
-    "load_ratio",
-    "gross_contact_area",
-    "real_contact_area",
-    "contact_area_ratio",
-    "stuck_ratio",
-    "printed_stuck_ratio",
-    "median_divergence",
-    "median_curl",
-    "global_displacement",
-    "strain_energy",
-)
+    "normal_force", "tangential_force", "load_ratio", "gross_contact_area", "real_contact_area", "contact_area_ratio",
+    "stuck_ratio", "printed_stuck_ratio", "median_divergence", "median_curl", "global_displacement", "strain_energy",
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Line:
-    """Row of the table of key numbers: quantity, unit, and value at each key frame as text.
-
-    An en dash stands for NaN.
-    """
-
-    name: str
-    unit: str
-    values: tuple[str, ...]
-
-
-def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]:
+def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[tuple[str, str, list[str]]]:
     """Return the rows of the table of key numbers, one per quantity (time, force, areas, divergence, energy and
-    others), with its value at each of the key frames `frames` ± one standard deviation.
+    others): its name, its unit, and its value at each of the key frames `frames` ± one standard deviation as text.
 
     The standard deviation of divergence and curl includes `MedianBias` beside the errors of the points, that of
     energy the uncertainty of the border. For areas without one it is the scatter from frame to frame (`scatter`).
     """
-    places = [one.frame for one in frames]
-    lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
+    indices = [frame.frame for frame in frames]
+    rows = [("time", "s", [f"{value:.3f}" for value in result["time"].values[indices]])]
     for name in _QUANTITIES:
         if name not in result or not np.isfinite(result[name].values).any():
             continue
@@ -62,9 +39,9 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[Line]
             words += " (± scatter)"
         else:
             spread = np.full(len(values), np.nan)
-        said = tuple(with_uncertainty(float(values[k]), float(spread[k])) for k in places)
-        lines.append(Line(words, variable.shown_unit.name, said))
-    return lines
+        cells = [with_uncertainty(float(values[k]), float(spread[k])) for k in indices]
+        rows.append((words, variable.shown_unit.name, cells))
+    return rows
 
 
 def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -73,15 +50,15 @@ def scatter(values: NDArray[np.floating]) -> NDArray[np.float64]:
 
     It measures how well a frame repeats its neighbours, not an error that they have in common. NaN if any is unknown.
     """
-    found = np.full(len(values), np.nan)
+    deviations = np.full(len(values), np.nan)
     if len(values) < _WINDOW:
-        return found
-    place = np.linspace(-1, 1, _WINDOW)
-    left = np.eye(_WINDOW) - (basis := np.vander(place, _DEGREES)) @ np.linalg.pinv(basis)
+        return deviations
+    positions = np.linspace(-1, 1, _WINDOW)
+    left = np.eye(_WINDOW) - (basis := np.vander(positions, _DEGREES)) @ np.linalg.pinv(basis)
     windows = np.lib.stride_tricks.sliding_window_view(np.asarray(values, dtype=np.float64), _WINDOW)
     rest = np.sqrt(((windows @ left.T) ** 2).sum(1) / (_WINDOW - _DEGREES))
     half = _WINDOW // 2
-    found[half : len(values) - half] = rest
+    deviations[half : len(values) - half] = rest
     # Frames at the ends take the values of the first and last windows.
-    found[:half], found[len(values) - half :] = rest[0], rest[-1]
-    return found
+    deviations[:half], deviations[len(values) - half :] = rest[0], rest[-1]
+    return deviations

@@ -186,7 +186,11 @@ def write_report(
             comparison=comparison,
             sections=sections,
             lost=lost_points(result),
-            calibration=_calibration(result),
+            calibration=[
+                ("scale", f"{float(result.attrs['mm_per_px']):.5f} mm/px"),
+                *transform_rows(result.attrs["topography_to_contact"]),
+                ("strain measure", str(result.attrs["strain_measure"]).replace("_", " ")),
+            ],
             calibration_picture=_calibration_picture(scene),
             practice=practice_tables(result, scene),
             settings=settings_tables(result.attrs["settings"]),
@@ -258,7 +262,9 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
     scale, or None without maps; the reader first sees frame number `first` of these.
     """
     places = [one.frame for one in frames]
-    there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
+    shown = [result.isel(frame=place) for place in places]
+    drawable = [name for name in _MAPS if name in plot.drawable(result)]
+    there = [name for name in drawable if any(np.isfinite(plot.QUANTITIES[name].values(one)).any() for one in shown)]
     if not there or not places:
         return None
     limits = {name: plot.colour_limit(result, name, places) for name in there}
@@ -283,20 +289,6 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
 
 def _known(result: xr.Dataset, variable: str) -> bool:
     return variable in result and bool(np.isfinite(result[variable].values).any())
-
-
-def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
-    """Return True if a map of a quantity has a finite value in any of the given frames."""
-    values = plot.QUANTITIES[quantity].values
-    return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
-
-
-def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
-    return [
-        ("scale", f"{float(result.attrs['mm_per_px']):.5f} mm/px"),
-        *transform_rows(result.attrs["topography_to_contact"]),
-        ("strain measure", str(result.attrs["strain_measure"]).replace("_", " ")),
-    ]
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:

@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure, SubFigure
 
 from fingerflow.plot.axes_style import TWO_COLUMNS_MM, figure_style, new_figure
 from fingerflow.plot.captions import caption_of, describe
-from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.panels import captions_of, letter_panel
 
 _COLUMNS = 3
@@ -77,10 +75,6 @@ class Sheet:
         captions = captions_of(parts, names) if len(parts) > 1 else [caption_of(parts[0])]
         describe(figure, "\n".join((heading, *captions)))
         return figure
-
-    def write(self, folder: Path, files: FigureFiles = PNG) -> Path:
-        """Write the figure under its name ("S1.png") and its caption; raise FingerflowError if that fails."""
-        return files.save(self.figure(files.width_mm or TWO_COLUMNS_MM), folder, self.name)
 
     def _rows(self, width_mm: float) -> tuple[list[list[SheetPanel]], int]:
         """Arrange the panels in rows, and return the rows and the number of columns, each at least 55 mm wide."""

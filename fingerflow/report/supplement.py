@@ -3,38 +3,18 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from fingerflow.models.observer import (
-    FORCED_CHOICE,
-    GUESSES,
-    Trials,
-    fit_psychometric,
-    leave_out_moved,
-    observe,
-    participant_groups,
-)
-from fingerflow.models.observer.trials_table import COLUMNS
-from fingerflow.plot.figure_files import PNG, FigureFiles
+from fingerflow.models.observer import FORCED_CHOICE, GUESSES, Trials, fit_psychometric, observe, participant_groups
+from fingerflow.models.observer.trials_table import COLUMNS, leave_out_moved
+from fingerflow.report import trial_metrics
 from fingerflow.report.observer import draw_counts, draw_estimates, draw_groups, draw_psychometric, draw_roc
 from fingerflow.report.sheet import Sheet, SheetPanel
-from fingerflow.report.trial_metrics import (
-    AMPLITUDE,
-    draw_by_condition,
-    draw_correlation,
-    draw_distribution,
-    draw_influence,
-    draw_influence_by_condition,
-    draw_medians,
-    draw_share_against,
-    label_of,
-    participant_medians,
-)
+from fingerflow.report.trial_metrics import AMPLITUDE, label_of, participant_medians
 from fingerflow.schema.trial_columns import DIFFERENCE
 
 Panels = tuple[tuple[str, Callable[..., Any], tuple[str, ...]], ...]
@@ -46,7 +26,7 @@ OBSERVED = (
 )  # fmt: skip
 _FEWEST_AMPLITUDES = 3
 _RECORDINGS = "pictures and series of recordings, which no table of trials holds"
-_NORMALISED = partial(draw_by_condition, normalised=True)
+_NORMALISED = partial(trial_metrics.draw_by_condition, normalised=True)
 
 # Title, letters of the printed panels that need recordings, and the panels drawn from the table of trials: letter,
 # function and metrics. A difference from the reference trial gives way to the metric itself where it has no values.
@@ -56,33 +36,33 @@ _OF_METRICS: dict[str, tuple[str, str, Panels]] = {
         ("F", _NORMALISED, ("real_contact_area",)),
     )),
     "S5": ("force and motion of the trials", "AK", (
-        ("B", draw_distribution, ("max_force",)),
-        ("C", draw_distribution, ("time_to_max_force",)),
-        ("D", draw_distribution, ("duration",)),
-        ("E", draw_influence, ("max_force",)),
-        ("F", draw_influence, ("time_to_max_force",)),
-        ("G", draw_influence, ("duration",)),
-        ("H", draw_distribution, ("force_rate",)),
-        ("I", draw_influence_by_condition, ("force_rate",)),
-        ("J", draw_by_condition, ("max_displacement",)),
+        ("B", trial_metrics.draw_distribution, ("max_force",)),
+        ("C", trial_metrics.draw_distribution, ("time_to_max_force",)),
+        ("D", trial_metrics.draw_distribution, ("duration",)),
+        ("E", trial_metrics.draw_influence, ("max_force",)),
+        ("F", trial_metrics.draw_influence, ("time_to_max_force",)),
+        ("G", trial_metrics.draw_influence, ("duration",)),
+        ("H", trial_metrics.draw_distribution, ("force_rate",)),
+        ("I", trial_metrics.draw_influence_by_condition, ("force_rate",)),
+        ("J", trial_metrics.draw_by_condition, ("max_displacement",)),
     )),
     "S7": ("displacement and force angle", "", (
-        ("A", draw_by_condition, ("global_displacement",)),
-        ("B", draw_by_condition, ("force_angle",)),
-        ("C", draw_share_against, ("global_displacement",)),
-        ("D", draw_share_against, ("force_angle" + DIFFERENCE,)),
-        ("E", draw_share_against, ("real_contact_area" + DIFFERENCE,)),
+        ("A", trial_metrics.draw_by_condition, ("global_displacement",)),
+        ("B", trial_metrics.draw_by_condition, ("force_angle",)),
+        ("C", trial_metrics.draw_share_against, ("global_displacement",)),
+        ("D", trial_metrics.draw_share_against, ("force_angle" + DIFFERENCE,)),
+        ("E", trial_metrics.draw_share_against, ("real_contact_area" + DIFFERENCE,)),
     )),
     "S8": ("strain of the surface", "ABCDEF", (
-        ("G", draw_correlation, ("divergence", "strain")),
-        ("H", draw_share_against, ("strain" + DIFFERENCE,)),
-        ("I", draw_share_against, ("strain_rate",)),
+        ("G", trial_metrics.draw_correlation, ("divergence", "strain")),
+        ("H", trial_metrics.draw_share_against, ("strain" + DIFFERENCE,)),
+        ("I", trial_metrics.draw_share_against, ("strain_rate",)),
     )),
     "S9": ("strain energy", "ABC", (
-        ("D", draw_correlation, ("divergence", "strain_energy")),
-        ("E", draw_share_against, ("strain_energy" + DIFFERENCE,)),
+        ("D", trial_metrics.draw_correlation, ("divergence", "strain_energy")),
+        ("E", trial_metrics.draw_share_against, ("strain_energy" + DIFFERENCE,)),
     )),
-    "S13": ("curl of the displacement", "AB", (("C", draw_medians, ("divergence", "curl")),)),
+    "S13": ("curl of the displacement", "AB", (("C", trial_metrics.draw_medians, ("divergence", "curl")),)),
 }  # fmt: skip
 #: Names of the figures.
 FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
@@ -105,21 +85,6 @@ def supplement_sheet(name: str, trials: Trials, design: str = FORCED_CHOICE) -> 
         else:
             panels.append(SheetPanel.of_axes(letter, draw, trials, *metrics))
     return Sheet(name, tuple(panels), tuple(left_out), title)
-
-
-def write_supplement(
-    trials: Trials, folder: Path, design: str = FORCED_CHOICE, overwrite: bool = False, files: FigureFiles = PNG
-) -> list[tuple[str, Path | None, list[str]]]:
-    """Write each figure into a folder, which is created if missing; return for each its name, the path (None if nothing
-    could be drawn), and sentences on the panels left out.
-
-    Raises FingerflowError where a file cannot be written; and, before anything is drawn, where without ``overwrite`` a
-    file of such a name is there that is no such figure.
-    """
-    for name in FIGURES:
-        files.keep_others(folder, name, overwrite)
-    sheets = (supplement_sheet(name, trials, design) for name in FIGURES)
-    return [(sheet.name, sheet.write(folder, files) if sheet.panels else None, sheet.missing()) for sheet in sheets]
 
 
 def _ideal_observer(trials: Trials) -> Sheet:
@@ -157,7 +122,7 @@ def _individual_performance(trials: Trials, design: str) -> Sheet:
         parts = {"stiffer skin": _of(trials, ~is_softer), "softer skin": _of(trials, is_softer)}
     panels = [SheetPanel.of_axes("A", draw_groups, medians, groups, f"median {label_of(metric)}")]
     panels += [
-        SheetPanel.of_axes(f"B, {name}" if len(parts) > 1 else "B", draw_share_against, own, metric)
+        SheetPanel.of_axes(f"B, {name}" if len(parts) > 1 else "B", trial_metrics.draw_share_against, own, metric)
         for name, own in parts.items()
     ]
     left_out = [("A", f"two groups: {groups.reason}")] if groups.reason else []

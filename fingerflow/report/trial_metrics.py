@@ -25,22 +25,10 @@ _HATCHES = ("", "////", "....")  # hatches of bars, which distinguish these with
 
 #: Metrics that figures and statistics use, columns of the table of trials.
 METRICS = (
-    "max_force",
-    "time_to_max_force",
-    "duration",
-    "force_rate",
-    "max_displacement",
-    "global_displacement",
-    "force_angle",
-    "real_contact_area",
-    "gross_contact_area",
-    "divergence",
-    "curl",
-    "strain",
-    "strain_rate",
-    "strain_energy",
-    "strain_energy_rate",
-)
+    "max_force", "time_to_max_force", "duration", "force_rate", "max_displacement", "global_displacement",
+    "force_angle", "real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_rate",
+    "strain_energy", "strain_energy_rate",
+)  # fmt: skip
 
 
 def label_of(metric: str) -> str:

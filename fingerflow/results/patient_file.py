@@ -1,14 +1,11 @@
 """Writer of a file that buffers data in memory while the disk is full, instead of failing at once."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import os
 import threading
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 log = logging.getLogger(__name__)
 
@@ -16,15 +13,6 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PATIENCE = 30.0  # s for which a full disk is tolerated
 _AGAIN = 1.0  # s between two attempts to write
 _MOST = 256 << 20  # bytes buffered while the disk is full: half a minute of 700 points at 300 frames/s
-
-
-class Refusal(NamedTuple):
-    """Period during which a full disk accepted no data: its duration in s, and the largest number of bytes buffered
-    meanwhile.
-    """
-
-    seconds: float
-    kept: int  # bytes, largest amount buffered
 
 
 class PatientFile:
@@ -59,10 +47,11 @@ class PatientFile:
         with self._lock:
             self._kept += data
 
-    def flush(self, wait: bool = False) -> Refusal | None:
+    def flush(self, wait: bool = False) -> tuple[float, int] | None:
         """Write all buffered bytes to the file; while the disk is full, keep them in memory for a later attempt.
 
-        The first success after a full disk returns the `Refusal` that it ends; otherwise None is returned.
+        The first success after a full disk returns for how long it was full, s, and the largest number of buffered
+        bytes; otherwise None is returned.
 
         Args:
             wait: wait for room where there is none.
@@ -110,10 +99,10 @@ class PatientFile:
         if self._tried - self._since >= _PATIENCE:
             raise error
 
-    def _recover(self) -> Refusal | None:
+    def _recover(self) -> tuple[float, int] | None:
         if self._since is None:
             return None
-        refusal = Refusal(time.monotonic() - self._since, self._most)
+        ended = time.monotonic() - self._since, self._most
         self._since, self._most = None, 0
-        log.warning("%s: there is room again after %.1f s, nothing is lost", self._path, refusal.seconds)
-        return refusal
+        log.warning("%s: there is room again after %.1f s, nothing is lost", self._path, ended[0])
+        return ended

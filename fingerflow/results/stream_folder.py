@@ -1,9 +1,6 @@
 """Results folder of a stream: file format, reader and writer."""
 
-from __future__ import annotations
-
 import contextlib
-import errno
 import itertools
 import json
 import logging
@@ -17,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.errors import PlayerError, first_line
+from fingerflow.errors import FingerflowError, PlayerError, first_line
+from fingerflow.results.atomic_write import keep_others, write_atomically, written_atomically
 from fingerflow.results.patient_file import PatientFile
-from fingerflow.schema.unfinished import finish, remove, unfinished
+from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import FRAME, shown_unit
 
@@ -71,8 +69,8 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
     """Write the results of a stream to a CSV table with one row per frame, and one column per scalar variable or
     component of a vector.
 
-    Columns are named as by `fingerflow export-table`. Raises PlayerError where the file cannot be written, or exists
-    without `overwrite`.
+    Columns are named as by `fingerflow export-table`. Raises FingerflowError where the file cannot be written, or
+    exists without `overwrite`.
     """
     records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
@@ -84,22 +82,11 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
         elif len(dims) == 2 and dims[1] in LABELS:
             parts = enumerate(LABELS[dims[1]])
             columns |= {unit.heading(f"{name}_{part}"): unit.factor * records[name][:, i] for i, part in parts}
-    table = Path(table)
-    part = unfinished(table)
-    try:
-        if table.exists() and not overwrite:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-        with open(part, "x", encoding="utf-8") as file:
-            file.write(",".join(columns) + "\n")
-            for row in zip(*(column.tolist() for column in columns.values()), strict=True):
-                file.write(",".join(f"{value:.9g}" for value in row) + "\n")
-        finish(part, table)
-    except OSError as error:
-        raise PlayerError(
-            f"{table}: cannot be written ({error.strerror}); name a new file where there is room"
-        ) from None
-    finally:
-        remove(part)
+    keep_others(Path(table), lambda _: False, overwrite)
+    with written_atomically(Path(table)) as part, open(part, "x", encoding="utf-8") as file:
+        file.write(",".join(columns) + "\n")
+        for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+            file.write(",".join(f"{value:.9g}" for value in row) + "\n")
 
 
 class Sink:
@@ -129,7 +116,8 @@ class Sink:
         self._made = True
         try:
             with self._said():
-                self._open_files()
+                self._events = PatientFile(self.folder / "events.jsonl")
+                self._records = PatientFile(self.folder / "records.bin")
         except PlayerError:
             self.discard()
             raise
@@ -138,13 +126,11 @@ class Sink:
         """Write counts and latencies of the stream to summary.json; if the disk is full, only log this, since the
         results are stored already.
         """
-        part = unfinished(self.folder / "summary.json")
+        text = json.dumps(summary, indent=1) + "\n"
         try:
-            part.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-            finish(part, self.folder / "summary.json")
-        except OSError as error:
-            remove(part)
-            log.warning("%s: summary.json cannot be written (%s)", self.folder, error.strerror)
+            write_atomically(self.folder / "summary.json", lambda part: part.write_text(text, encoding="utf-8"))
+        except FingerflowError as error:
+            log.warning("%s", error)
 
     def discard(self) -> None:
         """Delete the results folder created by `open`, if a stream received no frame."""
@@ -186,10 +172,6 @@ class Sink:
         for name in ("events.jsonl", "records.bin"):
             (folder / name).touch()
 
-    def _open_files(self) -> None:
-        self._events = PatientFile(self.folder / "events.jsonl")
-        self._records = PatientFile(self.folder / "records.bin")
-
     def write(self, record: Array, frame: int) -> None:
         """Append the record of one frame to the results folder; records are flushed to the disk once a second."""
         assert self._records is not None
@@ -204,8 +186,9 @@ class Sink:
                     self._records.sync()
 
     def _flush(self, records: PatientFile, wait: bool = False) -> None:
-        if (refusal := records.flush(wait)) is not None:
-            self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
+        if (full_disk := records.flush(wait)) is not None:
+            seconds, kept_bytes = full_disk
+            self.event("disk_full", self._frame, seconds=round(seconds, 1), kept_bytes=kept_bytes)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
         """Append one event of the stream, with its frame number and further facts, as one line to events.jsonl; any

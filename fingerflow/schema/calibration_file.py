@@ -1,94 +1,61 @@
-"""Reader of the calibration file of a rig, which `fingerflow calibrate` writes, into plain numbers."""
+"""Reader of what a scene takes from the calibration file of a rig, which `fingerflow calibrate` writes."""
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fingerflow.errors import FingerflowError
+
 Pixels = tuple[int, int]
-# Names of the scalar entries of a disc.
-DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")
-DISC_PAIRS = ("center", "semi_axes_px")
 _REMEDY = "Write it again with `fingerflow calibrate`"
 
 
-class CalibrationError(Exception):
-    """Error in a calibration file; the message names the file, the problem and the remedy."""
-
-
-class TransformRows(NamedTuple):
-    """Transform between the pixels of the two camera views as stored in a calibration file: matrix rows and residuals
-    of the fit.
+class CalibrationFile(NamedTuple):
+    """Image scale, views and transform of a calibration file in plain numbers.
 
     Attributes:
-        matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
-        residuals_px: (N, 2) px, residuals of the fit.
-    """
-
-    matrix: tuple[tuple[float, ...], ...]
-    residuals_px: tuple[tuple[float, ...], ...]
-
-
-class CalibrationFile(NamedTuple):
-    """Content of a calibration file in plain numbers: image scale, transforms between the views, and the ellipses
-    fitted to hole and discs of the calibration target.
-
-    Pixels are those of a view. `views` holds half-open ranges of rows and columns of a frame.
+        mm_per_px: of the contact view.
+        views: half-open ranges of rows and columns of a frame, by the name of the view.
+        matrix: (2, 3), maps (x, y, 1) px of the topography view to (x, y) px of the contact view; None where the
+            calibration holds a scale alone.
     """
 
     mm_per_px: float
-    hole_radius_mm: float
-    hole: Mapping[str, Any]
     views: Mapping[str, tuple[Pixels, Pixels]]
-    discs: tuple[tuple[Mapping[str, Any], Mapping[str, Any]], ...]
-    affine: TransformRows | None
-    similarity: TransformRows | None
-    warnings: tuple[str, ...]
-
-    def matrix(self) -> list[list[float]] | None:
-        """Return the affine transform [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
-
-        Returns None where the calibration holds only a scale.
-        """
-        return None if self.affine is None else [list(row) for row in self.affine.matrix]
+    matrix: list[list[float]] | None
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Read a calibration file and return the content in plain numbers.
+    """Read scale, views and transform of a calibration file.
 
-    Raises CalibrationError where the file cannot be read, lacks an entry, or holds an invalid scale or transform.
+    Raises FingerflowError where the file cannot be read, lacks one of them, or holds an invalid one.
     """
     try:
         if path.exists() and not path.is_file():
             raise OSError(0, "it is no file")
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise CalibrationError(f"{path}: this calibration cannot be read: {error.strerror}. {_REMEDY}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise CalibrationError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
-    try:
-        transforms = table.get("topography_to_contact", {})
-        found = CalibrationFile(
-            mm_per_px=float(_number(table["mm_per_px"])),
-            hole_radius_mm=float(_number(table["hole"]["radius_mm"])),
-            hole=_disc(table["hole"]),
-            views={
+        transform = table.get("topography_to_contact")
+        calibration = CalibrationFile(
+            float(_number(table["mm_per_px"])),
+            {
                 name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
                 for name, view in table["views"].items()
             },
-            discs=tuple((_disc(pair["topography"]), _disc(pair["contact"])) for pair in table.get("discs", [])),
-            affine=_transform(transforms["affine"]) if transforms else None,
-            similarity=_transform(transforms["similarity"]) if transforms else None,
-            warnings=tuple(map(str, table["warnings"])),
+            None if transform is None else _matrix(transform["affine"]["matrix"]),
         )
+    except OSError as error:
+        raise FingerflowError(f"{path}: this calibration cannot be read: {error.strerror}. {_REMEDY}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FingerflowError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
     except KeyError as error:
-        raise CalibrationError(f"{path}: this calibration has no entry {error}. {_REMEDY}") from None
+        raise FingerflowError(f"{path}: this calibration has no entry {error}. {_REMEDY}") from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise CalibrationError(f"{path}: an entry of this calibration is wrong: {error}. {_REMEDY}") from None
-    if not 0 < found.mm_per_px < math.inf:
-        raise CalibrationError(f"{path}: mm_per_px is {found.mm_per_px}; it must be above 0. {_REMEDY}")
-    return found
+        raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}. {_REMEDY}") from None
+    if not 0 < calibration.mm_per_px < math.inf:
+        raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0. {_REMEDY}")
+    return calibration
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
@@ -106,30 +73,18 @@ def pixel_range(name: str, values: Any) -> Pixels:
     return first, end
 
 
-def can_be_undone(matrix: tuple[tuple[float, ...], ...], least: float = 0.0) -> bool:
+def can_be_undone(matrix: Sequence[Sequence[float]], least: float = 0.0) -> bool:
     """Return whether a (2, 3) transform can be inverted: the absolute determinant of the 2 x 2 part exceeds `least`."""
     (a, b, _), (c, d, _) = matrix
     return abs(a * d - b * c) > least
 
 
-def _disc(table: Mapping[str, Any]) -> dict[str, Any]:
-    pairs = {name: _numbers(table[name]) for name in DISC_PAIRS}
-    return {**pairs, **{name: _number(table[name]) for name in DISC}}
-
-
-def _transform(table: Mapping[str, Any]) -> TransformRows:
-    found = TransformRows(*(tuple(map(_numbers, table[name])) for name in TransformRows._fields))
-    matrix = found.matrix
-    whole = [len(row) for row in matrix] == [3, 3] and all(math.isfinite(one) for row in matrix for one in row)
+def _matrix(rows: Any) -> list[list[float]]:
+    matrix = [list(map(_number, row)) for row in rows]
+    whole = [len(row) for row in matrix] == [3, 3] and all(map(math.isfinite, (*matrix[0], *matrix[1])))
     if not whole or not can_be_undone(matrix):
-        raise ValueError(f"the matrix {[list(row) for row in matrix]} is no 2 x 3 transform that can be undone")
-    if any(len(row) != 2 for row in found.residuals_px):
-        raise ValueError(f"the residuals {[list(row) for row in found.residuals_px]} are no pairs of px")
-    return found
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    return tuple(map(_number, values))
+        raise ValueError(f"the matrix {matrix} is no 2 x 3 transform that can be undone")
+    return matrix
 
 
 def _number(value: Any) -> float:

@@ -3,6 +3,7 @@ field of the page.
 """
 
 import math
+import operator
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -69,14 +70,12 @@ class NumberType(KeyType):
             number = math.inf
         if not math.isfinite(number):
             raise WrongValue("it should be a finite number")
-        if self.above is not None and number <= self.above:
-            raise WrongValue(f"it should be above {self.above:g}")
-        if self.least is not None and number < self.least:
-            raise WrongValue(f"it should be at least {self.least:g}")
-        if self.most is not None and number > self.most:
-            raise WrongValue(f"it should be at most {self.most:g}")
-        if self.below is not None and number >= self.below:
-            raise WrongValue(f"it should be below {self.below:g}")
+        for words, limit, is_beyond in (
+            *(("above", self.above, operator.le), ("at least", self.least, operator.lt)),
+            *(("at most", self.most, operator.gt), ("below", self.below, operator.ge)),
+        ):
+            if limit is not None and is_beyond(number, limit):
+                raise WrongValue(f"it should be {words} {limit:g}")
         if self.odd and number % 2 == 0:
             raise WrongValue(f"{number} is even; the middle pixel needs an odd side, such as {number + 1}")
         return number

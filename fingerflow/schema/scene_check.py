@@ -2,12 +2,11 @@
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
+from fingerflow.schema.calibration_file import CalibrationFile, Pixels, read_calibration
 from fingerflow.schema.key_types import File, Reader, WrongValue, either
 from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS, default_kind
@@ -15,16 +14,6 @@ from fingerflow.schema.scene_tables import SCENE, views_of
 
 Keys = tuple[str, ...]
 MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Problem with one key of a scene file; the message `said` continues a sentence that begins with the name of the
-    key.
-    """
-
-    keys: Keys
-    said: str
 
 
 class TableCheck:
@@ -50,15 +39,18 @@ class TableCheck:
         self.values: dict[str, Any] = {}
         self.given: set[str] = set()
 
-    def problems(self) -> list[Problem]:
-        """Return all problems found, without missing keys that a misspelt one was meant to be."""
-        return [Problem(keys, said) for keys, said in self.said.items() if keys not in self._missing & self._meant]
+    def problems(self) -> list[tuple[str, str]]:
+        """Return all problems found, as pairs of a dotted key and a message that continues a sentence which begins with
+        it, without missing keys that a misspelt one was meant to be.
+        """
+        found = (keys for keys in self.said if keys not in self._missing & self._meant)
+        return [(".".join(keys), self.said[keys]) for keys in found]
 
     def raise_problems(self, place_of: Callable[[Keys], str]) -> None:
         """Raise FingerflowError with one line for each problem, if there are any; `place_of` returns the place of a key
         in the file.
         """
-        lines = [f"{place_of(one.keys)}: {'.'.join(one.keys)} {one.said}" for one in self.problems()]
+        lines = [f"{place_of(tuple(key.split('.')))}: {key} {message}" for key, message in self.problems()]
         if lines:
             raise FingerflowError("\n".join(lines))
 
@@ -103,7 +95,7 @@ class TableCheck:
             if key.type.calibration:
                 self.calibration = read_calibration(path)
             return path
-        except (WrongValue, CalibrationError) as wrong:
+        except (WrongValue, FingerflowError) as wrong:
             self.refuse(keys, f"{_shown(value)}: {wrong}")
             return None
 
@@ -156,7 +148,13 @@ class SceneCheck(TableCheck):
     # Rules between keys, which are named by their dotted paths. An error is reported for the first key of a rule.
 
     def _check_rules(self) -> None:
-        self._not_before("recording.last_frame", "recording.first_frame")
+        last, first = self.value_at("recording.last_frame"), self.value_at("recording.first_frame")
+        if last is not None and first is not None and last < first:
+            self.record_conflict(
+                "recording.last_frame",
+                f"that is before first_frame, {first}; both are included, so give at least {first} or leave last_frame "
+                "out",
+            )
         together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
         for one, other, remedy in (
             ("trigger", "trigger_level", "add trigger_level = 2.5 in the channel's unit"),
@@ -174,15 +172,6 @@ class SceneCheck(TableCheck):
             if view != "contact":
                 self._not_both("stream.region", f"views.{view}.region", "both say where points are chosen")
         self._fits_the_views()
-
-    def _not_before(self, key: str, before: str) -> None:
-        last, first = self.value_at(key), self.value_at(before)
-        if last is not None and first is not None and last < first:
-            ours, other = _name(key), _name(before)
-            self.record_conflict(
-                key,
-                f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
-            )
 
     def _not_both(self, key: str, other: str, why: str) -> None:
         if key in self.given and other in self.given:
@@ -214,7 +203,7 @@ class SceneCheck(TableCheck):
         found = self.calibration
         if found is None:
             return
-        values = {scale: found.mm_per_px, **({transform: found.matrix()} if found.affine else {})}
+        values = {scale: found.mm_per_px, **({transform: found.matrix} if found.matrix else {})}
         for other, value in values.items():
             self.given.add(other)
             entry = SCENE["calibration"].keys[_name(other)]

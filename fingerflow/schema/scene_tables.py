@@ -282,10 +282,6 @@ class Views(Mapping[str, View]):
     def __len__(self) -> int:
         return len(self._views)
 
-    def names(self) -> tuple[str, ...]:
-        """Return the names of all views in the scene."""
-        return tuple(self._views)
-
     @property
     def contact(self) -> View:
         """Return the contact view, in which skin in contact appears as `contact.appears` says, dark or bright."""

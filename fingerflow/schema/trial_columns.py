@@ -84,21 +84,21 @@ _OF_TRIAL = (
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
-def _at_moments(one: AtMoments) -> Iterator[Variable]:
-    source = VARIABLES[one.variable]
+def _at_moments(entry: AtMoments) -> Iterator[Variable]:
+    source = VARIABLES[entry.variable]
 
     def column(name: str, definition: str, label: str = "") -> Variable:
         return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, label=label)
 
-    yield column(one.name, f"{one.definition}, {_LARGEST if one.largest else MOMENTS[AT_MAX]}", one.label)
-    if one.has_std:
-        yield column(f"{one.name}_std", f"standard deviation of {one.name}, by the errors of the points")
+    yield column(entry.name, f"{entry.definition}, {_LARGEST if entry.largest else MOMENTS[AT_MAX]}", entry.label)
+    if entry.has_std:
+        yield column(f"{entry.name}_std", f"standard deviation of {entry.name}, by the errors of the points")
     for moment, when in MOMENTS.items():
-        if moment == AT_MAX and not one.largest:
+        if moment == AT_MAX and not entry.largest:
             continue
-        yield column(f"{one.name}_{moment}", f"{one.definition}, {when}")
-        if one.has_std:
-            yield column(f"{one.name}_{moment}_std", f"standard deviation of {one.name}_{moment}")
+        yield column(f"{entry.name}_{moment}", f"{entry.definition}, {when}")
+        if entry.has_std:
+            yield column(f"{entry.name}_{moment}_std", f"standard deviation of {entry.name}_{moment}")
 
 
 #: Numeric columns of the table of trials.

@@ -1,7 +1,5 @@
 """Manage temporary paths of unfinished outputs: naming, renaming on completion, and removal after killed runs."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import READER_OF
@@ -32,17 +32,9 @@ _GUESSES = {
 }
 
 
-class FoundFiles(NamedTuple):
-    """Outcome of `init_study`: paths of manifest and table, number of trials, and entries to complete by hand."""
-
-    manifest: Path
-    table: Path
-    trials: int
-    to_fill_in: tuple[str, ...]
-
-
-def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
-    """Find the recordings in a folder, and write a manifest `study.toml` and a table `trials.csv` for them.
+def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str]]:
+    """Find the recordings in a folder, and write a manifest `study.toml` and a table `trials.csv` for them; return the
+    number of trials, and the entries to complete by hand.
 
     If the folder holds scene files, each is a trial: common settings become the shared scene, different ones become
     columns. Otherwise each recording is a trial, with the forces of the same name or of the same folder, and the shared
@@ -86,7 +78,7 @@ def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []
-    return FoundFiles(manifest, table, len(rows), tuple(lacking))
+    return len(rows), lacking
 
 
 def _is_scene(file: Path) -> bool:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -35,16 +35,6 @@ _THUMBNAIL_PX = 220  # px, width of a thumbnail
 _SHOWN = ("max_force", "divergence", "strain_energy", "gross_contact_area", "global_displacement")
 _FEWEST_ALIKE = 5  # least number of trials of a condition for the detection of outliers
 _MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median absolute deviation
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """Largest deviation of one trial from the median of the trials in its condition: its size in robust standard
-    deviations (from the median absolute deviation), and the metric that deviates so.
-    """
-
-    deviations: float
-    metric: str
 
 
 def write_study_report(
@@ -121,7 +111,7 @@ def write_page(manifest: Manifest) -> str:
     return ""
 
 
-def outliers(frame: Any) -> list[Outlier]:
+def outliers(frame: Any) -> list[tuple[float, str]]:
     """Return for each trial, a row of `frame`, how far it lies from the median of its condition in the metric that
     deviates most, and that metric's name.
 
@@ -134,7 +124,7 @@ def outliers(frame: Any) -> list[Outlier]:
     spread = _MAD * alike.transform("median")
     score = (away / spread).where((spread > 0) & (alike.transform("count") >= _FEWEST_ALIKE)).fillna(0.0)
     found = zip(score.max(axis=1), score.idxmax(axis=1), strict=True)
-    return [Outlier(float(most), str(metric) if most > 0 else "") for most, metric in found]
+    return [(float(most), str(metric) if most > 0 else "") for most, metric in found]
 
 
 def _without_pages(manifest: Manifest) -> Iterator[TrialEntry]:
@@ -165,7 +155,7 @@ def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
 def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
     """Return the entries of the trials for the page: failed trials first, then by decreasing deviation."""
     rows = []
-    for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
+    for entry, (deviation, metric), (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
         folder = manifest.results / entry.name
         measured = values["status"] == MEASURED
         rows.append(
@@ -181,8 +171,8 @@ def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
                 "warnings": (values["warnings"] or "").splitlines() if measured else [],
                 "usable": values["usable_frames"] / values["frames"] if measured else None,
                 "coverage": values["coverage"] if measured and np.isfinite(values["coverage"]) else None,
-                "outlier": outlier.deviations if measured else None,
-                "by": NUMBERS[outlier.metric].words if outlier.metric else "",
+                "outlier": deviation if measured else None,
+                "by": NUMBERS[metric].words if metric else "",
                 "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
                 "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
                 "values": {

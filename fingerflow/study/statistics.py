@@ -8,20 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import (
-    Estimate,
-    Trials,
-    clustered_regression,
-    compare_auc,
-    leave_out_moved,
-    observe,
-    one_way_anova,
-    participant_groups,
-    pearson,
-    read_trials,
-    repeated_anova,
-    spearman,
-)
+from fingerflow.models import observer
 from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
@@ -49,7 +36,7 @@ class Sample:
     If `answered` is False, the study has no answers, and `trials.answer` holds placeholders (False).
     """
 
-    trials: Trials
+    trials: observer.Trials
     answered: bool
     counted: Counted
 
@@ -67,16 +54,18 @@ def sample_of(frame: Any) -> Sample:
     used = measured & answered if any_answer else measured
     if not used.any():
         raise FingerflowError("no trial has been measured: `fingerflow study run` comes first, and says what failed")
-    own = frame[used]
-    columns = {name: own[name].to_numpy() for name in ("participant", "trial", "condition")}
-    columns["answer"] = own["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(own), bool)
+    rows = frame[used]
+    columns = {name: rows[name].to_numpy() for name in ("participant", "trial", "condition")}
+    columns["answer"] = rows["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(rows), bool)
     names = (*METRICS, *(f"{name}{DIFFERENCE}" for name in METRICS))
-    metrics = {name: own[name].to_numpy(np.float64) for name in names if name in own and own[name].notna().any()}
+    metrics = {name: rows[name].to_numpy(np.float64) for name in names if name in rows and rows[name].notna().any()}
     rules = [(f"{name}, so nothing was measured", int((frame["status"] == name).sum()))
              for name in dict.fromkeys(frame["status"]) if name != MEASURED]  # fmt: skip
     if any_answer:
         rules.append(("no answer in the manifest", int((measured & ~answered).sum())))
-    return Sample(read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum())))
+    return Sample(
+        observer.read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum()))
+    )
 
 
 def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
@@ -105,12 +94,12 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     differences = sample.trials
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
     trials = replace(differences, metrics=values)
-    found: dict[str, Any] = {
+    statistics: dict[str, Any] = {
         "counted": asdict(sample.counted),
         "by_condition": _anovas(trials, trials.condition),
         "correlations": _corrected(
             {
-                name: pearson(trials.metrics[_FIRST], trials.metrics[name], trials.participant)
+                name: observer.pearson(trials.metrics[_FIRST], trials.metrics[name], trials.participant)
                 for name in ("strain", "strain_energy", "curl")
                 if name in trials.metrics and _FIRST in trials.metrics
             }
@@ -118,12 +107,12 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         "groups": _groups(differences, resamples),
     }
     if sample.answered:
-        found["by_answer"] = _anovas(trials, trials.answer)
+        statistics["by_answer"] = _anovas(trials, trials.answer)
         shares = {name: correlate_with_answers(trials, values) for name, values in differences.metrics.items()}
-        found["shares"] = _corrected(shares)
-        found["force_rate"] = _of_force_rate(trials)
-        found["observer"] = _observed(trials, resamples)
-    plain: dict[str, Any] = json_value(found)
+        statistics["shares"] = _corrected(shares)
+        statistics["force_rate"] = _of_force_rate(trials)
+        statistics["observer"] = _observed(trials, resamples)
+    plain: dict[str, Any] = json_value(statistics)
     return plain
 
 
@@ -146,59 +135,61 @@ def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return {name: {**asdict(test), "p_holm": corrected[name]} for name, test in tests.items()}
 
 
-def _anovas(trials: Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
-    found = _corrected(
-        {name: repeated_anova(values, groups, trials.participant) for name, values in trials.metrics.items()}
+def _anovas(trials: observer.Trials, groups: NDArray[Any]) -> dict[str, dict[str, Any]]:
+    tests = _corrected(
+        {name: observer.repeated_anova(values, groups, trials.participant) for name, values in trials.metrics.items()}
     )
     for name, values in trials.metrics.items():
-        found[name]["as_printed"] = asdict(one_way_anova(values, groups))
-    return found
+        tests[name]["as_printed"] = asdict(observer.one_way_anova(values, groups))
+    return tests
 
 
-def _observed(trials: Trials, resamples: int) -> dict[str, Any]:
-    without = leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
+def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
+    without = observer.leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
-    summaries = observe(replace(without, metrics=shown), resamples=resamples)
+    summaries = observer.observe(replace(without, metrics=shown), resamples=resamples)
     areas = _corrected({name: summary.auc for name, summary in summaries.items()})
-    found = {}
+    metrics = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
     for name, summary in summaries.items():
-        found[name] = {
+        metrics[name] = {
             "d_prime": summary.d_prime,
             "auc": areas[name],
             "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
-            found[name]["beside_divergence"] = compare_auc(
+            metrics[name]["beside_divergence"] = observer.compare_auc(
                 without.split(name), first, without.participants(), resamples
             )
-    return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
+    return {"left_out": without.left_out, "rule": without.rule, "metrics": metrics}
 
 
-def correlate_with_answers(trials: Trials, values: NDArray[np.float64]) -> Estimate:
+def correlate_with_answers(trials: observer.Trials, values: NDArray[np.float64]) -> observer.Estimate:
     """Compute Spearman's rank correlation between a metric (T,), one value per trial, and the share of "more slippery"
     answers, over all pairs of participant and condition.
 
     Each pair of values is the median metric and the share of one participant in one condition.
     """
     medians, shares, _, who = dots_of(trials, values)
-    return spearman(medians, shares, who)
+    return observer.spearman(medians, shares, who)
 
 
-def _of_force_rate(trials: Trials) -> Any:
+def _of_force_rate(trials: observer.Trials) -> Any:
     if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
         return {"reason": "needs the rate of the force and conditions that are numbers"}
-    asked = trials.condition <= _LARGEST_AMPLITUDE
+    small = trials.condition <= _LARGEST_AMPLITUDE
     rate, unit = trials.metrics["force_rate"], NUMBERS["force_rate"].shown_unit.name
-    found = clustered_regression(rate[asked], trials.answer[asked], trials.condition[asked], trials.participant[asked])
-    return {**asdict(found), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
+    regression = observer.clustered_regression(
+        rate[small], trials.answer[small], trials.condition[small], trials.participant[small]
+    )
+    return {**asdict(regression), "unit": f"per {unit}", "largest_amplitude_um": _LARGEST_AMPLITUDE}
 
 
-def _groups(trials: Trials, resamples: int) -> Any:
+def _groups(trials: observer.Trials, resamples: int) -> Any:
     if _FIRST not in trials.metrics:
         return {"reason": "needs the divergence"}
     metric = f"{_FIRST}{DIFFERENCE}" if f"{_FIRST}{DIFFERENCE}" in trials.metrics else _FIRST
     names, medians = participant_medians(trials, metric)
-    groups = participant_groups(medians, resamples)
+    groups = observer.participant_groups(medians, resamples)
     return {**asdict(groups), "names": names, "medians": medians, "unit": NUMBERS[_FIRST].shown_unit.name}

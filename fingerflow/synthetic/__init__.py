@@ -15,23 +15,7 @@ from fingerflow.synthetic.truth import Medians, Truth
 from fingerflow.synthetic.writer import rebuild_scene, write_recording
 
 __all__ = [
-    "Bump",
-    "Camera",
-    "ChainPress",
-    "Ellipse",
-    "FingerprintTexture",
-    "LinearSlip",
-    "Medians",
-    "PartialSlip",
-    "PictureTexture",
-    "Press",
-    "RidgeTexture",
-    "Slide",
-    "SyntheticForces",
-    "SyntheticScene",
-    "Truth",
-    "rebuild_scene",
-    "scene_of_print",
-    "texture_image",
-    "write_recording",
-]
+    "Bump", "Camera", "ChainPress", "Ellipse", "FingerprintTexture", "LinearSlip", "Medians", "PartialSlip",
+    "PictureTexture", "Press", "RidgeTexture", "Slide", "SyntheticForces", "SyntheticScene", "Truth", "rebuild_scene",
+    "scene_of_print", "texture_image", "write_recording",
+]  # fmt: skip

@@ -1,7 +1,5 @@
 """Optics of skin and glass: the grey levels of both views, in 8-bit levels above the camera's dark level."""
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -20,39 +18,26 @@ EDGE_WIDTH, OUTLINE_WIDTH, DISC_WIDTH = 0.0114, 0.4, 0.2
 GLASS_FROM = 0.4
 
 
-@dataclass(frozen=True)
-class Lights:
-    """Illumination by lamps that are fixed in space and do not move with the skin.
-
-    Args:
-        size: width and height (mm) of the contact view.
+def grazing(x: Tensor, y: Tensor, width: float, height: float) -> Tensor:
+    """Return the relative intensity, at most 1, of the grazing light at positions (x, y) in mm on the glass, in a
+    contact view of a width and height in mm; it fades from left to right, and does not move with the skin.
     """
+    return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
 
-    size: tuple[float, float]
 
-    def grazing(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the relative intensity, at most 1, of the grazing light at positions (x, y) in mm on the glass; it
-        fades from left to right.
-        """
-        width, height = self.size
-        return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
+def stray(x: Tensor, y: Tensor, width: float, height: float) -> Tensor:
+    """Return the grey levels of stray light, as `grazing`, which the topography view shows without a finger."""
+    return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
-    def stray(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of stray light at positions (x, y) in mm on the glass, which the topography view shows
-        without a finger.
-        """
-        width, height = self.size
-        return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
 
-    def bright_field(self, x: Tensor, y: Tensor) -> Tensor:
-        """Return the grey levels of the contact view without a finger at positions (x, y) in mm on the glass: an uneven
-        bright disc with black corners.
-        """
-        width, height = self.size
-        radius = 0.47 * height
-        disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
-        uneven = 0.87 + 0.13 * torch.cos(3 * (x / width - 0.58)) * torch.cos(3 * (y / height - 0.4))
-        return 2 + GLASS_LEVEL * uneven * torch.sigmoid(disc / DISC_WIDTH)
+def bright_field(x: Tensor, y: Tensor, width: float, height: float) -> Tensor:
+    """Return the grey levels of the contact view without a finger, as `grazing`: an uneven bright disc with black
+    corners.
+    """
+    radius = 0.47 * height
+    disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
+    uneven = 0.87 + 0.13 * torch.cos(3 * (x / width - 0.58)) * torch.cos(3 * (y / height - 0.4))
+    return 2 + GLASS_LEVEL * uneven * torch.sigmoid(disc / DISC_WIDTH)
 
 
 def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:

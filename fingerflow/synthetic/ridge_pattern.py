@@ -14,7 +14,6 @@ the delta of a loop v also changes by pi Re(delta), so the wave numbers must be 
 import cmath
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -32,15 +31,9 @@ FLOOR = 0.15
 Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
-class Pattern(NamedTuple):
-    """Orientation field of a ridge pattern as a formula: a function of position that returns a level, whose contours
-    are the ridges, and the local density of these contours.
-
-    Wave numbers are multiples of `step` (rad/mm), or arbitrary if `step` is 0.
-    """
-
-    levels: Levels
-    step: float
+#: Orientation field of ridges as a formula: a function of position that returns a level, whose contours are the ridges,
+#: and the local density of these contours; and a step (rad/mm) of which wave numbers are multiples, 0 for none.
+Pattern = tuple[Levels, float]
 
 
 def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tensor:
@@ -51,7 +44,8 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
         pattern: the orientation field.
         wave_number: desired at each position, rad/mm: 2 pi over the ridge distance.
     """
-    level, density = pattern.levels(x, y)
+    levels, step = pattern
+    level, density = levels(x, y)
     spacing = math.log(RATIO)
     wanted = (torch.log(wave_number / density.clamp(min=1e-3)) / spacing).clamp(-5, 50)
     nearest = torch.round(wanted)
@@ -61,8 +55,8 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
         # The weight is twice continuously differentiable, so that the end of a wave is not visible.
         weight = (1 - ((wanted - number) / REACH).square()).clamp(min=0) ** 3
         k = torch.exp(number * spacing)
-        if pattern.step:
-            k = torch.round(k / pattern.step).clamp(min=1) * pattern.step
+        if step:
+            k = torch.round(k / step).clamp(min=1) * step
         phase = k * level
         even, odd, total = even + weight * torch.cos(phase), odd + weight * torch.sin(phase), total + weight
     return even / torch.sqrt(even.square() + odd.square() + (FLOOR * total).square())
@@ -77,7 +71,7 @@ def arch() -> Pattern:
         across, down = rise * x / width**2, 1 - rise * y / reach**2
         return y + rise, torch.sqrt(across.square() + down.square())
 
-    return Pattern(levels, 0.0)
+    return levels, 0.0
 
 
 def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
@@ -95,7 +89,7 @@ def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
         from_core, from_delta = x.square() + y.square(), (x - delta.real).square() + (y - delta.imag).square()
         return level, ((from_delta + CORE**2) / (from_core + CORE**2)) ** 0.25
 
-    return Pattern(levels, 2 / abs(delta.real))
+    return levels, 2 / abs(delta.real)
 
 
 def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
@@ -127,4 +121,4 @@ def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
         share = level * inverse
         return 2 * torch.atan(torch.tanh(share / 2)) / inverse, density / torch.cosh(share.clamp(-60, 60))
 
-    return Pattern(levels, 0.0)
+    return levels, 0.0

@@ -216,13 +216,13 @@ def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tens
     They are computed in float64 and rounded once.
     """
     rows, columns = scene.views["contact"].shape
-    lights = optics.Lights(size=(columns * scene.mm_per_px, rows * scene.mm_per_px))
+    size = columns * scene.mm_per_px, rows * scene.mm_per_px
     down, right = torch.meshgrid(
         torch.arange(rows, dtype=torch.float64), torch.arange(columns, dtype=torch.float64), indexing="ij"
     )
     (xx, xy, shift_x), (yx, yy, shift_y) = scene.topography_to_contact
     x, y = (xx * right + xy * down + shift_x) * scene.mm_per_px, (yx * right + yy * down + shift_y) * scene.mm_per_px
-    topography = x, y, lights.grazing(x, y), lights.stray(x, y)
+    topography = x, y, optics.grazing(x, y, *size), optics.stray(x, y, *size)
     x, y = right * scene.mm_per_px, down * scene.mm_per_px
-    contact = x, y, lights.bright_field(x, y)
+    contact = x, y, optics.bright_field(x, y, *size)
     return tuple(plane.to(dtype) for plane in topography), tuple(plane.to(dtype) for plane in contact)

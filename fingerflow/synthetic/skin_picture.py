@@ -119,7 +119,8 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     texture = PictureTexture(Path(picture), dpi)
     plain = kind()
     # Skin under the edge of the contact: at the start and, if the finger travels, where skin enters at the front.
-    edges = [_skin_under_edge(plain, frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)]
+    ellipses = {frame: plain.truth.ellipse(frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)}
+    edges = [plain.truth.material(one.edge(64), frame) for frame, one in ellipses.items() if one is not None]
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
     half = np.array(texture.size) / 2
@@ -132,12 +133,6 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     middle = _contact_centroid(texture)
     right, down = np.clip(-middle, high - half, low + half).tolist()
     return replace(plain, texture=replace(texture, centre=(right, down)))
-
-
-def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
-    """Return material positions (64, 2) in mm under the edge of the apparent contact; none (0, 2) before contact."""
-    ellipse = scene.truth.ellipse(frame)
-    return np.zeros((0, 2)) if ellipse is None else scene.truth.material(ellipse.edge(64), frame)
 
 
 def _contact_centroid(texture: PictureTexture) -> Plane:

@@ -62,14 +62,10 @@ class Truth:
 
     # Conversions between views
 
-    def contact_pixels(self, positions: ArrayLike) -> Array:
-        """Convert positions (..., 2) from mm on the glass to px of the contact view."""
-        return np.asarray(positions, dtype=np.float64) / self.mm_per_px
-
     def topography_pixels(self, positions: ArrayLike) -> Array:
         """Convert positions (..., 2) from mm on the glass to px of the topography view."""
         matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
-        return (self.contact_pixels(positions) - offset) @ np.linalg.inv(matrix).T
+        return (np.asarray(positions, dtype=np.float64) / self.mm_per_px - offset) @ np.linalg.inv(matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
         """Convert positions (..., 2) from px of the topography view to mm on the glass."""

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels import block_means as compiled
 from fingerflow.kernels.arrays import kind
-from fingerflow.kernels.checks import FRAME_KINDS
-from fingerflow.kernels.library import is_present
+from fingerflow.kernels.declarations import FRAME_KINDS
+from fingerflow.kernels.library import is_present, run
 
 Array = NDArray[Any]
 
@@ -45,7 +44,8 @@ def block_means(frames: Array) -> BlockMeans:
         raise ValueError(f"frames have shape {frames.shape}: give (n, H, W)")
     (down, along), (rows, columns) = _grid(*frames.shape[1:])
     if is_present() and kind(frames) in FRAME_KINDS:
-        return BlockMeans(*compiled.block_means(frames[:, None], (down, along), (rows, columns)))
+        grid = {"down": down, "along": along, "rows": rows, "columns": columns}
+        return BlockMeans(*run("block_means", frames=frames[:, None], **grid))
     sums = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float64)
     lines = sums.mean(2)
     sums, lines_each = _sums(sums, 1, rows)

@@ -23,24 +23,24 @@ class Border(NamedTuple):
     angle: Array  # (frames,) rad, angle of the first semi-axis from x towards y
 
     @classmethod
-    def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
+    def from_series(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
         """Create the border ellipses from results named `ellipse_center`, `ellipse_semi_axes` and `ellipse_angle`."""
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
-    def at(self, frames: slice | NDArray[np.intp]) -> Border:
+    def select(self, frames: slice | NDArray[np.intp]) -> Border:
         """Return the border ellipses of the given frames, a slice or indices."""
-        return Border(*(one[frames] for one in self))
+        return Border(*(values[frames] for values in self))
 
-    def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
+    def inside(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the distance (frames, P), mm, of positions (frames, P, 2) from the border ellipse of their frame,
         positive inside the ellipse and negative outside.
 
         It is accurate to first order, and exact on the border.
         """
         # Compute each component separately: NumPy takes several times as long for sums over an axis of two.
-        (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
+        (center_x, center_y), (first, second) = (pair.T[..., None] for pair in (self.center, self.semi_axes))
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
-        right, down = places[..., 0] - center_x, places[..., 1] - center_y
+        right, down = positions[..., 0] - center_x, positions[..., 1] - center_y
         along, across = (right * cosine + down * sine) / first, (down * cosine - right * sine) / second
         radius = np.sqrt(along * along + across * across)
         along, across = along / first, across / second

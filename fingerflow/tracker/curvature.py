@@ -35,17 +35,17 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
         points: (n, N, 2) px, tracked positions; NaN for lost points.
     """
     window = engine.settings.window_px
-    known = np.flatnonzero(np.isfinite(start).all(-1))
+    valid = np.flatnonzero(np.isfinite(start).all(-1))
     result = np.zeros(points.shape[:2], np.float32)
-    if not len(known):
+    if not len(valid):
         return result
-    places = start[known]
+    positions = start[valid]
 
     def gradient(values: Array) -> Array:
-        return engine.fit(places, values, places, _GAUGE * window).gradient
+        return engine.fit(positions, values, positions, _GAUGE * window).gradient
 
-    slopes = gradient(points[:, known] - places)
+    slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.
     squares = sum(np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2))
-    result[:, known] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
+    result[:, valid] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
     return result

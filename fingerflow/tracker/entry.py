@@ -42,7 +42,7 @@ class FrameValues(Protocol):
 
 
 def advected(
-    position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+    position: FrameValues, positions: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
     """Return a mask (N,) of the points that the motion of the skin carried over the border into the contact (advected);
     the other points were reached as the contact area grew over them.
@@ -64,21 +64,21 @@ def advected(
 
     Args:
         position: (frames, N, 2) mm.
-        places: (N, 2) mm, in a frame that is the same for all.
+        positions: (N, 2) mm, in a frame that is the same for all.
         onset: (N,) frame, -1 for none.
         reference: (N, 2) mm, positions at onset.
         gauge_mm: gauge length of the fits.
         border: of the apparent (gross) contact in the same frames.
     """
-    known = np.isfinite(places + reference).all(1) & (onset >= 0)
-    counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
+    valid = np.isfinite(positions + reference).all(1) & (onset >= 0)
+    counts = valid & (onset > onset[valid].min(initial=np.iinfo(np.int32).max))
     here = np.flatnonzero(counts)
-    found = np.zeros(len(onset), dtype=bool)
-    found[here] = _by_own_motion(position, here, onset[here], reference[here], gauge_mm, border)
-    return with_neighbours(found, places, counts, NEAR * gauge_mm)
+    entered = np.zeros(len(onset), dtype=bool)
+    entered[here] = _entered_by_motion(position, here, onset[here], reference[here], gauge_mm, border)
+    return extend_to_neighbours(entered, positions, counts, NEAR * gauge_mm)
 
 
-def _by_own_motion(
+def _entered_by_motion(
     position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
     """Return a mask (E,) of the points that came into the contact mainly by their own motion over the glass: before
@@ -87,38 +87,38 @@ def _by_own_motion(
     `here` (E,) are the indices of these points in `position`.
     """
     way, inside = np.full((2, len(here)), np.nan)
-    then = border.at(onset).inside(reference[:, None])[:, 0]
+    then = border.select(onset).inside(reference[:, None])[:, 0]
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames].take(here, axis=1)
         # Each component separately, as NumPy is slow over an axis of two.
         way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))
-        moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.at(frames).inside(rows)
+        moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.select(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
         far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
         row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
-        some = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
-        way[some], inside[some] = moved[row[some], some], depth[row[some], some]
+        decided = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
+        way[decided], inside[decided] = moved[row[decided], decided], depth[row[decided], decided]
     result: Array = (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
     return result
 
 
-def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
-    """Extend a mask `found` (N,) to each point of the mask `among` (N,) of whose three nearest points in `among` at
-    least two are marked; positions are `places` (N, 2) mm.
+def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_mm: float) -> Array:
+    """Extend a mask `entered` (N,) to each point of the mask `among` (N,) of whose three nearest points in `among` at
+    least two are marked; positions are `positions` (N, 2) mm.
 
     Only neighbours within `reach_mm` count.
     """
-    some = np.flatnonzero(among)
-    if len(some) <= _VOTERS or not found.any():
-        return found
-    away = np.sum((places[some, None] - places[None, some]) ** 2, axis=-1)
+    candidates = np.flatnonzero(among)
+    if len(candidates) <= _VOTERS or not entered.any():
+        return entered
+    away = np.sum((positions[candidates, None] - positions[None, candidates]) ** 2, axis=-1)
     np.fill_diagonal(away, np.inf)
     near = np.argpartition(away, _VOTERS - 1, axis=1)[:, :_VOTERS]
     within = np.take_along_axis(away, near, axis=1) < reach_mm**2
-    result = found.copy()
-    result[some[(found[some][near] & within).sum(1) > _VOTERS / 2]] = True
+    result = entered.copy()
+    result[candidates[(entered[candidates][near] & within).sum(1) > _VOTERS / 2]] = True
     return result
 
 
@@ -149,7 +149,7 @@ class EntryGradients:
     BEFORE = 8
 
     def __init__(
-        self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float, onset_variance: Array
+        self, engine: Engine, entered: Array, positions: Array, onset: Array, gauge_mm: float, onset_variance: Array
     ) -> None:
         """Select the points whose motion is fitted: those within half a gauge length (the diameter of a fit) of the
         advected points, whose indices are `entered` (E,).
@@ -160,26 +160,26 @@ class EntryGradients:
         self._deviation = np.sqrt(onset_variance[entered])
         self._steps = np.clip(np.nan_to_num(self._deviation).round(), 1, self.BEFORE).astype(int)
         self.late = np.zeros((len(entered), 2, 2))
-        known = np.flatnonzero(np.isfinite(places).all(1))
-        apart = np.full(len(known), np.inf)
-        for one in places[entered]:
-            np.minimum(apart, np.hypot(*(places[known] - one).T), out=apart)
-        self._near = known[apart <= gauge_mm / 2]
-        self._places, self._queries = places[self._near], places[entered]
+        valid = np.flatnonzero(np.isfinite(positions).all(1))
+        distance = np.full(len(valid), np.inf)
+        for centre in positions[entered]:
+            np.minimum(distance, np.hypot(*(positions[valid] - centre).T), out=distance)
+        self._near = valid[distance <= gauge_mm / 2]
+        self._seeded, self._queries = positions[self._near], positions[entered]
         self._begun = np.full((len(entered), 2, 2), np.nan)
         self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
         self._before = np.full((self.BEFORE, len(entered), 2, 2), np.nan)  # gradients in the frames before
 
-    def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
+    def update(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
         """Compute the displacement gradients of the advected points since their entry into the contact in n frames,
         numbered `frames` (n,), from the positions (n, N, 2) mm of all points and their variance (n, N).
 
         `variance` is (n, N) mm^2. The variance is that of a component relative to the frame in which points were
         seeded. Half of it belongs to that frame and is the same at all times.
         """
-        moved = position[:, self._near] - self._places
+        moved = position[:, self._near] - self._seeded
         noise = variance[:, self._near].astype(np.float64) / 2
-        fit = self._engine.fit(self._places, moved, self._queries, self._gauge, noise)
+        fit = self._engine.fit(self._seeded, moved, self._queries, self._gauge, noise)
         assert fit.covariance is not None
         now = np.eye(2) + fit.gradient
         course = np.concatenate((self._before, now))
@@ -201,7 +201,7 @@ class Entries:
     points and borders of the contact are kept for the last `KEPT` frames.
 
     Args:
-        places: (N, 2) mm, where points were seeded; NaN for none.
+        positions: (N, 2) mm, where points were seeded; NaN for none.
         gauge_mm: gauge length of the fits.
 
     Attributes:
@@ -210,19 +210,19 @@ class Entries:
 
     KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
 
-    def __init__(self, engine: Engine, places: Array, gauge_mm: float) -> None:
-        self._engine, self._places, self._gauge = engine, places, gauge_mm
-        self._position = np.full((self.KEPT, len(places), 2), np.nan)
+    def __init__(self, engine: Engine, positions: Array, gauge_mm: float) -> None:
+        self._engine, self._seeded, self._gauge = engine, positions, gauge_mm
+        self._position = np.full((self.KEPT, len(positions), 2), np.nan)
         self._border = Border(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
         self._frames = 0  # number of frames so far
-        self._onset = np.full(len(places), -1)  # index of the frame in which the present touch began, -1 without one
-        self._reference = np.full((len(places), 2), np.nan)
-        self.entered = np.zeros(len(places), dtype=bool)
-        self._at_entry = np.full((len(places), 2, 2), np.nan)
+        self._onset = np.full(len(positions), -1)  # index of the frame in which the present touch began, -1 without one
+        self._reference = np.full((len(positions), 2), np.nan)
+        self.entered = np.zeros(len(positions), dtype=bool)
+        self._at_entry = np.full((len(positions), 2, 2), np.nan)
 
-    def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
+    def update(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
         """Add the next frame, and return the displacement gradients (N, 2, 2) of the advected points in it, each
         relative to the frame in which the point entered the contact.
 
@@ -237,8 +237,8 @@ class Entries:
         """
         row = self._frames % self.KEPT
         self._position[row] = position
-        for kept, new in zip(self._border, border, strict=True):
-            kept[row] = new[0]
+        for history, new in zip(self._border, border, strict=True):
+            history[row] = new[0]
         self._onset[~touching], self.entered[~touching] = -1, False
         self._onset[begins], self._reference[begins] = self._frames, reference[begins]
         self._at_entry[begins] = np.nan  # forgets the gradient of an earlier touch
@@ -247,15 +247,15 @@ class Entries:
         self._frames += 1
         if not begins.any() and not self.entered.any():
             return None
-        asked = np.flatnonzero((begins | self.entered) & np.isfinite(position).all(1))
-        known = np.isfinite(self._places).all(1)
-        if not len(asked) or not known.any():
+        queries = np.flatnonzero((begins | self.entered) & np.isfinite(position).all(1))
+        valid = np.isfinite(self._seeded).all(1)
+        if not len(queries) or not valid.any():
             return None
-        moved = (position - self._places)[None, known]
-        now = np.eye(2) + self._engine.fit(self._places[known], moved, self._places[asked], self._gauge).gradient[0]
-        self._at_entry[asked] = np.where(begins[asked, None, None], now, self._at_entry[asked])
+        moved = (position - self._seeded)[None, valid]
+        now = np.eye(2) + self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge).gradient[0]
+        self._at_entry[queries] = np.where(begins[queries, None, None], now, self._at_entry[queries])
         since = np.full((len(position), 2, 2), np.nan)
-        since[asked] = now @ inverse_2x2(self._at_entry[asked]) - np.eye(2)
+        since[queries] = now @ inverse_2x2(self._at_entry[queries]) - np.eye(2)
         return since if self.entered.any() else None
 
     def _mark_advected(self, begins: Array) -> None:
@@ -268,7 +268,7 @@ class Entries:
         rows = np.flatnonzero(onset >= 0)
         if len(rows):
             past = self._position[:, rows][order]
-            given = (onset[rows], self._reference[rows], self._gauge, self._border.at(order))
-            self.entered[rows] |= _by_own_motion(past, np.arange(len(rows)), *given)
-        later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._places).all(1)
-        self.entered = with_neighbours(self.entered, self._places, later, NEAR * self._gauge)
+            motion = (onset[rows], self._reference[rows], self._gauge, self._border.select(order))
+            self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
+        later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._seeded).all(1)
+        self.entered = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)

@@ -11,9 +11,9 @@ REPEATED_SHARE = 0.2  # share of repeated frames above which repetitions are nor
 _ALIKE = 1.25  # ratio of squared distances below which both of two equal frames fit their neighbours equally well
 
 
-def key_of(blocks: Sequence[NDArray[Any]]) -> bytes:
+def frame_key(blocks: Sequence[NDArray[Any]]) -> bytes:
     """Return a hash of a frame, computed from the block means of all its views; equal frames have equal hashes."""
-    return hashlib.blake2b(b"".join(one.tobytes() for one in blocks), digest_size=16).digest()
+    return hashlib.blake2b(b"".join(block.tobytes() for block in blocks), digest_size=16).digest()
 
 
 def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -24,28 +24,28 @@ def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArra
     places: those that are further from the frames around them are the copies, and both where neither fits better.
 
     Args:
-        keys: of all frames (`key_of`).
+        keys: of all frames (`frame_key`).
         distances: (F, LONGEST + 1, rows) of `squared_distances_before`.
         usable: (F,) False for frames that are not compared.
     """
     frames = len(keys)
     first: dict[bytes, int] = {}
     original = np.array([first.setdefault(keys[k], k) if usable[k] else k for k in range(frames)], np.intp)
-    found = np.zeros(frames, dtype=bool)
-    found[1:] = usable[1:] & (original[1:] == original[:-1])
-    apart = iter(np.flatnonzero((original < np.arange(frames)) & ~found).tolist())
+    repeated = np.zeros(frames, dtype=bool)
+    repeated[1:] = usable[1:] & (original[1:] == original[:-1])
+    separate = iter(np.flatnonzero((original < np.arange(frames)) & ~repeated).tolist())
     end = 0
-    for frame in apart:
+    for frame in separate:
         if frame < end:
             continue
         end = frame + 1
-        while end < frames and not found[end] and original[end] == original[frame] + end - frame < frame:
+        while end < frames and not repeated[end] and original[end] == original[frame] + end - frame < frame:
             end += 1
         here, there = slice(frame, end), slice(int(original[frame]), int(original[frame]) + end - frame)
-        off, other = _distance_around(distances, here), _distance_around(distances, there)
-        found[here] |= off * _ALIKE >= other
-        found[there] |= other * _ALIKE >= off
-    return found
+        off, off_there = _distance_around(distances, here), _distance_around(distances, there)
+        repeated[here] |= off * _ALIKE >= off_there
+        repeated[there] |= off_there * _ALIKE >= off
+    return repeated
 
 
 def _distance_around(distances: NDArray[np.float32], frames: slice) -> float:

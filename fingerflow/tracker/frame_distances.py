@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.frame_distances import frame_distances
-from fingerflow.kernels.library import is_present
+from fingerflow.kernels.library import is_present, run
 
 Array = NDArray[Any]
 
@@ -36,7 +35,7 @@ class PixelSamples(NamedTuple):
     light: Array
 
     @classmethod
-    def of(cls, frames: Array) -> PixelSamples:
+    def sample(cls, frames: Array) -> PixelSamples:
         """Sample pixels of frames (n, H, W) on a regular grid; pixels that are not finite count as 0."""
         down, along = max(1, frames.shape[1] // _LINES), max(1, frames.shape[2] // _PIXELS)
         pixels = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float32)
@@ -46,16 +45,16 @@ class PixelSamples(NamedTuple):
         pixels /= mean[:, None, None]
         return cls(pixels, np.log(mean))
 
-    def rows(self, some: slice) -> PixelSamples:
+    def rows(self, frames: slice) -> PixelSamples:
         """Return the samples of the frames in a slice."""
-        return PixelSamples(self.pattern[some], self.light[some])
+        return PixelSamples(self.pattern[frames], self.light[frames])
 
     def last(self, frames: int, before: PixelSamples | None) -> PixelSamples:
         """Return the samples of the last `frames` frames of a sequence that consists of the frames of `before` (None
         for none) followed by those of this object.
         """
-        every = self if before is None or len(self.light) >= frames else self.after(before)
-        return PixelSamples(*(one[-frames:].copy() for one in every))
+        samples = self if before is None or len(self.light) >= frames else self.after(before)
+        return PixelSamples(*(values[-frames:].copy() for values in samples))
 
     def after(self, before: PixelSamples) -> PixelSamples:
         """Return the samples of a sequence that consists of the frames of `before` followed by those of this object."""
@@ -84,11 +83,12 @@ def _pattern_distances(now: Array, before: Array, bands: int) -> Array:
     of lines, and of all lines.
     """
     if is_present():
-        return frame_distances(now, before, bands, _MOST)
-    apart = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
-    edges = np.arange(bands + 1) * apart.shape[1] // bands
-    of_bands = np.add.reduceat(apart, edges[:-1], axis=1) / np.diff(edges)
-    return np.concatenate((of_bands, apart.mean(1, keepdims=True)), axis=1)
+        distances: Array = run("frame_distances", now=now, before=before, bands=bands, most=_MOST)
+        return distances
+    difference = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
+    edges = np.arange(bands + 1) * difference.shape[1] // bands
+    of_bands = np.add.reduceat(difference, edges[:-1], axis=1) / np.diff(edges)
+    return np.concatenate((of_bands, difference.mean(1, keepdims=True)), axis=1)
 
 
 def squared_distances_before(samples: PixelSamples, before: PixelSamples | None) -> Array:
@@ -98,15 +98,16 @@ def squared_distances_before(samples: PixelSamples, before: PixelSamples | None)
     Rows are those of `squared_distances`. They are NaN where there is no such frame. `before` has the samples of the
     frames before, as far as there are any.
     """
-    every = samples if before is None else samples.after(before)
-    count, earlier = len(samples.light), len(every.light) - len(samples.light)
+    sequence = samples if before is None else samples.after(before)
+    count, earlier = len(samples.light), len(sequence.light) - len(samples.light)
     result: Array | None = None
     for gap in range(1, LONGEST + 2):
         first = max(gap - earlier, 0)  # index in `samples` of the first frame with a frame this far before it
         later = slice(earlier + first, earlier + count)
-        found = squared_distances(every.rows(later), every.rows(slice(later.start - gap, max(later.stop - gap, 0))))
+        before_later = slice(later.start - gap, max(later.stop - gap, 0))
+        squares = squared_distances(sequence.rows(later), sequence.rows(before_later))
         if result is None:
-            result = np.full((count, LONGEST + 1, found.shape[1]), np.nan, np.float32)
-        result[first:, gap - 1] = found[: max(count - first, 0)]
+            result = np.full((count, LONGEST + 1, squares.shape[1]), np.nan, np.float32)
+        result[first:, gap - 1] = squares[: max(count - first, 0)]
     assert result is not None
     return result

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.curvature import curvature_variance
@@ -76,20 +77,20 @@ class FrameResults:
         """Return the slip flag after the last usable frame: whether skin in contact slips."""
         return self._slip.slipping
 
-    def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
+    def compute(self, seeding: Seeding, contact: FrameContact, points: FoundPoints) -> dict[str, Any]:
         """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
-        `found` and the seeding to which these points belong.
+        `points` and the seeding to which these points belong.
         """
-        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)
+        covered = covers(contact.density_margin, points.estimate, self._to_contact, self._engine.cell_px)
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
         self._frames += 1
         size = self._size
-        noise = np.sqrt(found.variance)
-        curvature = curvature_variance(self._engine, seeding.points, found.points)
-        center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
+        noise = np.sqrt(points.variance)
+        curvature = curvature_variance(self._engine, seeding.points, points.points)
+        center, semi_axes = (lengths.astype(np.float64) * size for lengths in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        slip = self._slip.see(found.points[0], noise[0], covered[0])
+        slip = self._slip.update(points.points[0], noise[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
             "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
@@ -97,12 +98,12 @@ class FrameResults:
             "ellipse_semi_axes": ellipse.semi_axes[0],
             "ellipse_angle": contact.angle[0],
             "illumination_gain": contact.illumination_gain[0],
-            "position_px": found.points[0],
-            "forward_backward_error": found.error[0],
-            "position_std_px": np.sqrt(found.variance + curvature)[0],
-            "status": found.status[0],
+            "position_px": points.points[0],
+            "forward_backward_error": points.error[0],
+            "position_std_px": np.sqrt(points.variance + curvature)[0],
+            "status": points.status[0],
             "in_contact": covered[0],
-            **self._since_onset(found, curvature, covered, ellipse),
+            **self._since_onset(points, curvature, covered, ellipse),
             "slip_residual": slip.residual * self._per_px,
             "slip_flag": slip.slipping,
         }
@@ -114,8 +115,8 @@ class FrameResults:
         if seeding.before is not None:
             self._slip.follow_others(seeding.before, seeding.points)
         self._touches = Touches(len(seeding.points))
-        places = self._on_glass(seeding.points)
-        self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+        positions = self._on_glass(seeding.points)
+        self._entries = Entries(self._engine, positions, self._engine.settings.gauge_length_mm)
         window_px, gauge_px = self._engine.settings.window_px, self._engine.settings.gauge_length_mm / self._per_px
         self._overlap = overlap_gain(seeding.points, window_px, gauge_px)
         self._of_smoothing = math.nan  # variance of the median due to gauge length and border
@@ -141,7 +142,7 @@ class FrameResults:
         return result
 
     def _smoothing_variance(
-        self, place: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float
+        self, reference: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float
     ) -> float:
         """Return the variance of the median divergence of `fields` due to the finite gauge length and the uncertain
         contact border: that of `smoothing_variance`, from the change of the median with twice the gauge length, and the
@@ -152,48 +153,48 @@ class FrameResults:
         half = around._replace(center=around.center / 2, semi_axes=around.semi_axes / 2)
         smaller = around._replace(semi_axes=around.semi_axes - np.float32(BORDER_MM))
         wide, inner = (
-            float(self._engine.fields(*given).median[0, 0] - fields.median[0, 0])
-            for given in ((place / 2, moved / 2, half), (place, moved, smaller))
+            float(self._engine.fields(*arguments).median[0, 0] - fields.median[0, 0])
+            for arguments in ((reference / 2, moved / 2, half), (reference, moved, smaller))
         )
         assert fields.divergence_std is not None
-        known = fields.divergence_std[0][np.isfinite(fields.divergence_std[0])]
-        single = np.median(known) if len(known) else math.nan
+        deviations = fields.divergence_std[0][np.isfinite(fields.divergence_std[0])]
+        single = np.median(deviations) if len(deviations) else math.nan
         by_gauge = float(smoothing_variance(wide, of_points, single, fields.divergence[0]))
         return by_gauge + max(inner**2 - of_points, 0.0)
 
     def _since_onset(
-        self, found: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
+        self, points: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the median divergence over the contact ellipse; return them by result name.
 
-        `curvature` (1, N) px^2 is the variance of the positions that `found` does not hold.
+        `curvature` (1, N) px^2 is the variance of the positions that `points` does not hold.
         """
-        position = self._on_glass(found.points)
+        position = self._on_glass(points.points)
         border = Border(*ellipse)
-        touch = self._touches.add_frames(np.array([self._frames]), covered, position, found.variance, border)
-        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], touch.place[0], border)
+        touch = self._touches.add_frames(np.array([self._frames]), covered, position, points.variance, border)
+        since = self._entries.update(position[0], touch.begins[0], touch.touching[0], touch.position[0], border)
         among = self._entries.entered[None] & touch.touching
         entered = None
         if since is not None and among.any():
             entered = EnteredPoints(
                 among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None
             )
-        moved = (position - touch.place).astype(np.float32)
-        around = FrameEllipse(*(one.astype(np.float32) for one in ellipse))
-        place = touch.place[0].astype(np.float32)
+        moved = (position - touch.position).astype(np.float32)
+        around = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
+        reference = touch.position[0].astype(np.float32)
         # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
         covariance = None
-        if entered is None and self._engine.name != "onnx":
-            covariance = self._covariance(found.variance, curvature, touch)
-        fields = self._engine.fields(place, moved, around, covariance, entered)
+        if entered is None and self._engine.deviations:
+            covariance = self._covariance(points.variance, curvature, touch)
+        fields = self._engine.fields(reference, moved, around, covariance, entered)
         deviation = math.nan
         # The deformation of skin before points were seeded again on it is not known.
         without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
         if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
             of_points = float(fields.median_std[0, 0]) ** 2
             if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
-                self._of_smoothing = self._smoothing_variance(place, moved, around, fields, of_points)
+                self._of_smoothing = self._smoothing_variance(reference, moved, around, fields, of_points)
             deviation = math.sqrt(of_points + self._of_smoothing + _rank_variance(fields))
         return {
             "divergence": fields.divergence[0],
@@ -211,9 +212,9 @@ def _rank_variance(fields: FrameFields) -> float:
 
     The median of all lies anywhere between the quantiles 1/2 +- (1 - share) / (2 share) of the known values.
     """
-    share, known = float(fields.known_share[0]), np.sort(fields.divergence[0][np.isfinite(fields.divergence[0])])
-    if not 0 < share < 1 or not len(known):
+    share, values = float(fields.known_share[0]), np.sort(fields.divergence[0][np.isfinite(fields.divergence[0])])
+    if not 0 < share < 1 or not len(values):
         return 0.0
     reach = (1 - share) / (2 * share)
-    low, high = np.quantile(known, [max(0.5 - reach, 0), min(0.5 + reach, 1)])
+    low, high = np.quantile(values, [max(0.5 - reach, 0), min(0.5 + reach, 1)])
     return float(high - low) ** 2 / 12

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.point_prediction import PointMotion, known_of
+from fingerflow.tracker.point_prediction import PointMotion, is_finite
 from fingerflow.tracker.points import STREAM, Points
+from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
 from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
-from fingerflow.tracker.upkeep import CONTACT, REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
 
@@ -81,7 +81,7 @@ class Frame:
 
 @dataclass
 class Work:
-    """Intermediate data of a frame in progress, from `StreamTracker.begin` to `StreamTracker.results_of`.
+    """Intermediate data of a frame in progress, from `StreamTracker.step` to `StreamTracker.compute_results`.
 
     Attributes:
         index: among all frames of the stream that have begun, from 0.
@@ -89,9 +89,8 @@ class Work:
         images: both views, in the engine's own representation.
         guess: (N, 2) px, predicted positions; None before any points were seeded.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
-        measure: whether the threshold is to be measured in it.
-        found, measured: points found in it, and the threshold measured in it.
-        contact: set once it is computed (`StreamTracker.results_of`); guarded by the lock `computing`.
+        points, measured: points tracked in it, and the threshold measured in it.
+        contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
     """
 
     index: int
@@ -99,8 +98,7 @@ class Work:
     images: dict[str, Images]
     guess: Array | None
     threshold: float
-    measure: bool
-    found: FoundPoints | None = None
+    points: FoundPoints | None = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
@@ -121,8 +119,8 @@ class FrameOutcome(NamedTuple):
     Attributes:
         work: of the frame.
         status: index into `FRAME_STATUS`.
-        found: its points; None if the frame does not count.
-        seeding: seeded points to which `found` belongs; None before any were seeded.
+        points: that were tracked; None if the frame does not count.
+        seeding: seeded points to which `points` belong; None before any were seeded.
         tracked: number of points with status TRACKED.
         threshold: with which its contact is computed; NaN while unknown, and if the frame does not count.
         key_frame: number of its key frame.
@@ -131,7 +129,7 @@ class FrameOutcome(NamedTuple):
 
     work: Work
     status: int
-    found: FoundPoints | None
+    points: FoundPoints | None
     seeding: Seeding | None
     tracked: int
     threshold: float
@@ -150,7 +148,7 @@ class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
     `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
-    points are seeded in `region` (H, W), and replace others if more than `kept` of them lie in `counted` (H, W).
+    points are seeded in `region` (H, W), and replace others if more than `least` of them lie in `counted` (H, W).
     """
 
     after: int
@@ -160,7 +158,7 @@ class _Change(NamedTuple):
     cause: str
     region: Array
     counted: Array
-    kept: int
+    least: int
 
 
 class _Sparse(NamedTuple):
@@ -179,7 +177,7 @@ class _PendingContact(NamedTuple):
     """Frame whose contact has still to be evaluated: its area tells when to measure the contact threshold anew, and the
     tracked points in it are counted.
 
-    `found` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
+    `points` are its points, None for a frame that does not count, and `seeding` the seeding to which they belong.
     `newest` is the index of the latest frame when this was decided. The number of the frame is stored, because a
     `Frame` with results is reused for another image.
     """
@@ -187,18 +185,17 @@ class _PendingContact(NamedTuple):
     newest: int
     number: int
     work: Work
-    found: FoundPoints | None
+    points: FoundPoints | None
     seeding: Seeding | None
 
 
 class StreamTracker:
-    """Tracker of a stream: state between frames, and the methods `begin`, `compute` and `finish` for each frame.
+    """Tracker of a stream: state between frames, and the method `step` for each frame.
 
-    `begin` predicts the points of a frame; `compute` tracks them, in any thread. `finish` does what needs the earlier
-    frames: it recovers lost points and decides whether the frame counts. `results_of` computes contact and results
-    while the next frames are tracked. Each method takes frames in order; up to `lag` frames may have begun without
-    being finished. The results of a frame depend only on the frames before it, not on wall-clock time or on the
-    progress of threads.
+    `step` predicts and tracks the points of a frame, recovers lost ones, and decides with the frames before it whether
+    the frame counts. `compute_results` computes contact and results in another thread, while the next frames are
+    tracked. Both take frames in order. The results of a frame depend only on the frames before it, not on wall-clock
+    time or on the progress of threads.
 
     Without a given threshold there is no contact until one was measured.
 
@@ -206,137 +203,96 @@ class StreamTracker:
         engine: that computes.
         settings: experiment settings.
         glass, dark: (H, W) contact view of the empty glass, and without light.
-        lag: largest number of frames that have begun and are not finished; predictions lead so many frames ahead.
 
     Attributes:
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether it is measured in frames.
-        found: number of points seeded at the last restart.
+        seeded: number of points seeded at the last restart.
         restarts, keys: number of seedings, and of further key frames taken for the same points.
     """
 
-    def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array, lag: int = 1) -> None:
-        self._engine, self._settings, self.lag = engine, settings, lag
-        self._knowledge = replace(STREAM, lag=lag)
-        self._light = engine.light(glass, dark)
+    def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array) -> None:
+        self._engine, self._settings = engine, settings
+        self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
         self._to_contact = settings.topography_to_contact.astype(np.float32)
         self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
-        self._search = ThresholdSearch(lag + _LEARNT_AFTER)
-        self._upkeep = Upkeep(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
+        self._search = ThresholdSearch(1 + _LEARNT_AFTER)
+        self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _KnownMotion | None = None
-        # Motion of the points after each of the last frames, by frame index.
-        self._known: dict[int, _KnownMotion | None] = {}
-        self._begun = self._finished = 0
+        self._count = 0  # number of frames so far
         self._change: _Change | None = None
-        self._asked = False
+        self._requested = False
         self._deferred: deque[Work] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
         self._unlearnt: deque[_PendingContact] = deque()
-        self.found = self.restarts = self.keys = 0
+        self.seeded = self.restarts = self.keys = 0
 
     def warm_up(self, frame: Frame) -> None:
         """Process a blank frame in a separate tracker before a stream starts, since the first engine calls are slow."""
-        other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
+        settings = replace(self._settings, threshold=None)
+        tracker = StreamTracker(self._engine, settings, self._glass, self._dark)
         for number in range(2):
             frame.number = number
-            other.inspect(frame)
+            tracker.inspect(frame)
             frame.status = USABLE
-            work, _ = other.begin(frame)
-            other.compute(work)
-            for one in other.finish(work):
-                if isinstance(one, FrameOutcome):
-                    other.results_of(one)
+            for outcome in tracker.step(frame):
+                if isinstance(outcome, FrameOutcome):
+                    tracker.compute_results(outcome)
 
     def inspect(self, frame: Frame) -> None:
         """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
-        frame.picture, frame.status = self._check.look(frame.views)
+        frame.picture, frame.status = self._check.inspect(frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
-        self._asked = True
+        self._requested = True
 
-    @property
-    def under_way(self) -> int:
-        """Return the number of frames in progress: begun, but not finished."""
-        return self._begun - self._finished
+    def step(self, frame: Frame) -> list[Event | FrameOutcome]:
+        """Track the points of the next frame, and return the events and frame outcomes that are now final.
 
-    def must_wait(self, frame: Frame) -> bool:
-        """Return whether a frame may begin only after all earlier frames are finished, because a seeding, a new key
-        frame, new templates or a new contact threshold are due before it.
+        Events due before the frame are a seeding or a new key frame; they wait until no frame is deferred. Outcomes are
+        those of deferred frames before it, and its own unless it is deferred too.
         """
-        return bool(
-            self._search.due(self._begun) is not None
-            or self._due_change() is not None
-            or (not self.restarts and frame.status == USABLE)
-            or (self._points is not None and self._points.changes(self._begun))
-        )
-
-    def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
-        """Begin to process a frame: predict its points and convert its images; return its `Work` (intermediate data),
-        and the events due before it.
-
-        Events are a seeding or a new key frame. They wait until no frame is deferred.
-        """
+        index, self._count = self._count, self._count + 1
         passed: list[Event | FrameOutcome] = []
-        if self.must_wait(frame):
-            assert not self.under_way
-            if not self._deferred:
-                passed += self._make_changes(frame)
-        guess = self._guess(self._begun, frame.number)
+        if not self._deferred:
+            passed += self._make_changes(index, frame)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        measure = self.measures and self._search.wants(self._begun)
-        self._begun += 1
-        return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
-
-    def compute(self, work: Work) -> None:
-        """Track the points of a frame that has begun, and measure the contact threshold if requested; in any thread."""
+        work = Work(index, frame, images, self._guess(frame.number), self.threshold)
         if self._points is not None and work.guess is not None:
-            work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
-        if work.measure:
-            found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
+            work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
+        if self.measures and self._search.wants(index):
+            threshold = float(self._engine.contact(images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
-            physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
-            work.measured = found if physical else math.nan
-
-    def finish(self, work: Work) -> list[Event | FrameOutcome]:
-        """Finish a computed frame, and return the frame outcomes and events that are now final.
-
-        The outcomes are those of deferred frames before it, and its own unless it is deferred too.
-        """
-        passed: list[Event | FrameOutcome] = []
-        frame = work.frame
+            physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
+            work.measured = threshold if physical else math.nan
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._skipped(work, frame.status, work.index))
+            passed.append(self._skipped(work, frame.status, index))
         else:
             assert frame.picture is not None
-            decided, status = self._check.see(frame.number, frame.picture, frame.status)
-            passed += self._decided(decided, work.index)
+            decided, status = self._check.update(frame.number, frame.picture, frame.status)
+            passed += self._decided(decided, index)
             if status is None:
                 self._deferred.append(work)
             else:
-                passed.append(self._judged(work, status, work.index))
-        while self._unlearnt and self._unlearnt[0].newest <= work.index - _LEARNT_AFTER:
+                passed.append(self._judged(work, status, index))
+        while self._unlearnt and self._unlearnt[0].newest <= index - _LEARNT_AFTER:
             passed += self._learn_contact(self._unlearnt.popleft())
-        self._known[work.index] = self._latest
-        self._known.pop(work.index - self.lag - LONGEST, None)
-        self._finished += 1
         return passed
 
     def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
         """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
         templates, another is skipped; `newest` is the index of the latest frame.
         """
-        outcome = self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
-        self._known[work.index] = self._latest
-        return outcome
+        return self._accepted(work, newest) if status == USABLE else self._skipped(work, status, newest)
 
     def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
         """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes;
@@ -344,14 +300,14 @@ class StreamTracker:
         """
         return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
 
-    def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
+    def compute_results(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
 
         Arrays have no frame axis. Frames are given in order, from any thread: tracking does not depend on the results.
         """
-        if outcome.found is None or outcome.seeding is None:
+        if outcome.points is None or outcome.seeding is None:
             return None
-        results = self._results.of(outcome.seeding, self._contact_of(outcome.work), outcome.found)
+        results = self._results.compute(outcome.seeding, self._contact(outcome.work), outcome.points)
         if self._points is not None:
             self._points.prepare_ahead()
         return results
@@ -363,38 +319,24 @@ class StreamTracker:
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
-        return self._decided(self._check.finish(), self._begun - 1)
+        return self._decided(self._check.finish(), self._count - 1)
 
-    def _guess(self, index: int, number: int) -> Array | None:
-        """Predict the point positions (N, 2) px in the frame with this index and number, from the motion known `lag`
-        frames before it even if later frames are finished; return None before any motion is known.
-        """
-        known = self._known.get(index - self.lag, self._latest)
-        return None if known is None else known.motion.expect(max(1, number - known.number))
-
-    def _know(self, motion: _KnownMotion) -> None:
-        """Set the point motion from which the next `lag` frames are predicted."""
-        self._latest = motion
-        self._known = {self._begun - before: motion for before in range(1, self.lag + LONGEST + 1)}
-
-    def _ahead(self, number: int) -> int:
-        return max(1, number - self._latest.number) if self._latest is not None else 1
+    def _guess(self, number: int) -> Array | None:
+        """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
+        latest = self._latest
+        return None if latest is None else latest.motion.expect(max(1, number - latest.number))
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
         view = frame.views[CONTACT_VIEW][0, 0]
-        every = max(1, round((view.size / _PIXELS) ** 0.5))
-        seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
+        step = max(1, round((view.size / _PIXELS) ** 0.5))
+        seen, empty, black = (image[::step, ::step].astype(np.float32) for image in (view, self._glass, self._dark))
         return float((seen - black < (1 - threshold) * (empty - black)).mean())
 
     # Changes that are made before a frame begins.
 
-    def _due_change(self) -> _Change | None:
-        change = self._change
-        return None if change is None or self._begun < change.after + self.lag else change
-
-    def _make_changes(self, frame: Frame) -> list[Event]:
-        change, threshold = self._due_change(), self._search.due(self._begun)
+    def _make_changes(self, index: int, frame: Frame) -> list[Event]:
+        change, threshold = self._change, self._search.due(index)
         events: list[Event] = []
         if not self.restarts and frame.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
@@ -403,7 +345,7 @@ class StreamTracker:
             self.threshold = threshold
             self._search.used()
         if self._points is not None:
-            self._points.update_due(self._begun)
+            self._points.update_due(index)
         if change is not None:
             self._change = None
             events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
@@ -412,17 +354,17 @@ class StreamTracker:
     def _seed(self, view: Array, region: Array) -> Array:
         """Detect corners of a view (1, H, W) inside a region (H, W): positions (N, 2) px, padded with NaN."""
         points = np.full((self._settings.points, 2), np.nan, np.float32)
-        found = self._engine.detect(self._engine.images(view), region, len(points))
-        points[: len(found)] = found
+        corners = self._engine.detect(self._engine.images(view), region, len(points))
+        points[: len(corners)] = corners
         return points
 
     def _reseed(self, change: _Change) -> list[Event]:
         """Replace the tracked points by new ones if these are more, or if a user requests it and any are detected."""
         points = self._seed(change.image, change.region)
-        column, row = np.rint(points[known_of(points)]).astype(int).T
-        if change.counted[row, column].sum() > change.kept:
+        column, row = np.rint(points[is_finite(points)]).astype(int).T
+        if change.counted[row, column].sum() > change.least:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
-        self._upkeep.kept(self._begun)
+        self._reseeding.keep(self._count - 1)
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
@@ -431,29 +373,29 @@ class StreamTracker:
         """
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
-        self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
-        self.found = int(known_of(points).sum())
-        self._know(_KnownMotion(self._points.motion, number))
+        self._points = Points(self._engine, image, points, motion=motion, knowledge=STREAM, again=again)
+        self.seeded = int(is_finite(points).sum())
+        self._latest = _KnownMotion(self._points.motion, number)
         self._seeding = Seeding(points, before)
-        self._upkeep.restarted(self._begun, number, self.found)
+        self._reseeding.restarted(self._count - 1, number, self.seeded)
         self._search.begin()
         self.restarts += 1
-        return Event("restart", number, {"cause": cause, "points": self.found})
+        return Event("restart", number, {"cause": cause, "points": self.seeded})
 
     def _rekey(self, change: _Change) -> Event:
         """Take a newer frame, in which the tracked points lie at `change.points`, as their key frame, the frame with
         which later ones are compared; return the event.
         """
         assert self._points is not None
-        known, motion = known_of(change.points), self._points.motion
-        kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
+        valid, motion = is_finite(change.points), self._points.motion
+        valid_motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
         image = self._engine.images(change.image)
-        self._points = Points(self._engine, image, change.points, motion=kept, knowledge=self._knowledge)
+        self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=STREAM)
         assert self._latest is not None
-        self._know(self._latest._replace(motion=kept))
-        self._upkeep.keyed(change.number, int(known.sum()))
+        self._latest = self._latest._replace(motion=valid_motion)
+        self._reseeding.keyed(change.number, int(valid.sum()))
         self.keys += 1
-        return Event("key_frame", change.number, {"points": int(known.sum())})
+        return Event("key_frame", change.number, {"points": int(valid.sum())})
 
     # Outcome of a frame after its computation.
 
@@ -468,38 +410,35 @@ class StreamTracker:
         """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
         key frame is due, and return the frame's outcome.
 
-        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`: later ones may
-        have begun, and their inputs must not depend on how far they have got.
+        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`.
         """
         points, frame = self._points, work.frame
         assert points is not None
-        image, ahead = work.images[TOPOGRAPHY_VIEW], self._ahead(frame.number)
-        resolved = points.resolve(image, *self._tracked_in(work, points), ahead)
-        # With a lag of 1 frames are processed one after the other, so updates count from this frame, also after a
-        # deferral.
-        found = points.accept(image, resolved, ahead, work.index if self.lag == 1 else newest)
+        image = work.images[TOPOGRAPHY_VIEW]
+        ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
+        tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
         self._latest = _KnownMotion(points.motion, frame.number)
-        tracked = _tracked(found)
+        tracked = int((tracked_points.status[0] == TrackStatus.TRACKED).sum())
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
-        self._unlearnt.append(_PendingContact(newest, frame.number, work, found, self._seeding))
+        self._unlearnt.append(_PendingContact(newest, frame.number, work, tracked_points, self._seeding))
         if self._change is None:
-            cause = PAGE if self._asked else self._upkeep.see(newest, frame.number, tracked)
+            cause = PAGE if self._requested else self._reseeding.update(newest, frame.number, tracked)
             if cause:
-                self._asked = False
+                self._requested = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
                 region = counted = self._settings.region
-                kept = 0 if cause == PAGE else tracked
+                least = 0 if cause == PAGE else tracked
                 if cause == CONTACT and self._sparse is not None:
-                    kept, (counted, region) = self._sparse.points, self._regions(self._sparse)
-                places = found.points[0].copy()
-                self._change = _Change(newest, frame.number, image, places, cause, region, counted, kept)
-        return self._outcome(work, USABLE, found, tracked)
+                    least, (counted, region) = self._sparse.points, self._regions(self._sparse)
+                positions = tracked_points.points[0].copy()
+                self._change = _Change(newest, frame.number, image, positions, cause, region, counted, least)
+        return self._outcome(work, USABLE, tracked_points, tracked)
 
-    def _tracked_in(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
+    def _track_again(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
         tracked once more if the prediction has changed since the frame began.
 
@@ -507,20 +446,20 @@ class StreamTracker:
         once more.
         """
         assert work.guess is not None  # points are tracked in every frame that may be usable
-        assert work.found is not None
-        guess, changes = self._guess(work.index, work.frame.number), points.changes(work.index)
+        assert work.points is not None
+        guess, changes = self._guess(work.frame.number), points.changes(work.index)
         assert guess is not None
         if not changes and np.array_equal(guess, work.guess, equal_nan=True):
-            return work.guess, work.found
+            return work.guess, work.points
         points.update_due(work.index)
-        return guess, points.look(work.images[TOPOGRAPHY_VIEW], guess)
+        return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:
+    def _outcome(self, work: Work, status: int, points: FoundPoints | None, tracked: int) -> FrameOutcome:
         threshold = work.threshold if status == USABLE else math.nan
-        of_points = (self._seeding, tracked, threshold, self._upkeep.key_frame, self.restarts)
-        return FrameOutcome(work, status, found, *of_points)
+        of_points = (self._seeding, tracked, threshold, self._reseeding.key_frame, self.restarts)
+        return FrameOutcome(work, status, points, *of_points)
 
-    def _contact_of(self, work: Work) -> FrameContact:
+    def _contact(self, work: Work) -> FrameContact:
         """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
         happens.
         """
@@ -530,42 +469,42 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_contact(self, one: _PendingContact) -> list[Event]:
-        if one.found is not None and one.seeding is self._seeding and one.work.index % _LOOK_EVERY == 0:
-            touching = float(self._contact_of(one.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
-            self._sparse = self._sparse_contact(one.work, one.found) if touching else None
-            self._upkeep.see_contact(touching, self._sparse is not None)
+    def _learn_contact(self, pending: _PendingContact) -> list[Event]:
+        if pending.points is not None and pending.seeding is self._seeding and pending.work.index % _LOOK_EVERY == 0:
+            touching = float(self._contact(pending.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(pending.work, pending.points) if touching else None
+            self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
-        measured = one.work.measured
-        if one.found is None:
+        measured = pending.work.measured
+        if pending.points is None:
             if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact_of(one.work).real_area_px[0])
-        if self._search.see(one.newest, area, measured) and measured is not None:
-            return [Event("threshold", one.number, {"threshold": measured})]
+        area = float(self._contact(pending.work).real_area_px[0])
+        if self._search.update(pending.newest, area, measured) and measured is not None:
+            return [Event("threshold", pending.number, {"threshold": measured})]
         return []
 
-    def _sparse_contact(self, work: Work, found: FoundPoints) -> _Sparse | None:
+    def _sparse_contact(self, work: Work, tracked_points: FoundPoints) -> _Sparse | None:
         """Return the contact of a frame and how far around it to seed new points if fewer tracked points lie in this
         contact than local fits need; None otherwise.
 
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact_of(work), self._settings.mm_per_px
+        contact, size = self._contact(work), self._settings.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
-        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)[0]
-        points = int((covered & (found.status[0] == TrackStatus.TRACKED)).sum())
+        covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
+        points = int((covered & (tracked_points.status[0] == TrackStatus.TRACKED)).sum())
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None
         # px², product of the semi-axes of the seeding region.
-        wanted = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
-        major, minor = (float(one) for one in contact.semi_axes[0])
-        more = (math.hypot(major - minor, 2 * math.sqrt(wanted)) - major - minor) / 2
+        product = self._settings.points * (_DENSE * gauge / size) ** 2 / math.pi
+        major, minor = (float(axis) for axis in contact.semi_axes[0])
+        more = (math.hypot(major - minor, 2 * math.sqrt(product)) - major - minor) / 2
         axes = np.array([major, minor])
         wide = axes + max(more, self._engine.settings.window_px)
         return _Sparse(points, contact.center[0].copy(), axes, float(contact.angle[0]), wide)
@@ -586,7 +525,3 @@ class StreamTracker:
             for axes in (sparse.semi_axes, sparse.wide)
         )
         return inside, around
-
-
-def _tracked(found: FoundPoints) -> int:
-    return int((found.status[0] == TrackStatus.TRACKED).sum())

@@ -20,14 +20,14 @@ class Touching(NamedTuple):
     """Current touch of each of N points in F frames: position and time at which it began; NaN without a touch.
 
     Attributes:
-        place: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
+        position: (F, N, 2) mm, position of the point when its touch began, interpolated between two frames.
         share: (F, N) fraction of the step from the previous frame to the first frame of the touch at which it began.
         variance, earlier: (F, N) px^2, variance of the point in the first frame of its touch, and in the frame before,
             the latter 0 if unknown.
         touching, begins: (F, N) bool, whether a point has a touch, and whether it begins in this frame.
     """
 
-    place: Array
+    position: Array
     share: Array
     variance: Array
     earlier: Array
@@ -44,7 +44,7 @@ class Touching(NamedTuple):
         which is exact.
         """
         rest = np.square(1 - self.share)  # squared weight of the frame before the touch
-        then, earlier = (np.where(one > 0, one, now) for one in (self.variance, self.earlier))
+        then, earlier = (np.where(variance > 0, variance, now) for variance in (self.variance, self.earlier))
         since = now + np.square(self.share) * then
         result: Array = (np.where(self.begins, rest * now, since) + rest * earlier) / 2
         return result
@@ -64,18 +64,18 @@ class Touches:
     Attributes:
         length: (N,) consecutive frames in which the contact has covered each point; it stays at `LASTING` once reached.
         start: (N,) number of the frame in which the latest touch began, -1 before the first.
-        place, share, variance, earlier: (N, ...) of the present touch, as for `Touching`.
-        first, first_place: number of the frame and position of the very first touch, which may not have lasted.
+        position, share, variance, earlier: (N, ...) of the present touch, as for `Touching`.
+        first, first_position: number of the frame and position of the very first touch, which may not have lasted.
     """
 
     def __init__(self, points: int) -> None:
         self.points = points
         self.length = np.zeros(points, np.uint8)
         self.start = np.full(points, -1)
-        self.place = np.full((points, 2), np.nan)
+        self.position = np.full((points, 2), np.nan)
         self.share, self.variance, self.earlier = np.full((3, points), np.nan, np.float32)
         self.first = np.full(points, -1)
-        self.first_place = np.full((points, 2), np.nan)
+        self.first_position = np.full((points, 2), np.nan)
         # Positions, variances and border in the previous frame.
         self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
         self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
@@ -94,45 +94,45 @@ class Touches:
         before = np.concatenate((self._before, position))
         borders = Border(*(np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)))
         variances = np.concatenate((self._variance_before, variance))
-        self._before, self._border_before = before[-1:].copy(), borders.at(slice(-1, None))
+        self._before, self._border_before = before[-1:].copy(), borders.select(slice(-1, None))
         self._variance_before = variances[-1:].copy()
         steps, goes_on = len(frames), self.length > 0
         touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
-        place = np.repeat(np.where(goes_on[:, None], self.place, np.nan)[None], steps, axis=0)
+        start_position = np.repeat(np.where(goes_on[:, None], self.position, np.nan)[None], steps, axis=0)
         share, spread, earlier = (
-            np.repeat(np.where(goes_on, one, np.float32(np.nan))[None], steps, axis=0)
-            for one in (self.share, self.variance, self.earlier)
+            np.repeat(np.where(goes_on, values, np.float32(np.nan))[None], steps, axis=0)
+            for values in (self.share, self.variance, self.earlier)
         )
         # Skip the points with a lasting touch and those out of contact in all of these frames, which are most.
-        some = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
-        if not len(some):
-            return Touching(place, share, spread, earlier, touching, begins)
+        active = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
+        if not len(active):
+            return Touching(start_position, share, spread, earlier, touching, begins)
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
         # For points without a lasting touch: number of frames since the last one without contact.
-        left = np.maximum.accumulate(np.where(covered[:, some], 0, number), axis=0)
-        length = number - left + np.where(left == 0, self.length[some], 0)
+        left = np.maximum.accumulate(np.where(covered[:, active], 0, number), axis=0)
+        length = number - left + np.where(left == 0, self.length[active], 0)
         stays = np.logical_or.accumulate(length >= LASTING, axis=0)
         length = np.where(stays, LASTING, length).astype(np.uint8)
-        begin = (length == 1) & (np.concatenate((self.length[None, some], length[:-1])) == 0)
-        touching[:, some], begins[:, some] = length > 0, begin
+        begin = (length == 1) & (np.concatenate((self.length[None, active], length[:-1])) == 0)
+        touching[:, active], begins[:, active] = length > 0, begin
         at_border, passed = _border_crossings(before, borders, begins)
-        came = np.flatnonzero(begin.any(0) & (self.first[some] < 0))
-        first, points = begin[:, came].argmax(0), some[came]
-        self.first[points], self.first_place[points] = frames[first], at_border[first, points]
+        came = np.flatnonzero(begin.any(0) & (self.first[active] < 0))
+        first, points = begin[:, came].argmax(0), active[came]
+        self.first[points], self.first_position[points] = frames[first], at_border[first, points]
         began = np.maximum.accumulate(np.where(begin, number, 0), axis=0)
         here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
-        at = at * self.points + some
-        for values, given, none in (
-            (_as_complex(place), _as_complex(at_border), _NO_PAIR),
+        at = at * self.points + active
+        for values, new_values, none in (
+            (_as_complex(start_position), _as_complex(at_border), _NO_PAIR),
             (share, passed, np.float32(np.nan)),
             (spread, variance, np.float32(np.nan)),
             (earlier, np.nan_to_num(variances[:-1]), np.float32(np.nan)),
         ):
-            values[:, some] = np.where(here, np.where(new, given.ravel()[at], values[:, some]), none)
-        self.start[some] = np.where(new[-1], frames[began[-1] - 1], self.start[some])
-        self.length[some], self.place = length[-1], place[-1].copy()
+            values[:, active] = np.where(here, np.where(new, new_values.ravel()[at], values[:, active]), none)
+        self.start[active] = np.where(new[-1], frames[began[-1] - 1], self.start[active])
+        self.length[active], self.position = length[-1], start_position[-1].copy()
         self.share, self.variance, self.earlier = share[-1].copy(), spread[-1].copy(), earlier[-1].copy()
-        return Touching(place, share, spread, earlier, touching, begins)
+        return Touching(start_position, share, spread, earlier, touching, begins)
 
 
 def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
@@ -151,20 +151,20 @@ def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[A
     frame, point = np.nonzero(begins)
     now, before = position[frame + 1, point], position[frame, point]
     outside, inside = (
-        border.at(row).inside(place[:, None])[:, 0] for row, place in ((frame, before), (frame + 1, now))
+        border.select(row).inside(points[:, None])[:, 0] for row, points in ((frame, before), (frame + 1, now))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.where(inside > outside, np.clip(outside / (outside - inside), 0, 1), 0.5)
-    known = np.isfinite(before).all(-1)
-    share[frame, point] = np.where(known, passed, 1)
-    places = position[1:].copy()
-    places[frame[known], point[known]] += (passed[known, None] - 1) * (now - before)[known]
-    return places, share
+    valid = np.isfinite(before).all(-1)
+    share[frame, point] = np.where(valid, passed, 1)
+    positions = position[1:].copy()
+    positions[frame[valid], point[valid]] += (passed[valid, None] - 1) * (now - before)[valid]
+    return positions, share
 
 
-def _as_complex(places: Array) -> NDArray[np.complex128]:
+def _as_complex(positions: Array) -> NDArray[np.complex128]:
     """View positions (..., 2) as complex numbers x + i y, without copying.
 
     NumPy is several times slower over an axis of two.
     """
-    return places.view(np.complex128)[..., 0]
+    return positions.view(np.complex128)[..., 0]

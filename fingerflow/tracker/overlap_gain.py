@@ -10,7 +10,7 @@ Array = NDArray[Any]
 _FITS = 48  # number of points around which the factor is computed
 
 
-def overlap_gain(places: Array, window_px: int, gauge_px: float) -> float:
+def overlap_gain(positions: Array, window_px: int, gauge_px: float) -> float:
     """Return the factor by which the errors that points share in overlapping windows raise the variance of a gradient
     fitted over the gauge length, compared with independent errors: the median over some of the points.
 
@@ -18,15 +18,15 @@ def overlap_gain(places: Array, window_px: int, gauge_px: float) -> float:
     `OverlapErrors.variance_gain`, for displacements that count from the same frame.
 
     Args:
-        places: (N, 2) px, positions of the points; NaN for no point.
+        positions: (N, 2) px, positions of the points; NaN for no point.
         window_px: side of a window.
         gauge_px: gauge length of the fits.
     """
-    known = places[np.isfinite(places).all(-1)].astype(np.float64)
+    valid = positions[np.isfinite(positions).all(-1)].astype(np.float64)
     gains = []
-    for one in known[:: max(1, len(known) // _FITS)]:
-        weight = 1 - np.square(known - one).sum(1) / (gauge_px / 2) ** 2
-        near, weight = known[weight > 0], np.square(weight[weight > 0])
+    for centre in valid[:: max(1, len(valid) // _FITS)]:
+        weight = 1 - np.square(valid - centre).sum(1) / (gauge_px / 2) ** 2
+        near, weight = valid[weight > 0], np.square(weight[weight > 0])
         lever = weight[:, None] * (near - weight @ near / weight.sum())
         common = np.clip(1 - abs(near[:, None] - near) / window_px, 0, 1).prod(-1)
         alone = float(np.square(lever).sum())

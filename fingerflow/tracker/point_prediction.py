@@ -23,44 +23,44 @@ class PointMotion(NamedTuple):
     positions alone would carry their noise on into all predicted frames.
 
     Attributes:
-        place: (N, 2) px, NaN where there is no point.
+        position: (N, 2) px, NaN where there is no point.
         speed: (N, 2) px a frame.
         missing: (N,) frames for which a point was not found, 0 if it was found.
-        known: (N,) whether a point was found or its position was predicted from its neighbours.
+        valid: (N,) whether a point was found or its position was predicted from its neighbours.
         jolted: (N,) whether its position is off any predicted motion, as found by a search.
     """
 
-    place: Array
+    position: Array
     speed: Array
     missing: Array
-    known: Array
+    valid: Array
     jolted: Array
 
     @classmethod
     def at_rest(cls, points: Array) -> PointMotion:
         """Create the motion of points (N, 2) px that are at rest."""
-        known = known_of(points)
-        return cls(points, np.zeros_like(points), np.where(known, 0, _NEVER), known, np.zeros_like(known))
+        valid = is_finite(points)
+        return cls(points, np.zeros_like(points), np.where(valid, 0, _NEVER), valid, np.zeros_like(valid))
 
     def seeded(self, points: Array) -> PointMotion:
         """Create the motion of newly seeded points (N, 2) px, with the speed of tracked points nearby.
 
         The speed is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
         """
-        others = PointMotion.at_rest(points)
-        seen, given = np.flatnonzero(self.missing == 0), np.flatnonzero(others.known)
+        motion = PointMotion.at_rest(points)
+        seen, new = np.flatnonzero(self.missing == 0), np.flatnonzero(motion.valid)
         if len(seen) >= _AROUND:
-            apart = np.square(points[given, None] - self.place[None, seen]).sum(-1)
-            nearest = seen[np.argpartition(apart, _AROUND - 1, axis=1)[:, :_AROUND]]
-            others.speed[given] = np.median(self.speed[nearest], axis=1)
-        return others
+            distance = np.square(points[new, None] - self.position[None, seen]).sum(-1)
+            nearest = seen[np.argpartition(distance, _AROUND - 1, axis=1)[:, :_AROUND]]
+            motion.speed[new] = np.median(self.speed[nearest], axis=1)
+        return motion
 
     def expect(self, frames: int = 1) -> Array:
         """Predict the positions (N, 2) px of the points `frames` frames ahead."""
-        place: Array = self.place + self.speed * np.float32(min(frames, TRUSTED))
-        return place
+        position: Array = self.position + self.speed * np.float32(min(frames, TRUSTED))
+        return position
 
-    def see(
+    def update(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
     ) -> PointMotion:
         """Return the motion updated by the positions of the points measured in a later frame; a lost point takes the
@@ -73,41 +73,42 @@ class PointMotion(NamedTuple):
             jolted: (N,) points whose position is off any predicted motion.
         """
         points = points.copy()
-        known = known_of(points)
-        lost = np.flatnonzero(~known)
+        valid = is_finite(points)
+        lost = np.flatnonzero(~valid)
         missing = np.zeros_like(self.missing)
         if len(lost):
             missing[lost] = np.minimum(self.missing[lost] + frames, _NEVER)
             if by_neighbours is not None:
-                told = lost[known_of(self.place[lost]) & known_of(by_neighbours[lost])]
-                points[told] = by_neighbours[told]
-                known[told] = True
-        jolted = np.zeros_like(known) if jolted is None else jolted & known
+                predicted = lost[is_finite(self.position[lost]) & is_finite(by_neighbours[lost])]
+                points[predicted] = by_neighbours[predicted]
+                valid[predicted] = True
+        jolted = np.zeros_like(valid) if jolted is None else jolted & valid
         # A point that is found again may lie off its prediction. One such jolt is not taken for motion; two in a row
         # are.
-        moved = known & self.known & (self.jolted | ~jolted)
-        change = (points - self.place) / np.float32(frames) - self.speed
+        moved = valid & self.valid & (self.jolted | ~jolted)
+        change = (points - self.position) / np.float32(frames) - self.speed
         change *= np.float32(SPEED_WEIGHT)
         change[~moved] = 0
         change += self.speed
-        if len(lost) and len(gone := lost[~known[lost]]):
+        if len(lost) and len(gone := lost[~valid[lost]]):
             points[gone] = self.expect(frames)[gone]
             change[gone] = self.speed[gone] * np.float32(1 - 1 / SPEED_FRAMES)
-        return PointMotion(points, change, missing, known, jolted)
+        return PointMotion(points, change, missing, valid, jolted)
 
-    def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
-        """Return the motion after `frames` frames tracked in one engine call, which gave the final positions `place`
+    def followed(self, position: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
+        """Return the motion after `frames` frames tracked in one engine call, which gave the final positions `position`
         and speeds `speed` (N, 2).
 
         Points lost in the last frame (`points`) take the position predicted from their neighbours where there is one.
-        Other arguments are those of `see`.
+        Other arguments are those of `update`.
         """
-        after = self.see(points, frames, by_neighbours)
-        asked = (after.known & (after.missing > 0))[:, None]
-        return after._replace(place=np.where(asked, after.place, place), speed=np.where(asked, after.speed, speed))
+        after = self.update(points, frames, by_neighbours)
+        predicted = (after.valid & (after.missing > 0))[:, None]
+        position, speed = np.where(predicted, after.position, position), np.where(predicted, after.speed, speed)
+        return after._replace(position=position, speed=speed)
 
 
-def known_of(points: Array) -> Array:
+def is_finite(points: Array) -> Array:
     """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
-    known: Array = np.isfinite(points[..., 0] + points[..., 1])
-    return known
+    finite: Array = np.isfinite(points[..., 0] + points[..., 1])
+    return finite

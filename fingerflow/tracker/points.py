@@ -23,8 +23,8 @@ from fingerflow.engines.engine import (
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.curvature import curvature_variance
-from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, known_of
-from fingerflow.tracker.recovery import Look, Search, lost_points, recover, rejected, replaced
+from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, is_finite
+from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
@@ -38,15 +38,12 @@ class Knowledge:
     """Tracking conditions of a recording or a stream: whether later frames are known, and limits of computing time.
 
     Attributes:
-        lag: frames that a prediction leads ahead: 1 if each frame begins when the one before has ended, more if frames
-            are computed in parallel.
         ahead: True if later frames are known. Several frames may then be tracked in one call, and a point that fails
             the verification is rejected in all frames since the check before.
         searched: largest number of points searched for in one round of a frame; None for all.
         patience: frames for which a lost point is searched for; None for no limit.
     """
 
-    lag: int = 1
     ahead: bool = True
     searched: int | None = None
     patience: int | None = None
@@ -67,19 +64,6 @@ class _Pending(NamedTuple):
     rows: Array
     warp: Array
     prepared: list[TemplateBuffers]  # templates of the first rows, prepared in pieces ahead of time
-
-
-class Resolved(NamedTuple):
-    """Tracked points of a frame after lost ones were recovered and positions corrected for the deformation of the skin,
-    but before motion and templates are updated.
-
-    Attributes:
-        corrected: (1, N) points.
-        jolted: (N,) points that were searched for, or None.
-    """
-
-    corrected: Corrected
-    jolted: Array | None
 
 
 class Points:
@@ -134,10 +118,8 @@ class Points:
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
         self._index = 1  # number of the next frame
-        self._neighbours: Any = None  # for `Engine.outliers`, computed at its first call
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
-        self._key = engine.key(image)
-        self._templates = engine.prepare(self._key, points)
+        self._templates = engine.prepare(image, points)
 
     @property
     def start(self) -> Array:
@@ -152,15 +134,15 @@ class Points:
         return self._verification.correlation
 
     def __len__(self) -> int:
-        return len(self.motion.place)
+        return len(self.motion.position)
 
     @property
     def as_seeded(self) -> FoundPoints:
         """Return the tracking result (1, N) for the key frame itself, with all points at the seeded positions."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
-        status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
-        unknown = np.where(known_of(points), exact, np.float32(np.nan))
+        status = np.where(is_finite(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
+        unknown = np.where(is_finite(points), exact, np.float32(np.nan))
         covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
         return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
 
@@ -194,61 +176,53 @@ class Points:
             steps.append(step)
             done += count
         self.correction = np.concatenate(corrections)
-        found = steps[0] if len(steps) == 1 else FoundPoints(*map(np.concatenate, zip(*steps, strict=True)))
-        return self._verified(images, found) if self._knowledge.ahead else found
+        joined = join(steps, 0)
+        return self._verified(images, joined) if self._knowledge.ahead else joined
 
-    def curvature_variance(self, found: FoundPoints, around: FoundPoints | None = None) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of the positions `found` (n, N) by displacement since the key frame that is
+    def curvature_variance(self, tracked: FoundPoints, around: FoundPoints | None = None) -> NDArray[np.float32]:
+        """Return the variance (n, N) px^2 of the positions `tracked` (n, N) by displacement since the key frame that is
         curved within windows; `around` (n, A) is the result of the surrounding points.
         """
-        around = nothing_found(len(found.points)) if around is None else around
-        places = np.concatenate((found.points, around.points), axis=1)
-        return curvature_variance(self._engine, self._every, places)[:, : len(self)]
+        around = nothing_found(len(tracked.points)) if around is None else around
+        positions = np.concatenate((tracked.points, around.points), axis=1)
+        return curvature_variance(self._engine, self._every, positions)[:, : len(self)]
 
-    def look(self, image: Images, guess: Array) -> FoundPoints:
+    def track(self, image: Images, guess: Array) -> FoundPoints:
         """Track the points in one image near guessed positions (N, 2), without updating motion or templates.
 
         Any thread may call it while other frames are tracked.
         """
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess)).found
 
-    def resolve(
-        self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
-    ) -> Resolved:
-        """Recover the points (1, N) that `look` lost in a frame, and correct all positions for skin deformation.
+    def accept(
+        self, image: Images, guess: Array, tracked: FoundPoints, frames: int = 1, index: int | None = None
+    ) -> FoundPoints:
+        """Update motion and templates from a usable frame, `frames` after the last, whose points (1, N) `track` found
+        near `guess` (N, 2); return them.
 
-        `frames` counts from the last accepted frame. Frames are given in order. Motion and templates are not updated.
-        """
-        found, jolted = self._recovered(image, guess, found, frames)
-        return Resolved(self._corrected(found, nothing_found(1) if around is None else around), jolted)
-
-    def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
-        """Update motion and templates from a usable frame, `frames` after the last, verify the points (1, N) by their
-        windows in the image, and return them.
-
-        `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
-        begun.
+        Lost points are recovered, positions corrected for the deformation of the skin, and all points are verified by
+        their windows in the image. Frames are given in order. `index` is the number of the frame in a stream.
         """
         if index is not None:
             self._index = index
-        return self._verified(image, self._accepted(resolved, frames, image))
+        return self._verified(image, self._accepted(image, guess, tracked, frames, nothing_found(1)))
 
     def changes(self, index: int) -> bool:
         """Return whether template updates are due before frame `index`; all earlier frames must finish first."""
-        return any(one.due <= index for one in self._pending)
+        return any(pending.due <= index for pending in self._pending)
 
     def update_due(self, index: int) -> None:
         """Carry out the template updates that are due before frame `index`, in the order in which they were planned."""
         while self._pending and self._pending[0].due <= index:
             with self._preparing:
-                one = self._pending.pop(0)
-                self._prepare_rows(one, len(one.rows))
+                pending = self._pending.pop(0)
+                self._prepare_rows(pending, len(pending.rows))
             done = 0
-            for piece in one.prepared:
-                rows = one.rows[done : done + len(piece.numbers)]
-                self._engine.update(self._templates, rows, piece)
+            for piece in pending.prepared:
+                rows = pending.rows[done : done + len(piece.numbers)]
+                self._templates.update(rows, piece)
                 done += len(rows)
-            self._inverse_warp[one.rows] = inverse_2x2(one.warp)
+            self._inverse_warp[pending.rows] = inverse_2x2(pending.warp)
 
     def prepare_ahead(self) -> None:
         """Prepare part of the templates of the next planned update, so that no frame waits for all of them.
@@ -264,26 +238,24 @@ class Points:
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
-        some = slice(done, done + rows)
+        part = slice(done, done + rows)
         if done < len(pending.rows):
-            start = self.start[pending.rows[some]]
-            pending.prepared.append(self._engine.prepare(self._key, start, pending.warp[some]))
+            start = self.start[pending.rows[part]]
+            pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[part]))
 
     def _step(self, images: Images, around: FoundPoints) -> FoundPoints:
         self.update_due(self._index)
         guess = self.expect()
         if len(images) == 1:
-            frames = self._gap + 1
-            resolved = self.resolve(images, guess, self.look(images, guess), frames, around)
-            return self._accepted(resolved, frames, images)
+            return self._accepted(images, guess, self.track(images, guess), self._gap + 1, around)
         speed = self.motion.speed
-        followed = self._engine.follow(self._templates, images, guess - speed, speed)
+        followed = self._engine.track(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
 
     def _track_image(self, image: Images, guess: Array, rows: Array) -> FoundPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
-        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess), rows).found
+        return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
 
     def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> FoundPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
@@ -296,123 +268,112 @@ class Points:
         corrected = self._corrected(followed.found, around)
         last, expected = corrected.found.points[-1], corrected.expected[-1]
         self.motion = before.followed(followed.place, followed.speed, last, frames, expected)
-        return self._checked_templates(corrected, before.place, len(images))
+        return self._checked_templates(corrected, before.position, len(images))
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Followed:
         """Recover points, with indices `rows`, that were lost in any of several images: track them again image by
         image, and search for them where tracking fails.
         """
-        motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
+        motion, frames, gap = PointMotion(*(values[rows] for values in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
             guess = motion.expect(gap + 1)
-            found = self._track_image(image, guess, rows)
-            look, search = self._track_and_search(image, rows)
-            found, searched = recover(found, guess, np.ones(len(rows), dtype=bool), look, search)
-            motion = motion.see(found.points[0], gap + 1, jolted=searched)
-            every.append(found)
+            tracked = self._track_image(image, guess, rows)
+            track, search = self._track_and_search(image, rows)
+            tracked, searched = recover(tracked, guess, np.ones(len(rows), dtype=bool), track, search)
+            motion = motion.update(tracked.points[0], gap + 1, jolted=searched)
+            frames.append(tracked)
             gap = 0
-        found = replaced(followed.found, rows, FoundPoints(*map(np.concatenate, zip(*every, strict=True))))
-        place, speed = followed.place.copy(), followed.speed.copy()
-        place[rows], speed[rows] = motion.place, motion.speed
-        return Followed(found, place, speed)
+        tracked = replaced(followed.found, rows, join(frames, 0))
+        position, speed = followed.place.copy(), followed.speed.copy()
+        position[rows], speed[rows] = motion.position, motion.speed
+        return Followed(tracked, position, speed)
 
-    def _track_and_search(self, image: Images, rows: Array) -> tuple[Look, Search]:
+    def _track_and_search(self, image: Images, rows: Array) -> tuple[Track, Search]:
         """Return two functions for `recover`: one tracks the points `rows` in an image, the other searches for them.
 
         They number these points from 0.
         """
 
-        def look(places: Array, some: Array) -> FoundPoints:
-            return self._track_image(image, places, rows[some])
+        def track(positions: Array, numbers: Array) -> FoundPoints:
+            return self._track_image(image, positions, rows[numbers])
 
-        def search(some: Array, guess: Array) -> tuple[Array, Array]:
-            return self._engine.search(self._key, image, self.start[rows[some]], guess)
+        def search(numbers: Array, guess: Array) -> tuple[Array, Array]:
+            return self._engine.search(self._templates, image, self.start[rows[numbers]], guess)
 
-        return look, search
+        return track, search
 
-    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> FoundPoints:
-        before, corrected = self.motion, resolved.corrected
-        self.motion = before.see(corrected.found.points[0], frames, corrected.expected[0], resolved.jolted)
-        return self._checked_templates(corrected, before.place, 1, image)
+    def _accepted(
+        self, image: Images, guess: Array, tracked: FoundPoints, frames: int, around: FoundPoints
+    ) -> FoundPoints:
+        """Recover the points (1, N) lost in a frame, correct all positions for the deformation of the skin, and
+        update the motion; `around` (1, A) are the surrounding points.
+        """
+        tracked, jolted = self._recovered(image, guess, tracked, frames)
+        before, corrected = self.motion, self._corrected(tracked, around)
+        self.motion = before.update(corrected.found.points[0], frames, corrected.expected[0], jolted)
+        return self._checked_templates(corrected, before.position, 1, image)
 
     def _recovered(
-        self, image: Images, guess: Array, found: FoundPoints, frames: int
+        self, image: Images, guess: Array, tracked: FoundPoints, frames: int
     ) -> tuple[FoundPoints, Array | None]:
         """Recover the lost points of a frame by tracking them again and by searching for them.
 
         Return the result, and the points (N,) that were searched for (None if none).
         """
         patience = self._knowledge.patience
-        wanted = self.motion.missing < (np.inf if patience is None else patience)
-        lost = lost_points(found.status[0]) & wanted
+        searchable = self.motion.missing < (np.inf if patience is None else patience)
+        lost = lost_points(tracked.status[0]) & searchable
         if not lost.any():
-            return found, None
+            return tracked, None
         expected = self.motion.expect(frames)
         if not np.array_equal(guess, expected, equal_nan=True):
             # By now the frames in between are known, and a prediction from them is closer.
             guess = expected
             rows = np.flatnonzero(lost)
-            found = replaced(found, rows, self._track_image(image, guess[rows], rows))
-            lost &= lost_points(found.status[0])
+            tracked = replaced(tracked, rows, self._track_image(image, guess[rows], rows))
+            lost &= lost_points(tracked.status[0])
         searched = None
         if self._engine.settings.search_px and lost.any():
-            look, search = self._track_and_search(image, np.arange(len(self)))
-            limits = self._knowledge.searched, self._by_neighbours
-            found, searched = recover(found, guess, wanted, look, search, *limits)
-        return found, searched
+            track, search = self._track_and_search(image, np.arange(len(self)))
+            limits = self._knowledge.searched, self._predict_from_neighbours
+            tracked, searched = recover(tracked, guess, searchable, track, search, *limits)
+        return tracked, searched
 
-    def _by_neighbours(self, found: FoundPoints) -> Array:
+    def _predict_from_neighbours(self, tracked: FoundPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        places: Array = self._corrected(found, nothing_found(1)).expected[0]
-        return places
+        positions: Array = self._corrected(tracked, nothing_found(1)).expected[0]
+        return positions
 
-    def _corrected(self, found: FoundPoints, around: FoundPoints) -> Corrected:
+    def _corrected(self, tracked: FoundPoints, around: FoundPoints) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
 
         With template "previous" the points are returned unchanged.
         """
         if not self._by_key:
-            unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
-            nothing = np.zeros(found.status.shape, np.float32)
-            return Corrected(found, unchanged, nothing, np.full_like(found.points, np.nan))
-        count, others = len(self), around.status.shape[1]
-        if others:
-            found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
-        numbers, inverse_warp = self._template_data(others)
-        judged = self._mark_outliers(found)
-        corrected = self._engine.correct(self._every, judged, numbers, inverse_warp)
-        if not others:
+            unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*tracked.status.shape, 2, 2))
+            nothing = np.zeros(tracked.status.shape, np.float32)
+            return Corrected(tracked, unchanged, nothing, np.full_like(tracked.points, np.nan))
+        extra = around.status.shape[1]
+        together = join([tracked, around], 1) if extra else tracked
+        corrected = self._engine.correct(self._every, together, *self._template_data(extra))
+        if not extra:
             return corrected
-        own = slice(count)
-        return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
+        seeded = slice(len(self))
+        return Corrected(corrected.found.of(slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
 
-    def _mark_outliers(self, found: FoundPoints) -> FoundPoints:
-        """Mark outliers: points that deviate from their neighbours, or are far more uncertain than their neighbours."""
-        if len(self._every) < 2:  # no point has a neighbour
-            return found
-        if self._neighbours is None:
-            self._neighbours = self._engine.neighbours(self._every)
-        off_neighbours, uncertain = self._engine.outliers(self._neighbours, self._every, found)
-        tracked = found.status == TrackStatus.TRACKED
-        uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
-        for which, status in ((uncertain, TrackStatus.UNCERTAIN), (off_neighbours, TrackStatus.OFF_NEIGHBOURS)):
-            if which.any():
-                found = rejected(found, which, status)
-        return found
-
-    def _template_data(self, others: int) -> tuple[Array, Array]:
+    def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
-        by default values for `others` surrounding points, which have no templates.
+        by default values for `surrounding` surrounding points, which have no templates.
 
         Those of the A surrounding points are zero but for COVARIANCE_XX = 1, and the identity.
         """
         numbers = self._templates.numbers
-        if not others:
+        if not surrounding:
             return numbers, self._inverse_warp
-        none = np.zeros((others, numbers.shape[1]), np.float32)
+        none = np.zeros((surrounding, numbers.shape[1]), np.float32)
         none[:, Number.COVARIANCE_XX] = 1.0
-        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (others, 2, 2))
+        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (surrounding, 2, 2))
         return np.concatenate((numbers, none)), np.concatenate((self._inverse_warp, unchanged))
 
     def _checked_templates(
@@ -427,14 +388,13 @@ class Points:
         self._gap = 0
         self._followed += frames
         self._index += frames
-        found, self._last = corrected.found, corrected
+        points, self._last = corrected.found, corrected
         if not self._by_key:
             assert image is not None
-            self._key = self._engine.key(image)
-            self._templates = self._engine.prepare(self._key, found.points[0])
+            self._templates = self._engine.prepare(image, points.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
-        return found._replace(estimate=_last_seen(found.points, before))
+        return points._replace(estimate=_last_seen(points.points, before))
 
     def _plan_template_update(self, warp: Array, shift: Array) -> None:
         """Plan new templates for the points whose window edges the deformation `warp` (N, 2, 2) has moved by more than
@@ -454,11 +414,10 @@ class Points:
             much[pending.rows] = False
         rows = np.flatnonzero(much)
         if len(rows):
-            begun = self._knowledge.lag - 1  # later frames that may have begun
-            later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
+            later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
-    def _verified(self, images: Images, found: FoundPoints) -> FoundPoints:
+    def _verified(self, images: Images, points: FoundPoints) -> FoundPoints:
         """Reject points whose window no longer resembles that in the key frame, or which dust on the glass holds back;
         return all points (n, N).
 
@@ -466,33 +425,32 @@ class Points:
         """
         check = self._verification.check
         if self._knowledge.ahead:
-            verified = check(images, found.points, found.status, self._last_warp())
+            verified = check(images, points.points, points.status, self._last_warp())
         else:
             if self._followed % MOST_FRAMES == 0:
-                check(images, found.points, found.status, self._last_warp())
+                check(images, points.points, points.status, self._last_warp())
             verified = self._verification.latest
-        covariance = found.covariance
+        covariance = points.covariance
         if not self._by_key:
-            covariance = self._since_start(found.variance)[..., None, None] * np.eye(2, dtype=np.float32)
+            covariance = self._since_start(points.variance)[..., None, None] * np.eye(2, dtype=np.float32)
         if verified.variance.any():
             covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
-        found = found._replace(covariance=covariance)
-        tracked = found.status == TrackStatus.TRACKED
+        points = points._replace(covariance=covariance)
+        tracked = points.status == TrackStatus.TRACKED
         for which, status in (
             (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
             (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
         ):
-            if which.any():
-                found = rejected(found, which, status)
-        return found
+            points = points.rejected(which, status)
+        return points
 
     def _last_warp(self) -> Array:
         """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the
         key frame; NaN where unknown.
         """
         assert self._last is not None
-        warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
-        return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
+        warp, valid = self._last.warp[-1], is_finite(self._last.expected[-1])
+        return np.where(valid[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
         """Return the position variance (n, N) px^2 accumulated since the points were seeded: the sum over all
@@ -504,10 +462,11 @@ class Points:
         return result
 
 
-def beside(parts: list[FoundPoints]) -> FoundPoints:
-    """Join the tracking results of several groups of points in the same frames to one result."""
-    some = [one for one in parts if one.status.shape[1]] or parts[:1]
-    return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
+def join(parts: list[FoundPoints], axis: int) -> FoundPoints:
+    """Join the tracking results of successive frames (`axis` 0), or of groups of points in the same frames (1)."""
+    return (
+        parts[0] if len(parts) == 1 else FoundPoints(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
+    )
 
 
 def _last_seen(points: Array, before: Array) -> Array:
@@ -516,13 +475,13 @@ def _last_seen(points: Array, before: Array) -> Array:
 
     In the first frame it is that of `before` (N, 2).
     """
-    places = points.copy()
-    for one in places:
-        gone = ~known_of(one)
+    positions = points.copy()
+    for frame in positions:
+        gone = ~is_finite(frame)
         if gone.any():
-            one[gone] = before[gone]
-        before = one
-    return places
+            frame[gone] = before[gone]
+        before = frame
+    return positions
 
 
 def _update_interval(fastest: float) -> int:

@@ -13,7 +13,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
-Look = Callable[[Array, Array], FoundPoints]
+Track = Callable[[Array, Array], FoundPoints]
 #: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
 #: there returns to the start (L,).
 Search = Callable[[Array, Array], tuple[Array, Array]]
@@ -32,10 +32,10 @@ def lost_points(status: Array) -> Array:
 
 
 def recover(
-    found: FoundPoints,
+    points: FoundPoints,
     guess: Array,
-    wanted: Array,
-    look: Look,
+    searchable: Array,
+    track: Track,
     search: Search,
     most: int | None = None,
     by_neighbours: Callable[[FoundPoints], Array] | None = None,
@@ -48,67 +48,57 @@ def recover(
     give the displacement of all.
 
     Args:
-        wanted: (N,) points to search for if they are lost.
-        look: tracks some rows in the frame.
+        searchable: (N,) points to search for if they are lost.
+        track: tracks some rows in the frame.
         search: searches for some rows around their guesses, as `Engine.search`.
         most: largest number of points searched for in one round; None for all.
         by_neighbours: returns positions (N, 2) px predicted from neighbours, given the points found so far.
     """
-    searched = np.zeros(len(wanted), dtype=bool)
-    left = wanted & lost_points(found.status[0])
+    searched = np.zeros(len(searchable), dtype=bool)
+    left = searchable & lost_points(points.status[0])
     for _ in range(ROUNDS):
-        rows = np.flatnonzero(left & lost_points(found.status[0]))
+        rows = np.flatnonzero(left & lost_points(points.status[0]))
         if not len(rows):
             break
-        some = rows
+        sample = rows
         if most is not None and len(rows) > most:
             # Points are ordered by strength, which is unrelated to position: equal steps sample the whole view.
-            some = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
-        left[some] = False
-        places, returns = search(some, guess[some])
-        found = replaced(found, some, _reject_unreturned(look(places, some), returns, guess[some]))
-        searched[some] = True
-        if len(some) == len(rows) or by_neighbours is None:
+            sample = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
+        left[sample] = False
+        positions, returns = search(sample, guess[sample])
+        points = replaced(points, sample, _reject_unreturned(track(positions, sample), returns, guess[sample]))
+        searched[sample] = True
+        if len(sample) == len(rows) or by_neighbours is None:
             break
-        if np.mean(found.status[0, some] == TrackStatus.TRACKED) < _YIELD:
+        if np.mean(points.status[0, sample] == TrackStatus.TRACKED) < _YIELD:
             break
-        places = by_neighbours(found)
-        away = np.abs(places - guess).max(-1) > _NEARER  # False where the position is unknown
-        others = np.flatnonzero(wanted & lost_points(found.status[0]) & away)
-        if len(others):
-            found = replaced(found, others, look(places[others], others))
-            searched[others] = True
-    return found, searched
+        positions = by_neighbours(points)
+        away = np.abs(positions - guess).max(-1) > _NEARER  # False where the position is unknown
+        predicted = np.flatnonzero(searchable & lost_points(points.status[0]) & away)
+        if len(predicted):
+            points = replaced(points, predicted, track(positions[predicted], predicted))
+            searched[predicted] = True
+    return points, searched
 
 
-def _reject_unreturned(found: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
+def _reject_unreturned(points: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
     """Reject points (1, L) whose backward search does not lead back to the start, with the status FORWARD_BACKWARD.
 
     `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
     the start by at most the forward-backward limit plus 1 px, the accuracy of a search.
     """
-    wrong = ~returns[None] & (found.status == TrackStatus.TRACKED)
+    wrong = ~returns[None] & (points.status == TrackStatus.TRACKED)
     if not wrong.any():
-        return found
-    estimate = np.where(wrong[..., None], guess, found.estimate)
-    return rejected(found, wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
+        return points
+    estimate = np.where(wrong[..., None], guess, points.estimate)
+    return points.rejected(wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
 
 
-def rejected(found: FoundPoints, which: Array, status: TrackStatus) -> FoundPoints:
-    """Return the tracking results with the points marked in `which` (n, N) rejected: their positions and covariances
-    are NaN, their status is `status`.
-    """
-    points, covariance = found.points.copy(), found.covariance.copy()
-    points[which] = covariance[which] = np.nan
-    changed = np.where(which, np.uint8(status), found.status)
-    return found._replace(points=points, covariance=covariance, status=changed)
-
-
-def replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
-    """Return the tracking results `found` (n, N) with those of the L points of indices `rows` replaced by `again` (n,
+def replaced(points: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
+    """Return the tracking results `points` (n, N) with those of the L points of indices `rows` replaced by `again` (n,
     L).
     """
-    result = FoundPoints(*(one.copy() for one in found))
+    result = FoundPoints(*(values.copy() for values in points))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part
     return result

@@ -68,18 +68,18 @@ class SlipFlag:
         In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
         moved = before - self._touched if len(self._touched) else np.full_like(before, np.nan)
-        known, given = np.isfinite(moved).all(-1), np.isfinite(points).all(-1)
+        valid, new = np.isfinite(moved).all(-1), np.isfinite(points).all(-1)
         self._touched = np.full(points.shape, np.nan)
-        if known.sum() >= _FEWEST:
-            apart = np.square(points[given, None] - before[None, known]).sum(-1)
-            nearest = np.argpartition(apart, _NEAREST - 1, axis=1)[:, :_NEAREST]
-            weight = 1 / (np.take_along_axis(apart, nearest, axis=1) + 1)[..., None]
-            by_nearest = (weight * moved[known][nearest]).sum(1) / weight.sum(1)
-            self._touched[given] = points[given] - by_nearest
+        if valid.sum() >= _FEWEST:
+            distance = np.square(points[new, None] - before[None, valid]).sum(-1)
+            nearest = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
+            weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
+            by_nearest = (weight * moved[valid][nearest]).sum(1) / weight.sum(1)
+            self._touched[new] = points[new] - by_nearest
         else:
             self._held |= self.slipping
 
-    def see(self, points: Array, std: Array, covered: Array) -> SlipState:
+    def update(self, points: Array, std: Array, covered: Array) -> SlipState:
         """Add the next frame, and return the slip residual and slip flag of that frame.
 
         Args:
@@ -90,23 +90,23 @@ class SlipFlag:
         if not len(self._touched):
             self._touched = np.full(points.shape, np.nan)
         # Use complex numbers, since NumPy takes several times as long over an axis of two.
-        place, touched = (
+        position, touched = (
             np.ascontiguousarray(points, np.float64).view(np.complex128)[:, 0],
             self._touched.view(np.complex128)[:, 0],
         )
-        known = np.isfinite(place)
+        finite = np.isfinite(position)
         covered = covered.astype(bool, copy=False)
-        begins = covered & known & np.isnan(touched)
+        begins = covered & finite & np.isnan(touched)
         if begins.any():
-            touched[begins] = place[begins]
+            touched[begins] = position[begins]
         touched[~covered] = np.nan
-        used = np.flatnonzero(known & np.isfinite(touched) & np.isfinite(std))
+        used = np.flatnonzero(finite & np.isfinite(touched) & np.isfinite(std))
         residual, ahead, spread, noise = math.nan, math.nan, math.nan, math.nan
         if len(used) >= _FEWEST:
-            residual = rigid_residual_rms(touched[used], place[used])
-            ahead, spread = rim_motion(touched[used], place[used])
-            some = std[used].astype(np.float64)
-            noise = _RAISED * math.sqrt(float(some @ some) / len(some))
+            residual = rigid_residual_rms(touched[used], position[used])
+            ahead, spread = rim_motion(touched[used], position[used])
+            deviations = std[used].astype(np.float64)
+            noise = _RAISED * math.sqrt(float(deviations @ deviations) / len(deviations))
         self._held &= bool(covered.any())
         # Too few points in contact neither raise nor withdraw the flag: comparisons with NaN are False.
         unknown = self._held or (math.isnan(residual) and bool(covered.any()))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_copies import REPEATED_SHARE, key_of
+from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
-from fingerflow.tracker.frame_returns import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary
+from fingerflow.tracker.frame_jumps import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary_limit
 
 Array = NDArray[Any]
 
@@ -30,7 +30,7 @@ _LIT = 0.3  # share of the mean light: lines of the empty glass with less are no
 
 class Picture(NamedTuple):
     """Sampled pixels of each view of a frame, the contact view first, and the hash by which exact copies are recognised
-    (`frame_copies.key_of`).
+    (`frame_copies.frame_key`).
     """
 
     samples: tuple[PixelSamples, ...]
@@ -44,7 +44,7 @@ class FrameCheck:
     - Lost lines: lines of the contact view without light, in up to `LONGEST` frames in a row; then it is the camera's.
     - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
       compared, and only if no more than a fifth of the last frames repeat others.
-    - Jumps and returns: the rule of a recording (`frame_returns.is_jump`). A frame far from the last usable one is
+    - Jumps and returns: the rule of a recording (`frame_jumps.is_jump`). A frame far from the last usable one is
       deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
       motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
       16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end do not count.
@@ -71,15 +71,15 @@ class FrameCheck:
         self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
-    def look(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
+    def inspect(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
         """Sample all views (1, 1, H, W), and determine the frame status from this frame alone.
 
         Any thread may call it.
         """
-        every = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
-        (contact, lines), *others = (_blocks(view[0]) for view in every)
+        images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
+        (contact, lines), *rest = (_blocks(view[0]) for view in images)
         picture = Picture(
-            tuple(PixelSamples.of(view) for view in every), key_of([contact, *(one for one, _ in others)])
+            tuple(PixelSamples.sample(view) for view in images), frame_key([contact, *(blocks for blocks, _ in rest)])
         )
         if float(contact.mean()) < self._least:
             return picture, _DARK
@@ -87,13 +87,13 @@ class FrameCheck:
             return picture, _SATURATED
         return picture, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
 
-    def see(self, number: int, picture: Picture, status: int) -> tuple[list[int], int | None]:
+    def update(self, number: int, picture: Picture, status: int) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
         that are thereby decided, and that of this frame.
 
         Args:
             number: of the frame.
-            picture, status: results of `look`.
+            picture, status: results of `inspect`.
 
         Returns:
             The statuses of the first deferred frames, in order, empty if all stay deferred or there are none; and that
@@ -127,12 +127,12 @@ class FrameCheck:
             self._deferred.append(frame)
             return [], None
         # The image does not return, so the first deferred frame is usable; the frames behind it are judged again.
-        first, *others = self._deferred
+        first, *rest = self._deferred
         self._deferred = []
         self._count(first)
         decided = [USABLE]
-        for one in others:
-            before, status = self._judged(one)
+        for later in rest:
+            before, status = self._judged(later)
             decided += before if status is None else [*before, status]
         before, status = self._judged(frame)
         return [*decided, *before], status
@@ -141,7 +141,7 @@ class FrameCheck:
         """Decide that none of the deferred frames is usable, and return their statuses: their own fault, or else a jump
         of the image.
         """
-        result = [_JUMPS if one.status == USABLE else one.status for one in self._deferred]
+        result = [_JUMPS if frame.status == USABLE else frame.status for frame in self._deferred]
         self._deferred = []
         return result
 
@@ -151,7 +151,7 @@ class FrameCheck:
         They do not count, unless too few steps are known to tell what is usual.
         """
         few = len(self._steps) < NEARBY
-        statuses = [one.status for one in self._deferred]
+        statuses = [frame.status for frame in self._deferred]
         return statuses if few else self.settle()
 
     def _repeats(self, key: bytes) -> bool:
@@ -174,7 +174,7 @@ class FrameCheck:
         usual = self._usual() * gap**2
         step = frame.squared_distance(self._last)
         # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
-        return is_far(step, usual) and is_far(step, usual, self._known())
+        return is_far(step, usual) and is_far(step, usual, self._ordinary())
 
     def _comes_back(self, frame: _Seen) -> bool:
         """Return whether the image has jumped away in the deferred frames and returns, with this frame, to that of the
@@ -183,25 +183,25 @@ class FrameCheck:
         assert self._last is not None
         if frame.number - self._last.number > LONGEST + 1:
             return False
-        first, *others = [one for one in self._deferred if one.status == USABLE]
+        first, *rest = [step_frame for step_frame in self._deferred if step_frame.status == USABLE]
         into, latest, within = first.squared_distance(self._last), first, np.zeros_like(self._steps[0])
-        for one in others:
-            within, latest = np.maximum(within, one.squared_distance(latest)), one
-        out_of, between = (frame.squared_distance(one) for one in (latest, self._last))
-        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._known())
+        for step_frame in rest:
+            within, latest = np.maximum(within, step_frame.squared_distance(latest)), step_frame
+        out_of, between = (frame.squared_distance(step_frame) for step_frame in (latest, self._last))
+        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._ordinary())
 
     def _usual(self) -> Array:
         """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
-        the latest one and the limit `ordinary` of recent ones.
+        the latest one and the `ordinary_limit` of recent ones.
         """
         steps = np.stack([*self._steps][-NEARBY:])
-        most = ordinary(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
+        most = ordinary_limit(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
         result: Array = np.maximum(most, steps[-1])
         return result
 
-    def _known(self) -> Ordinary:
+    def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)
-        return Ordinary.of(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
+        return Ordinary.estimate(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
 
 
 class _Seen(NamedTuple):
@@ -218,7 +218,7 @@ class _Seen(NamedTuple):
         sequence.
         """
         pairs = zip(self.picture.samples, before.picture.samples, strict=True)
-        return np.concatenate([squared_distances(one, other)[0] for one, other in pairs])
+        return np.concatenate([squared_distances(now, then)[0] for now, then in pairs])
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:

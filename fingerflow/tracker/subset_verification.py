@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import STEP, Engine, Images
+from fingerflow.engines.engine import STEP, Engine, Images, noise_of
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
@@ -87,53 +87,53 @@ class Verification:
         # Number of the last image with the point tracked, counted from 1; 0 if there is none.
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)
-        places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
+        positions = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
 
-        def sample(number: Array, places: Array, warp: Array) -> Array:
-            return self._engine.windows(images, number, places, warp, STEP)
+        def sample(number: Array, positions: Array, warp: Array) -> Array:
+            return self._engine.windows(images, number, positions, warp, STEP)
 
-        alike = compare(self._first, sample(number, places, warp))
-        apart = 1 - alike.correlation
-        noise: float = self._engine.noise(images[frames - 1 :])
+        alike = compare(self._first, sample(number, positions, warp))
+        loss = 1 - alike.correlation
+        noise = noise_of(self._engine, images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
-        known = np.sort(apart[np.isfinite(apart)])
-        usual = _USUAL * known[(len(known) - 1) // 2] if len(known) else 0.0
+        finite = np.sort(loss[np.isfinite(loss)])
+        usual = _USUAL * finite[(len(finite) - 1) // 2] if len(finite) else 0.0
         limit = np.clip(usual, _ALIKE, _MOST) + _NOISE * noise_part
-        suspect = np.flatnonzero(apart > limit)
+        suspect = np.flatnonzero(loss > limit)
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
             # limit.
-            some = (number[suspect], places[suspect])
+            present = (number[suspect], positions[suspect])
             better = deformed_alike(
-                self._first[suspect], sample, *some, warp[suspect], self._engine.settings.window_px, STEP
+                self._first[suspect], sample, *present, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = 1 - compare(self._first[suspect], sample(*some, better)).correlation
-            apart[suspect] = np.where(np.isnan(again), apart[suspect], np.minimum(again, apart[suspect]))
-        before, unknown = self.latest, np.isnan(apart)
-        shift, deviations, excluded = self._shifts(sample, number, places, warp, alike, noise)
+            again = 1 - compare(self._first[suspect], sample(*present, better)).correlation
+            loss[suspect] = np.where(np.isnan(again), loss[suspect], np.minimum(again, loss[suspect]))
+        before, unknown = self.latest, np.isnan(loss)
+        shift, deviations, excluded = self._shifts(sample, number, positions, warp, alike, noise)
         away = np.square(shift).sum(1)
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
-        self.correlation = (1 - apart).astype(np.float32)
+        self.correlation = (1 - loss).astype(np.float32)
         # A point that cannot be checked keeps its previous result.
-        found = Verified(apart > limit, held, (away / 2).astype(np.float32))
-        self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, found, strict=True)))
+        verified = Verified(loss > limit, held, (away / 2).astype(np.float32))
+        self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, verified, strict=True)))
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 
     def _shifts(
-        self, sample: Sampler, number: Array, places: Array, warp: Array, alike: Alike, noise: float
+        self, sample: Sampler, number: Array, positions: Array, warp: Array, alike: Alike, noise: float
     ) -> tuple[Array, Array, Array]:
         """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
         standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
         do; all are 0 for other windows.
         """
         shift, (deviations, excluded) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
-        known = np.sort(alike.residual[np.isfinite(alike.residual)])
-        if len(known):
-            usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
-            some = np.flatnonzero(alike.largest > _PEAK * usual)
-            if len(some):
-                given = (number[some], places[some], warp[some], math.sqrt(2) * noise)
-                found = shifted_alike(self._first[some], sample, *given)
-                shift[some], deviations[some], excluded[some] = found.shift, found.deviations, found.excluded
+        residuals = np.sort(alike.residual[np.isfinite(alike.residual)])
+        if len(residuals):
+            usual = max(float(residuals[(len(residuals) - 1) // 2]), math.sqrt(2) * noise)
+            suspect = np.flatnonzero(alike.largest > _PEAK * usual)
+            if len(suspect):
+                present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
+                fit = shifted_alike(self._first[suspect], sample, *present)
+                shift[suspect], deviations[suspect], excluded[suspect] = fit.shift, fit.deviations, fit.excluded
         return shift, deviations, excluded

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.library import is_present
+from fingerflow.kernels.library import is_present, run
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
-from fingerflow.kernels.window_match import Shifts, shift_windows
 
 Array = NDArray[Any]
 #: Function that returns the grey levels (N, m) of windows in frames (N,) around places (N, 2) px, deformed by warps
@@ -24,6 +23,22 @@ _ROUNDS = 4
 _BESIDE = 0.5  # px, half the step of the central differences
 _FARTHEST = 0.15  # largest change of a component of the deformation in one iteration
 _SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
+
+
+class Shifts(NamedTuple):
+    """Shifts by which most samples of N windows match those of earlier windows best.
+
+    Attributes:
+        shift: (N, 2) px; 0 for a window with a sample that is NaN or infinite.
+        weight: (N, m) of the samples in the fit; 0 for samples that do not match.
+        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
+        excluded: (N,) share of the samples that do not match.
+    """
+
+    shift: Array
+    weight: Array
+    deviations: Array
+    excluded: Array
 
 
 class Alike(NamedTuple):
@@ -45,9 +60,9 @@ def compare(then: Array, now: Array) -> Alike:
     """Compare N pairs of windows (N, m) of m grey levels, float32: compute their correlation, which is independent of
     gain and offset, and what a linear function of the first window leaves of the second one.
     """
-    before, after = (one - one.mean(1, keepdims=True) for one in (then, now))
-    square, covariance, other = (_mean_product(*pair) for pair in ((before, before), (before, after), (after, after)))
-    variances = square * other
+    before, after = (windows - windows.mean(1, keepdims=True) for windows in (then, now))
+    square, covariance = _mean_product(before, before), _mean_product(before, after)
+    variances = square * _mean_product(after, after)
     with np.errstate(invalid="ignore", divide="ignore"):
         residual = after - (covariance / square)[:, None] * before
     correlation = covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE))
@@ -55,14 +70,14 @@ def compare(then: Array, now: Array) -> Alike:
     return Alike(correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1))
 
 
-def _mean_product(one: Array, other: Array) -> Array:
+def _mean_product(first: Array, second: Array) -> Array:
     """Return the means (N,) of the products of two arrays (N, m) along their rows."""
-    result: Array = np.einsum("nm,nm->n", one, other) / one.shape[1]
+    result: Array = np.einsum("nm,nm->n", first, second) / first.shape[1]
     return result
 
 
 def deformed_alike(
-    first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
+    first: Array, sample: Sampler, number: Array, positions: Array, warp: Array, window: int, step: int
 ) -> Array:
     """Fit the deformation gradients (N, 2, 2), starting from `warp`, with which windows in present images correlate
     best with the earlier windows `first` (N, m).
@@ -77,28 +92,28 @@ def deformed_alike(
         window, step: px, side of a window and step of its grid.
     """
     offsets = np.arange(-(window // 2), window // 2 + 1, step, dtype=np.float32)
-    steps = np.stack([one.ravel() for one in np.meshgrid(offsets, offsets)], axis=-1)
-    ones = np.ones_like(first)[..., None]
+    steps = np.stack([coordinate.ravel() for coordinate in np.meshgrid(offsets, offsets)], axis=-1)
+    constant = np.ones_like(first)[..., None]
     for _ in range(_ROUNDS):
-        here = sample(number, places, warp)
+        here = sample(number, positions, warp)
         slopes = []
         for along in np.array([[_BESIDE, 0.0], [0.0, _BESIDE]], np.float32):
-            ahead = sample(number, places + along, warp)
-            behind = sample(number, places - along, warp)
+            ahead = sample(number, positions + along, warp)
+            behind = sample(number, positions - along, warp)
             slopes.append((ahead - behind) / (2 * _BESIDE))
         by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
-        unknown = np.concatenate((by_warp, -first[..., None], -ones), -1)
-        known = np.flatnonzero(np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1))
-        if not len(known):
+        unknown = np.concatenate((by_warp, -first[..., None], -constant), -1)
+        valid = np.flatnonzero(np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1))
+        if not len(valid):
             break
         warp = warp.copy()
-        for k in known:
+        for k in valid:
             solved = np.linalg.lstsq(unknown[k], -here[k], rcond=None)[0][:4].reshape(2, 2)
             warp[k] += np.clip(solved, -_FARTHEST, _FARTHEST)
     return warp
 
 
-def shifted_alike(first: Array, sample: Sampler, number: Array, places: Array, warp: Array, noise: float) -> Shifts:
+def shifted_alike(first: Array, sample: Sampler, number: Array, positions: Array, warp: Array, noise: float) -> Shifts:
     """Fit the shifts by which most samples of windows in present images match the earlier windows `first` (N, m), with
     robust weights that exclude the samples that do not match.
 
@@ -112,14 +127,14 @@ def shifted_alike(first: Array, sample: Sampler, number: Array, places: Array, w
         noise: least standard deviation of the residuals that a fit assumes, grey levels.
     """
     count = len(first)
-    beside = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
-    around = sample(np.tile(number, 4), (places + beside[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
+    steps = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
+    around = sample(np.tile(number, 4), (positions + steps[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
     around = around.reshape(4, count, -1)
-    found = Shifts(np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count)))
+    fit = Shifts(np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count)))
     for _ in range(_SHIFT_ROUNDS):
-        here = sample(number, places + found.shift.astype(np.float32), warp)
-        found = fit_shifts(first, around, here, found.shift, found.weight, noise)
-    return found
+        here = sample(number, positions + fit.shift.astype(np.float32), warp)
+        fit = fit_shifts(first, around, here, fit.shift, fit.weight, noise)
+    return fit
 
 
 def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Array, noise: float) -> Shifts:
@@ -134,31 +149,32 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
         noise: least standard deviation of the residuals that a fit assumes, grey levels.
     """
     if is_present():
-        return shift_windows(then, around, now, shift, weight, noise)
+        windows = {"then": then, "around": around, "now": now, "shift": shift, "weight": weight}
+        return Shifts(*run("shift_windows", **windows, noise=noise))
     right, left, below, above = around
     unknown = np.stack((right - left, below - above, -then, -np.ones_like(then)), axis=-1).astype(np.float64)
-    known: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))
-    unknown[~known] = 0
-    given = np.where(known[:, None], -now, 0.0)
+    valid: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))
+    unknown[~valid] = 0
+    negative = np.where(valid[:, None], -now, 0.0)
     for _ in range(WEIGHT_ROUNDS):
-        solved, residual, inverse = _weighted_fit(unknown, given, weight)
+        solved, residual, inverse = _weighted_fit(unknown, negative, weight)
         spread = np.maximum(MAD * np.median(np.abs(residual), axis=1), noise)
         weight = np.square(np.clip(1 - np.square(residual / (TUKEY * spread[:, None])), 0, None))
-    shift = np.where(known[:, None], shift + np.clip(solved[:, :2], -1, 1), 0.0)
+    shift = np.where(valid[:, None], shift + np.clip(solved[:, :2], -1, 1), 0.0)
     square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
-    excluded = np.where(known, (weight < EXCLUDED_WEIGHT).mean(1), 0.0)
+    excluded = np.where(valid, (weight < EXCLUDED_WEIGHT).mean(1), 0.0)
     return Shifts(shift, weight, np.sqrt(square) / spread, excluded)
 
 
-def _weighted_fit(unknown: Array, given: Array, weight: Array) -> tuple[Array, Array, Array]:
+def _weighted_fit(unknown: Array, values: Array, weight: Array) -> tuple[Array, Array, Array]:
     """Solve N linear systems of m equations in 4 unknowns by weighted least squares; return the solutions (N, 4), the
     residuals (N, m) and the inverse normal matrices (N, 4, 4).
 
-    `unknown` is (N, m, 4), `given` and `weight` are (N, m).
+    `unknown` is (N, m, 4), `values` and `weight` are (N, m).
     """
     weighted = (unknown * weight[..., None]).mT
     matrix = weighted @ unknown
     scale = np.trace(matrix, axis1=1, axis2=2)[:, None, None]
     inverse = np.linalg.inv(matrix + (1e-12 * scale + LEAST_VARIANCE) * np.eye(4))
-    solved = inverse @ (weighted @ given[..., None])
-    return solved[..., 0], given - (unknown @ solved)[..., 0], inverse
+    solved = inverse @ (weighted @ values[..., None])
+    return solved[..., 0], values - (unknown @ solved)[..., 0], inverse

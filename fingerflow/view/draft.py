@@ -92,8 +92,7 @@ class Draft:
         """Return the draft's validation problems: key, name of its field on the page, and a message that continues a
         sentence after that name.
         """
-        problems = SceneCheck(self.values(), self.path.parent, "process").problems()
-        found = [(".".join(one.keys), one.said) for one in problems]
+        found = SceneCheck(self.values(), self.path.parent, "process").problems()
         # The remedy of a missing key addresses those who edit the file by hand.
         said = [_NEEDED.get(key, "is needed") if said == MISSING else in_words_of_page(said) for key, said in found]
         return [{"key": key, "field": field_name(key), "said": one} for (key, _), one in zip(found, said, strict=True)]

@@ -1,7 +1,6 @@
 """Opening of a path given to `fingerflow view`: a scene, a recording or a result."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
@@ -11,15 +10,9 @@ from fingerflow.view.draft import Draft
 RESULT = "result.h5"  #: file name that `fingerflow process` gives to a result, in the scene's folder
 
 
-class Opened(NamedTuple):
-    """Opened path: a draft of a scene, the path of a result, or both."""
-
-    draft: Draft | None
-    result: Path | None
-
-
-def open_path(path: Path | None) -> Opened:
-    """Open a scene with the result in its folder, a result with its scene, or a recording with a new draft.
+def open_path(path: Path | None) -> tuple[Draft | None, Path | None]:
+    """Open a scene with the result in its folder, a result with its scene, or a recording with a new draft; return the
+    draft of the scene, and the path of the result.
 
     Raises:
         FingerflowError: the path is none of these, or it is None and the current folder has no scene.toml.
@@ -32,11 +25,11 @@ def open_path(path: Path | None) -> Opened:
         raise FingerflowError(f"{path} does not exist; name a scene, a recording or a result")
     if path.suffix.lower() == ".toml":
         beside = path.parent / RESULT
-        return Opened(Draft.of_file(path), beside if beside.is_file() and is_result(beside) else None)
+        return Draft.of_file(path), beside if beside.is_file() and is_result(beside) else None
     if path.is_file() and is_result(path):
-        return Opened(_draft_of(path), path)
+        return _draft_of(path), path
     with open_recording(path) as recording:
-        return Opened(Draft.of_recording(recording), None)
+        return Draft.of_recording(recording), None
 
 
 def _draft_of(result: Path) -> Draft | None:

@@ -1,7 +1,6 @@
 """Preview for one frame of what `process` will compute, by running its stages for that frame only."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,28 +19,6 @@ from fingerflow.results.store import MemoryStore
 from fingerflow.schema.scene import Scene
 
 
-@dataclass(frozen=True)
-class Preview:
-    """Predicted contact in one frame: mask and numbers.
-
-    Attributes:
-        mask: (h, w) bool, real contact in the contact view.
-        numbers: values by the names of the results; NaN without contact.
-    """
-
-    mask: NDArray[np.bool_]
-    numbers: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class PredictedPoints:
-    """Predicted points to track (N, 2) px in the topography view, the frame of their detection, and warnings."""
-
-    points: NDArray[np.floating]
-    frame: int
-    warnings: list[str]
-
-
 class Previewer:
     """Previewer of a scene: runs stages of `process` for single frames, to show what it will compute.
 
@@ -56,7 +33,7 @@ class Previewer:
         """
         self.scene = scene
         same = before if before is not None and _input_settings(before.scene) == _input_settings(scene) else None
-        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
+        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.replace_scene(scene)
         self._trial = self._begin_trial()
         # Resample the forces only once, as they do not depend on the views.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
@@ -64,7 +41,7 @@ class Previewer:
         check = FrameCheckStage(self._trial)
         check.usable = np.ones(len(self._trial), dtype=bool)
         self._trial.stages = {LoadingStage: self._loading, FrameCheckStage: check}
-        self._seen: dict[int, Preview] = {}
+        self._seen: dict[int, tuple[NDArray[np.bool_], dict[str, Any]]] = {}
         self._contact = ContactStage(self._trial)
         self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
         self._begin(self._contact)
@@ -90,16 +67,20 @@ class Previewer:
         }
         return {name: values for name, values in given.items() if values is not None}
 
-    def contact(self, frame: int) -> Preview:
-        """Return the predicted contact in a frame, given by its index among the selected frames of the recording."""
+    def contact(self, frame: int) -> tuple[NDArray[np.bool_], dict[str, Any]]:
+        """Return the predicted contact in a frame, given by its index among the selected frames of the recording: the
+        mask (h, w) of real contact in the contact view, and values by the names of the results, NaN without contact.
+        """
         if frame not in self._seen:
             with torch.inference_mode():
                 found = self._contact.step(self._batch(frame))
-            self._seen = {frame: Preview(found.real_contact_mask[0, 0], numbers_of(self._contact, frame))}
+            numbers = {name: values[frame] for name, values in self._contact.series.items() if name != "frame_status"}
+            self._seen = {frame: (found.real_contact_mask[0, 0], numbers)}
         return self._seen[frame]
 
-    def chosen(self) -> PredictedPoints:
-        """Return the points that `process` would detect in its first frame (in the last one for backward tracking).
+    def chosen(self) -> tuple[NDArray[np.floating], int, list[str]]:
+        """Return the points (N, 2) px in the topography view that `process` would detect in its first frame (in the
+        last one for backward tracking), the index of that frame, and warnings.
 
         Raises:
             FingerflowError: too few points, or no topography view.
@@ -116,12 +97,12 @@ class Previewer:
             batch.keep(self._contact, self._contact.step(batch))
             tracking.step(batch)
         points = trial.results["position_px"][np.array([frame])][0]
-        return PredictedPoints(points, frame, list(tracking.warnings))
+        return points, frame, list(tracking.warnings)
 
     def _begin_trial(self, stored: int = 1) -> RunContext:
         """Return a new context for running stages of `process`, with storage for the results of `stored` frames."""
         planned = plan(None, self.scene)
-        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
+        return RunContext(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.requested, {})
 
     def _begin(self, stage: Any) -> Any:
         with torch.inference_mode():
@@ -137,11 +118,6 @@ def all_of_default_stages(scene: Scene) -> list[str]:
     """Return the names of all variables of a default run's stages, including those computed only on request."""
     stages = plan(None, scene).stages
     return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
-
-
-def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
-    """Return the values that a contact stage computed for one frame, by variable name, without the frame status."""
-    return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
 def _input_settings(scene: Scene) -> Sequence[Any]:

@@ -51,13 +51,13 @@ class Results:
 
     def facts(self) -> dict[str, Any]:
         """Return metadata of the result, and the maps and time series that can be shown, with definitions."""
-        data = self.data
+        data, largest = self.data, frame_of_largest(self.data)
         return {
             "path": str(self.path),
             "frames": data.sizes["frame"],
             "first_frame": int(data["frame"][0]),
             "points": data.sizes.get("point", 0),
-            "frame_of_largest_load": self._frame_of_largest_load(),
+            "frame_of_largest_load": data.sizes["frame"] // 2 if largest is None else largest,
             "warnings": [*map(in_words_of_page, json.loads(data.attrs["warnings"]))],
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
@@ -72,11 +72,6 @@ class Results:
             "cells": [name for name in data if data[name].dims[1:] == ("cell_row", "cell_column")],
             "arrow_scale": self._arrow_scale(),
         }
-
-    def _frame_of_largest_load(self) -> int:
-        """Return the index of the frame with the largest normal force, or the largest gross area; else the middle."""
-        found = frame_of_largest(self.data)
-        return int(self.data.sizes["frame"]) // 2 if found is None else found
 
     def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return scalar results by name, and arrays by name (positions, displacements, regions, values of a map), of

@@ -20,17 +20,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variable_record import IN_PERCENT
 from fingerflow.schema.variables import VARIABLES
-from fingerflow.view.bodies import (
-    Body,
-    CalibrateBody,
-    EditBody,
-    EndBody,
-    HistoryBody,
-    ProcessBody,
-    TableBody,
-    WriteBody,
-    body_of,
-)
+from fingerflow.view import bodies
+from fingerflow.view.bodies import Body, body_of
 from fingerflow.view.connection import Connection
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
@@ -57,7 +48,7 @@ class Served:
 
     def __init__(self, path: Path | None, port: int = 0) -> None:
         """Open a path and bind a port (0 for a free one); raise FingerflowError if either fails."""
-        self.session = Session(open_path(path))
+        self.session = Session(*open_path(path))
         self.session.open()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -151,11 +142,11 @@ def application(session: Session) -> Starlette:
         Route("/api/points", _get(lambda _: session.points())),
         Route("/api/forces", _get(lambda _: session.forces())),
         Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(session.edit, EditBody), methods=["POST"]),
-        Route("/api/calibrate", _post(session.calibrate, CalibrateBody), methods=["POST"]),
-        Route("/api/write", _post(session.write, WriteBody), methods=["POST"]),
-        Route("/api/process", _post(session.process, ProcessBody), methods=["POST"]),
-        Route("/api/end", _post(session.end, EndBody), methods=["POST"]),
+        Route("/api/edit", _post(session.edit, bodies.EditBody), methods=["POST"]),
+        Route("/api/calibrate", _post(session.calibrate, bodies.CalibrateBody), methods=["POST"]),
+        Route("/api/write", _post(session.write, bodies.WriteBody), methods=["POST"]),
+        Route("/api/process", _post(session.process, bodies.ProcessBody), methods=["POST"]),
+        Route("/api/end", _post(session.end, bodies.EndBody), methods=["POST"]),
         Route("/api/report", _post(session.report, Body), methods=["POST"]),
         Route("/api/progress", _get(lambda request: session.progress(request.query_params.get("of", "")))),
         Route("/report.html", _get(report)),
@@ -164,11 +155,11 @@ def application(session: Session) -> Starlette:
         Route("/api/result/range", _get(lambda request: session.result_range(request.query_params.get("key", "")))),
         Route("/api/result/triangles", _get(lambda _: session.triangles())),
         Route("/api/result/courses", _get(lambda request: session.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(session.history, HistoryBody), methods=["POST"]),
-        Route("/api/result/table", _post(session.table, TableBody), methods=["POST"]),
+        Route("/api/result/history", _post(session.history, bodies.HistoryBody), methods=["POST"]),
+        Route("/api/result/table", _post(session.table, bodies.TableBody), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
+    handlers: Mapping[Any, Any] = {FingerflowError: _refused}
     return Starlette(routes=routes, exception_handlers=handlers)
 
 
@@ -208,9 +199,6 @@ def _response(answer: Any) -> Response:
     return JSONResponse(json_value(answer))
 
 
-async def _put_right(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": in_words_of_page(str(error))}, 422)
-
-
-async def _asks(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": in_words_of_page(str(error)), "asks": True}, 409)
+async def _refused(_: Request, error: Exception) -> Response:
+    asks = {"asks": True} if isinstance(error, NeedsLeaveError) else {}
+    return JSONResponse({"error": in_words_of_page(str(error)), **asks}, 409 if asks else 422)

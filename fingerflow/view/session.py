@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.binary_answer import packed
 from fingerflow.recordings import force_columns, open_recording
 from fingerflow.results.result import is_result, open_result
 from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.views import View
-from fingerflow.view.binary_answer import packed
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside, names_in
 from fingerflow.view.key_forms import field_name, forms, in_words_of_page
-from fingerflow.view.open_path import RESULT, Opened
+from fingerflow.view.open_path import RESULT
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.results import Results, median_of
 
@@ -38,12 +38,12 @@ class Session:
     windows; its methods answer the requests of the page.
     """
 
-    def __init__(self, opened: Opened) -> None:
+    def __init__(self, draft: Draft | None, result: Path | None) -> None:
         self._lock = threading.RLock()
-        self._draft = opened.draft
+        self._draft = draft
         self._pictures: dict[tuple[Path, float | None], Pictures] = {}
         self._preview: tuple[str, Previewer] | None = None
-        self._result_path = opened.result
+        self._result_path = result
         self._result: Results | None = None
         self._scene_of_result: Scene | None = None
         self._result_preview: Previewer | None = None
@@ -144,10 +144,10 @@ class Session:
         packed bytes.
         """
         with self._lock:
-            found = self._previewer().chosen()
+            points, frame, warnings = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
-            facts = {"frame": found.frame + first, "warnings": [*map(in_words_of_page, found.warnings)]}
-            return packed(facts, {"points": found.points.astype(np.float32)})
+            facts = {"frame": frame + first, "warnings": [*map(in_words_of_page, warnings)]}
+            return packed(facts, {"points": points.astype(np.float32)})
 
     def forces(self) -> bytes:
         """Return the forces of the edited scene at the times of its frames, with its calibration and warnings, as
@@ -318,7 +318,8 @@ class Session:
                 number = frame + scene.recording.first_frame
                 arrays["picture"] = pictures.picture(number)
                 if contact:
-                    arrays |= self._contact_of(self._result_previewer(), number)[1]
+                    self._result_preview = self._result_preview or _previewer_of(scene)
+                    arrays |= self._contact_of(self._result_preview, number)[1]
             except FingerflowError as error:
                 facts["why_no_picture"] = str(error)
             return packed(facts, arrays)
@@ -408,9 +409,8 @@ class Session:
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
             return {"counts": False}, {}
-        found = previewer.contact(place)
-        arrays: dict[str, NDArray[Any]] = {"mask": found.mask.astype(np.uint8)}
-        return {"counts": True, "time": float(previewer.times[place]), **found.numbers}, arrays
+        mask, numbers = previewer.contact(place)
+        return {"counts": True, "time": float(previewer.times[place]), **numbers}, {"mask": mask.astype(np.uint8)}
 
     def _opened_result(self) -> Results:
         if self._result is None:
@@ -424,11 +424,6 @@ class Session:
         if self._scene_of_result is None:
             self._scene_of_result = scene_of_settings(result.data.attrs["settings"])
         return self._scene_of_result
-
-    def _result_previewer(self) -> "Previewer":
-        if self._result_preview is None:
-            self._result_preview = _previewer_of(self._result_scene())
-        return self._result_preview
 
     def _close_result(self) -> None:
         if self._result is not None:

@@ -29,10 +29,7 @@ Change = Callable[[Any], Any]
 
 SETTINGS = EngineSettings(window_px=15, gauge_length_mm=2.0)
 #: Engine methods whose results are compared.
-METHODS = [
-    *("light", "contact", "threshold", "covered", "detect", "key", "follow", "correct", "outliers", "search"),
-    *("windows", "fit", "fields"),
-]
+METHODS = ["contact", "detect", "track", "correct", "search", "windows", "fit", "fields"]
 EVERY_FRAME = ("contact", "track", "correct", "outliers", "fields")
 LONG = pytest.mark.long
 
@@ -175,6 +172,5 @@ def test_a_wrong_graph_of_a_bundle_is_refused(
     for change in (falsify, first_for_ever()):
         with monkeypatch.context() as patch:
             patch.setitem(sessions, name, Wrong(change))
-            patch.setattr(graphs, "_supports", {})  # neighbours of earlier calls
             with pytest.raises(FingerflowError, match="are not the expected ones"):
                 check_engine(graphs, bundle.expected)

@@ -22,6 +22,8 @@ from fingerflow.engines import choice, providers
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
+from fingerflow.engines.contact_view import glass_light
+from fingerflow.engines.engine import noise_of
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
@@ -35,7 +37,6 @@ Found = arrays.FoundPoints
 
 PRESS = TRIALS["press"]
 KEY, FRAME = 60, 63
-TO_CONTACT = np.array([[0.999, 0.002, 0.4], [-0.002, 0.999, -0.3]])
 MM = 0.02
 
 
@@ -88,9 +89,8 @@ def both(engines: Both, call: Any) -> Iterator[tuple[Any, Any]]:
     return zip(*(call(one) for one in engines), strict=True)
 
 
-def keyed(engine: Any, points: Array) -> tuple[Any, Any]:
-    key = engine.key(engine.images(view("topography", KEY)))
-    return key, engine.prepare(key, points)
+def keyed(engine: Any, points: Array) -> Any:
+    return engine.prepare(engine.images(view("topography", KEY)), points)
 
 
 def same(ours: Array | None, theirs: Array | None, atol: float = 1e-5, rtol: float = 1e-5) -> None:
@@ -120,17 +120,14 @@ def same_found(ours: Found, theirs: Found, points: Array, rtol: float = 1e-3, px
 def test_contact(engines: Both, frame: int | str, threshold: float) -> None:
     def contact(engine: Any) -> Any:
         glass, dark = (PRESS.views["contact"].crop(one) for one in (PRESS.empty(), PRESS.dark()))
-        light = engine.light(glass, dark)
+        light = glass_light(glass, dark)
         images = engine.images(view("contact", frame))
         found = engine.contact(images, light, np.array([threshold], np.float32))
-        return *found, engine.threshold(images, light), engine.covered(found.density_margin, places, TO_CONTACT)
+        return *found, engine.contact(images, light).threshold
 
-    places = (np.random.default_rng(0).random((1, POINTS, 2)) * (WIDTH + 20, HEIGHT + 20) - 10).astype(np.float32)
-    places[0, ::7] = np.nan
-    every = list(both(engines, contact))
-    for ours, theirs in every:
+    *others, (measured, expected) = both(engines, contact)
+    for ours, theirs in (*others, (measured, expected)):
         same(ours, theirs, 1e-4)
-    measured = every[len(arrays.FrameContact._fields)][0]
     assert np.isfinite(measured).all() == (frame in (FRAME, "thin"))
 
 
@@ -139,7 +136,7 @@ def test_light_is_none_outside_a_mask_and_darkness_may_be_unknown(engines: Both)
     inside[:, : WIDTH // 2] = True
 
     def areas(engine: Any) -> Any:
-        light = engine.light(PRESS.views["contact"].crop(PRESS.empty()), None, inside)
+        light = glass_light(PRESS.views["contact"].crop(PRESS.empty()), None, inside)
         return engine.contact(engine.images(view("contact", FRAME)), light, np.array([0.27], np.float32))[1:3]
 
     for ours, theirs in both(engines, areas):
@@ -154,7 +151,7 @@ def test_noise_and_points_worth_tracking(engines: Both, frame: int | str) -> Non
 
     def seeded(engine: Any) -> Any:
         image = engine.images(view("topography", frame))
-        return np.array(engine.noise(image)), engine.detect(image, mask, POINTS)
+        return np.array(noise_of(engine, image)), engine.detect(image, mask, POINTS)
 
     (our_noise, noise), (ours, theirs) = both(engines, seeded)
     same(our_noise, noise)
@@ -170,10 +167,10 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
     """
 
     def follow(engine: Any, rows: Array | None) -> arrays.Followed:
-        _, templates = keyed(engine, points)
+        templates = keyed(engine, points)
         start = points if rows is None else points[rows]
         place, speed = start + np.float32(off), np.full_like(start, -0.1)
-        return engine.follow(templates, engine.images(view("topography", frame)), place, speed, rows)
+        return engine.track(templates, engine.images(view("topography", frame)), place, speed, rows)
 
     for rows in (None, np.arange(0, len(points), 3), np.arange(1, len(points))):
         ours, theirs = (follow(engine, rows) for engine in engines)
@@ -197,11 +194,11 @@ def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -
     rows = np.arange(0, len(points), 2)[:70]
 
     def updated(engine: Any) -> Any:
-        key, templates = keyed(engine, points)
+        templates = keyed(engine, points)
         image = engine.images(view("topography", FRAME))
-        before = engine.follow(templates, image, points, np.zeros_like(points)).found
-        engine.update(templates, rows, engine.prepare(key, points[rows], warp[rows]))
-        return before, engine.follow(templates, image, points, np.zeros_like(points)).found, templates.numbers
+        before = engine.track(templates, image, points, np.zeros_like(points)).found
+        templates.update(rows, engine.prepare(templates, points[rows], warp[rows]))
+        return before, engine.track(templates, image, points, np.zeros_like(points)).found, templates.numbers
 
     (_, _), (ours, theirs), (our_numbers, numbers) = both(engines, updated)
     same_found(ours, theirs, points)
@@ -221,12 +218,12 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
     of_array = GraphSession.kept
     monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
     engine._sessions["track"].shares_memory = False
-    key, templates = keyed(engine, points)
+    templates = keyed(engine, points)
     image = engine.images(view("topography", FRAME))
-    before = engine.follow(templates, image, points, np.zeros_like(points)).found.points
+    before = engine.track(templates, image, points, np.zeros_like(points)).found.points
     rows = np.flatnonzero(np.isfinite(before[0, :, 0]))[:20]
-    engine.update(templates, rows, engine.prepare(key, points[rows] + np.float32(0.5)))
-    moved = engine.follow(templates, image, points, np.zeros_like(points)).found.points
+    templates.update(rows, engine.prepare(templates, points[rows] + np.float32(0.5)))
+    moved = engine.track(templates, image, points, np.zeros_like(points)).found.points
     np.testing.assert_allclose((moved - before)[0, rows], 0.5, atol=0.1)
 
 
@@ -234,27 +231,23 @@ def test_positions_corrected_and_judged(engines: Both, points: Array) -> None:
     rows = np.flatnonzero(np.isfinite(points[:, 0]))[5::40]
 
     def corrected(engine: Any) -> Any:
-        _, templates = keyed(engine, points)
-        found = engine.follow(templates, engine.images(view("topography", FRAME)), points, np.zeros_like(points)).found
+        templates = keyed(engine, points)
+        found = engine.track(templates, engine.images(view("topography", FRAME)), points, np.zeros_like(points)).found
         found.points[0, rows] += 3  # away from their neighbours
         inverse_warp = np.broadcast_to(np.eye(2, dtype=np.float32) * 1.01, (len(points), 2, 2)).copy()
         result = engine.correct(points, found, templates.numbers, inverse_warp)
-        judged = engine.outliers(engine.neighbours(points), points, found)
-        return result.found.points, result.found.covariance, *result[1:], *judged
+        return result.found.points, result.found.covariance, *result[1:], result.found.status
 
     for ours, theirs in both(engines, corrected):
         same(ours, theirs, 1e-4)
-    off = engines.onnx.neighbours(points)
-    assert off["neighbour_number"].shape[2] == POINTS
-    assert corrected(engines.onnx)[-2][0, rows].any()
+    assert (corrected(engines.onnx)[-1][0, rows] == TrackStatus.OFF_NEIGHBOURS).any()
 
 
 def test_points_searched_for(engines: Both, points: Array) -> None:
     guess = points + np.float32(5)
 
     def search(engine: Any) -> Any:
-        key, _ = keyed(engine, points)
-        return engine.search(key, engine.images(view("topography", FRAME)), points, guess)
+        return engine.search(keyed(engine, points), engine.images(view("topography", FRAME)), points, guess)
 
     (ours, theirs), (returns, expected) = both(engines, search)
     same(ours, theirs, 1e-3)
@@ -285,13 +278,13 @@ def test_fields(engines: Both, points: Array, contact: bool) -> None:
 
 def test_frames_in_two_threads_are_those_one_after_the_other(engines: Both, points: Array) -> None:
     engine = engines.onnx
-    _, templates = keyed(engine, points)
-    light = engine.light(PRESS.views["contact"].crop(PRESS.empty()), None)
+    templates = keyed(engine, points)
+    light = glass_light(PRESS.views["contact"].crop(PRESS.empty()), None)
 
     def compute(frame: int) -> list[Array]:
         contact = engine.contact(engine.images(view("contact", frame)), light, np.array([0.27], np.float32))
         image = engine.images(view("topography", frame))
-        found = engine.follow(templates, image, points, np.zeros_like(points)).found
+        found = engine.track(templates, image, points, np.zeros_like(points)).found
         inverse_warp = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         corrected = engine.correct(points, found, templates.numbers, inverse_warp).found
         return [one.copy() for one in (*contact, *found, *corrected)]
@@ -311,11 +304,11 @@ def test_what_the_graphs_do_not_take_is_named(engines: Both, points: Array) -> N
     frame = view("topography", KEY)
     for wrong in (np.concatenate((frame, frame)), frame[:, 1:], frame.astype(np.uint16)):
         with pytest.raises(ValueError, match=f"topography_view is {wrong.dtype} .*, the graph takes uint8"):
-            engine.noise(engine.images(wrong))
+            noise_of(engine, engine.images(wrong))
     with pytest.raises(ValueError, match="exported for 150"):
         engine.detect(engine.images(frame), np.ones((HEIGHT, WIDTH), bool), POINTS - 1)
     with pytest.raises(FingerflowError, match=r"151 points are given, the bundle was exported for 150"):
-        engine.prepare(engine.key(engine.images(frame)), np.zeros((POINTS + 1, 2), np.float32))
+        engine.prepare(engine.images(frame), np.zeros((POINTS + 1, 2), np.float32))
     with pytest.raises(ValueError, match="variances"):
         engine.fit(points, points[None], points, 1.6, points[None, :, 0])
 

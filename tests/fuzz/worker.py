@@ -189,7 +189,7 @@ def _called(name: str) -> Callable[[Path], object]:
 _READERS: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
     **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
-    "calibration": _called("fingerflow.calibration:Calibration.from_toml"),
+    "calibration": _called("fingerflow.schema.calibration_file:read_calibration"),
     "scene": _called("fingerflow.schema.scene:load_scene"),
     "bundle": _called("fingerflow.engines.bundle:load_bundle"),
     "result": _called("fingerflow.results.result:load_result"),

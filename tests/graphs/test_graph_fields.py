@@ -6,7 +6,7 @@ from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.point_gradients import gradients_at
+from fingerflow.ops.fields.point_gradients import query_gradients
 from fingerflow.ops.fields.strain import curl, divergence, green_lagrange
 from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std
 
@@ -84,7 +84,7 @@ def test_the_exported_fit_is_that_of_local_gradients() -> None:
     expected = local_gradients(reference.double(), displacement.double(), queries.double(), gauge_length=GAUGE).gradient
     for kind, rounding in ((torch.float32, 5e-5), (torch.float64, 1e-9)):
         given = (one.to(kind) for one in (reference, displacement, queries))
-        found = gradients_at(*given, torch.tensor([GAUGE]))
+        found = query_gradients(*given, torch.tensor([GAUGE]))
         assert found.dtype == kind
         torch.testing.assert_close(found.double(), expected, rtol=0, atol=rounding, equal_nan=True)
     assert expected.isnan().any()

@@ -12,16 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import (
-    block_means,
-    contact_frames,
-    deformation,
-    frame_distances,
-    library,
-    tracked_points,
-    window_match,
-)
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import EngineSettings, GlassLight
+from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking
+from fingerflow.kernels.contact import contact_threshold
+from fingerflow.kernels.kernel import Kernel
+from fingerflow.kernels.library import run
+from fingerflow.kernels.tensors import twin
 from fingerflow.kernels.tracking_limits import NUMBERS
 from tests.embedded import CASES, scene
 
@@ -58,29 +57,31 @@ def kernel_calls() -> dict[str, Call]:
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
-    templates = list(kernels.prepare_templates(first, points, None, one, 11, True, 0.0))
+    templates = list(twin("prepare_templates")(first, points, None, one, 11, 1, 0.0))
     fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
 
     return {
         "median": call(kernels.median, tall, 5),
-        "normalize": call(kernels.normalize, tall, light, 0 * light, one[:1]),
-        "real_contact_mask": call(kernels.real_contact_mask, tall, light, 0 * light, one / 2, 3),
-        "illumination_gain": call(kernels.illumination_gain, dimmed, light, 0 * light, 8),
+        "normalize": call(twin("normalize"), tall, light, 0 * light, one[:1]),
+        "real_contact_mask": call(twin("real_contact_mask"), tall, light, 0 * light, one / 2, 3),
+        "illumination_gain": call(twin("illumination_gain"), dimmed, light, 0 * light, 8),
         "histogram": call(kernels.histogram, tall, covered, None, 256),
-        "apparent_contact": call(kernels.apparent_contact, covered, 8, 4),
-        "mean_response": call(kernels.mean_response, tall),
-        "halve": call(kernels.halve, tall),
-        "spline_coefficients": call(kernels.spline_coefficients, tall),
-        "prepare_templates": call(kernels.prepare_templates, first, points, None, one, 11, True, 0.0),
+        "apparent_contact": call(twin("apparent_contact"), covered, 8, 4),
+        "mean_response": call(twin("mean_response"), tall),
+        "halve": call(twin("halve"), tall),
+        "spline_coefficients": call(twin("spline_coefficients"), tall),
+        "prepare_templates": call(twin("prepare_templates"), first, points, None, one, 11, 1, 0.0),
         "find_templates": call(kernels.find_templates, templates, second, points, None, None, 8, 0.0, 1.0, 0.5),
-        "find_pairs": call(kernels.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5),
+        "find_pairs": call(
+            *(twin("find_pairs"), first, second, points, None, one, 11, 1, 8, points, None, 0.0, 1.0, 0.5)
+        ),
         "search_windows": call(
-            kernels.search_windows, light, light, torch.zeros(rows).long(), points[0], points[0], 31, 3
+            twin("search_windows"), light, light, torch.zeros(rows).long(), points[0], points[0], 31, 3
         ),
         "sample_windows": call(
-            kernels.sample_windows, tall, torch.zeros(rows).long(), points[0], torch.eye(2).repeat(rows, 1, 1), 9, 1
+            twin("sample_windows"), tall, torch.zeros(rows).long(), points[0], torch.eye(2).repeat(rows, 1, 1), 4, 1
         ),
         "local_gradients": call(kernels.local_gradients, points, moved, points, covariance.flatten(2), **fits),
         "local_gradients without noise": call(kernels.local_gradients, points, moved, points, None, **fits),
@@ -94,7 +95,7 @@ def kernel_calls() -> dict[str, Call]:
             stiffness=(1.0, 1.0, 1.0),
         ),
         # Called by itself, because the threads exist already where dense flow reaches this kernel.
-        "flow_template": call(kernels.flow_template, wide, torch.ones_like(wide), 2),
+        "flow_template": call(twin("flow_template"), wide, torch.ones_like(wide), 2),
         **calls_on_arrays(tall, light),
     }
 
@@ -112,54 +113,59 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
     covariance = np.broadcast_to(np.eye(2, dtype=np.float32), (2, 60, 2, 2))
     numbers, deviation = np.ones((60, NUMBERS), np.float32), np.ones((2, 60), np.float32)
-    lit = [image.numpy() for image in (tall, light, 0 * light)]
-    frame, everywhere = lit[0][:1], np.ones(lit[0].shape[2:], np.bool_)
-    sizes = {"median_px": 3, "radius": 8}
-    search = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    frames, glass, black = (image.numpy() for image in (tall, light, 0 * light))
+    frame, everywhere = frames[:1], np.ones((1, 1, *frames.shape[2:]), np.bool_)
     grey = random.normal(100, 20, (6, 200, 81)).astype(np.float32)
+    engine = NativeEngine(EngineSettings(median_px=3, gross_radius_px=8, cell_px=4, window_px=9, search_px=3))
+    lit = (frames, GlassLight(glass, black))
+    windows = {"then": grey[0], "around": grey[2:], "now": grey[1]}
     return {
-        "contact_of_frames": call(contact_frames.contact_of_frames, *lit, np.full(2, 0.5, np.float32), cell=4, **sizes),
-        "contact_threshold": call(contact_frames.contact_threshold, *lit, stride_px=1, **sizes),
-        "covered": call(contact_frames.covered, lit[1], points[None], np.ones((2, 3), np.float32), 4),
-        "block_means": call(block_means.block_means, lit[0], (2, 2), (4, 4)),
+        "contact_of_frames": call(engine.contact, *lit, np.full(2, 0.5, np.float32)),
+        "contact_threshold": call(
+            *(contact_threshold, frames, glass, black, np.ones(2, np.float32)), median_px=3, radius=8, stride_px=1
+        ),
+        "covered": call(covers, glass, points[None], np.ones((2, 3), np.float32), 4),
+        "block_means": call(run, "block_means", frames=frames, down=2, along=2, rows=4, columns=4),
         "correct_points": call(
-            deformation.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
+            tracking.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
         ),
         "find_outliers": call(
-            tracked_points.find_outliers, tracked_points.find_neighbours(points, 120.0), moved - points, deviation
+            tracking.find_outliers, tracking.find_neighbours(points, 120.0), moved - points, deviation
         ),
-        "search_and_return": call(tracked_points.search_and_return, frame, frame, points, points, **search),
-        "frame_distances": call(frame_distances.frame_distances, grey[:3], grey[3:], 8, 30.0),
+        "search_and_return": call(engine.search, engine.prepare(frame, points[:0]), frame, points, points),
+        "frame_distances": call(run, "frame_distances", now=grey[:3], before=grey[3:], bands=8, most=30.0),
         "shift_windows": call(
-            window_match.shift_windows, grey[0], grey[2:], grey[1], np.zeros((200, 2)), np.ones((200, 81)), 1.0
+            *(run, "shift_windows"), **windows, shift=np.zeros((200, 2)), weight=np.ones((200, 81)), noise=1.0
         ),
-        "detect_points": call(tracked_points.detect_points, frame, everywhere, 20, min_distance_px=6.0, window=9),
+        "detect_points": call(engine.detect, frame, everywhere[0, 0], 20),
     }
 
 
 @contextmanager
-def entered(seen: Callable[[str, Callable[[], None]], None]) -> Iterator[None]:
-    """Within this context call `seen` with the name of every kernel that is entered, and a function that enters it."""
-    plain = library.Entry.__call__
+def entered(seen: Callable[[str, dict[str, Any], Callable[[], Any]], Any]) -> Iterator[None]:
+    """Within this context call `seen` with the name and the arguments of every kernel that is entered, and a function
+    that enters it; it returns the results.
+    """
+    plain = Kernel.__call__
 
-    def called(self: library.Entry, **given: Any) -> None:
-        seen(self._name, lambda: plain(self, **given))
+    def called(self: Kernel, **given: Any) -> Any:
+        return seen(self._name, given, lambda: plain(self, **given))
 
-    library.Entry.__call__ = called  # type: ignore[method-assign]
+    Kernel.__call__ = called  # type: ignore[method-assign]
     try:
         yield
     finally:
-        library.Entry.__call__ = plain  # type: ignore[method-assign]
+        Kernel.__call__ = plain  # type: ignore[method-assign]
 
 
-def reached(call: Callable[[], Any]) -> set[str]:
-    """Return the names of the kernels that a call enters."""
-    names: set[str] = set()
+def reached(call: Callable[[], Any]) -> dict[str, dict[str, Any]]:
+    """Return the arguments of the kernels that a call enters, by name."""
+    arguments: dict[str, dict[str, Any]] = {}
 
-    def noted(name: str, enter: Callable[[], None]) -> None:
-        names.add(name)
-        enter()
+    def noted(name: str, given: dict[str, Any], enter: Callable[[], Any]) -> Any:
+        arguments[name] = given
+        return enter()
 
     with entered(noted):
         call()
-    return names
+    return arguments

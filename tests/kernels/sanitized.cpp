@@ -84,7 +84,7 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         fingerflow_normalize(&lit, limits.data(), quotients.data(), bytes.data(), threads);
         for (std::int64_t side : {8, 16, 40}) fingerflow_illumination_gain(&lit, side, gains.data(), threads);
         std::vector<float> cells(static_cast<std::size_t>(batch * ((height + 3) / 4) * ((width + 3) / 4)));
-        fingerflow_contact_of_frames(&lit, limits.data(), 3, 16, 8, 4, gains.data(), bytes.data(), cells.data(), numbers.data(), threads);
+        fingerflow_contact_of_frames(&lit, limits.data(), 3, 16, 8, 4, bytes.data(), cells.data(), numbers.data(), gains.data(), threads);
         std::vector<float> thresholds(limits.size());
         for (int size : {1, 3, 9})
             for (std::int64_t stride : {1, 3, 8})
@@ -231,7 +231,7 @@ void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components
         const fingerflow_local_fit given{places.data(), values.data(), asked.data(), noises ? variances.data() : nullptr,
                                          geometries, batch, geometries, batch, batch, points, queries, components, noises, 5,
                                          value.data(), gradient.data(), noises ? covariance.data() : nullptr,
-                                         offset.data(), counts.data()};
+                                         counts.data(), offset.data()};
         fingerflow_local_gradients(&given, 50.0, 5.0, sizeof(Real) == 8, threads);
     }
 }

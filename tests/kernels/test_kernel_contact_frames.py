@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.engines.cells import covered
+from fingerflow.engines import contact_view
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import EngineSettings, FrameContact, GlassLight
+from fingerflow.engines.native import NativeEngine
 from fingerflow.graphs.contact_graph import ContactGraph
-from fingerflow.kernels import contact_frames as native
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.contact_frames import ContactOfFrames, contact_of_frames
 from fingerflow.kernels.contact_sizes import cell_of
 from tests.kernels.contact_frames import contact_frames
 from tests.kernels.kernel_images import SHAPES, images
@@ -21,20 +22,22 @@ pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernel
 Portable = Callable[[Callable[[], object]], Any]
 
 
-def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tensor) -> None:
-    """Assert that all results are those of the separate kernels, bit for bit."""
-    expected = graph(*given)
-    assert np.array_equal(found.real_contact_mask, expected.real_contact_mask.numpy())
-    assert np.array_equal(found.density_margin, expected.density_margin.numpy(), equal_nan=True)
-    assert np.array_equal(found.gains, expected.illumination_gain.numpy(), equal_nan=True)
-    numbers = (
-        expected.real_area_px[:, None],
-        expected.gross_area_px[:, None],
-        expected.center,
-        expected.semi_axes,
-        expected.angle[:, None],
+def engine(median_px: int, radius: int, cell: int | None = None, stride_px: int = 2) -> NativeEngine:
+    return NativeEngine(
+        EngineSettings(
+            median_px=median_px, gross_radius_px=radius, cell_px=cell or cell_of(radius), stride_px=stride_px
+        )
     )
-    assert np.array_equal(found.numbers, torch.cat(numbers, 1).numpy(), equal_nan=True)
+
+
+def same_contact(tracked: NativeEngine, graph: ContactGraph, *images: torch.Tensor, threshold: Any) -> FrameContact:
+    """Assert that all results are those of the separate kernels, bit for bit, and return them."""
+    frames, light, black = (image.numpy() for image in images)
+    contact = tracked.contact(frames, GlassLight(light, black), threshold)
+    expected = graph(*images, torch.from_numpy((1 - threshold).astype(np.float32)))
+    for name, tensor in expected._asdict().items():
+        assert np.array_equal(getattr(contact, name), tensor.numpy(), equal_nan=tensor.is_floating_point()), name
+    return contact
 
 
 @pytest.mark.parametrize("dtype", kernels.FRAME_KINDS)
@@ -42,12 +45,10 @@ def same_contact(found: ContactOfFrames, graph: ContactGraph, *given: torch.Tens
 def test_compiled_contact_agrees_with_its_graph(instruction_set: int, dtype: torch.dtype, median: int) -> None:
     for lights, radius in ((1, 8), (5, 3)):
         frames, light, black = contact_frames(5, 130, 170, dtype, lights)
-        limits = torch.tensor([0.7, 0.75, torch.nan, 0.72, 1.3])
-        given = [tensor.numpy() for tensor in (frames, light, black, limits)]
-        found = contact_of_frames(*given, median_px=median, radius=radius, cell=cell_of(radius))
-        same_contact(found, ContactGraph(median, radius), frames, light, black, limits)
-        assert found.numbers[3, 1] > 1000
-        assert np.isfinite(found.gains).any()
+        images_and_graph = engine(median, radius), ContactGraph(median, radius), frames, light, black
+        contact = same_contact(*images_and_graph, threshold=np.array([0.3, 0.25, np.nan, 0.28, -0.3]))
+        assert contact.gross_area_px[3] > 1000
+        assert np.isfinite(contact.illumination_gain).any()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -55,11 +56,9 @@ def test_same_contact_of_any_image(shape: tuple[int, int, int]) -> None:
     """Both agree on images without visible empty glass, half of whose pixels are in contact."""
     frames = images(shape, torch.uint8, "random")
     light = images((1, *shape[1:]), torch.float32, "random", seed=1)
-    limits = torch.full(frames.shape[:1], 0.5)
-    given = [tensor.numpy() for tensor in (frames, light, 0 * light, limits)]
     for cell in (1, 4, 8):
-        found = contact_of_frames(*given, median_px=3, radius=8, cell=cell)
-        same_contact(found, ContactGraph(3, 8, cell), frames, light, 0 * light, limits)
+        images_and_graph = engine(3, 8, cell), ContactGraph(3, 8, cell), frames, light, 0 * light
+        same_contact(*images_and_graph, threshold=np.full(len(frames), 0.5))
 
 
 def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
@@ -67,8 +66,7 @@ def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
     one frame in bands or one frame for each thread.
     """
     whole, light, black = (tensor.numpy() for tensor in contact_frames(5, 130, 170, torch.uint16))
-    sizes = {"median_px": 3, "radius": 8}
-    every = slice(None)
+    native, every = engine(3, 8), slice(None)
     for some, part in (
         (every, np.s_[..., 10:120, 20:]),
         (slice(3, 4), np.s_[..., 5:, :160]),
@@ -76,21 +74,20 @@ def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
         (every, np.s_[..., ::2]),
     ):
         view, lamp, dark = whole[some][part], light[part], black[part]
-        limits = np.full(len(view), 0.72, np.float32)
-        copies = [np.ascontiguousarray(one) for one in (view, lamp, dark)]
+        limits = np.full(len(view), 0.28, np.float32)
+        copy, *glass = (np.ascontiguousarray(image) for image in (view, lamp, dark))
         torch_threads(1)
-        expected = contact_of_frames(*copies, limits, cell=4, **sizes)
-        threshold = native.contact_threshold(*copies, stride_px=2, **sizes)
+        expected = native.contact(copy, GlassLight(*glass), limits)
+        threshold = native.contact(copy, GlassLight(*glass)).threshold
         for threads in (1, 2, 3, 7):
             torch_threads(threads)
-            for one, other in zip(contact_of_frames(view, lamp, dark, limits, cell=4, **sizes), expected, strict=True):
-                assert np.array_equal(one, other, equal_nan=True)
-            found = native.contact_threshold(view, lamp, dark, stride_px=2, **sizes)
-            assert np.array_equal(found, threshold, equal_nan=True)
+            for value, other in zip(native.contact(view, GlassLight(lamp, dark), limits), expected, strict=True):
+                assert np.array_equal(value, other, equal_nan=value.dtype != np.bool_)
+            assert np.array_equal(native.contact(view, GlassLight(lamp, dark)).threshold, threshold, equal_nan=True)
 
 
 @pytest.mark.parametrize(("down", "across"), [(1, 1), (1, 7), (9, 1), (2, 2), (31, 42)])
-def test_same_points_covered(down: int, across: int) -> None:
+def test_same_points_covered(down: int, across: int, monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(down)
     margin = random.uniform(-1, 1, (3, 1, down, across)).astype(np.float32)
     for cell in (1, 4):
@@ -98,14 +95,16 @@ def test_same_points_covered(down: int, across: int) -> None:
         points[0, :4] = [[np.nan, 1], [1, np.inf], [1e30, 1], [-0.5, -0.5]]
         moved = np.array([[0.98, 0.03, 0.7], [-0.02, 1.01, -1.2]], np.float32)
         for transform in (np.array([[1, 0, 0], [0, 1, 0]], np.float32), moved):
-            found = native.covered(margin, points, transform, cell)
-            expected = covered(margin, points, transform, cell)
+            found = covers(margin, points, transform, cell)
+            with monkeypatch.context() as patch:
+                patch.setattr(contact_view, "is_present", lambda: False)
+                expected = covers(margin, points, transform, cell)
             if transform is moved:
                 # A sum may round otherwise, which decides for points within 1e-4 px of the border.
                 assert (found != expected).mean() < 0.002
             else:
                 assert np.array_equal(found, expected)
-    assert native.covered(margin, points[:, :0], moved, 4).shape == (3, 0)
-    assert native.covered(margin[:0], points[:0], moved, 4).shape == (0, 500)
-    strided = native.covered(margin[:, :, ::-1], points[:, ::2], moved, 4)
-    assert np.array_equal(strided, native.covered(margin[:, :, ::-1].copy(), points[:, ::2].copy(), moved, 4))
+    assert covers(margin, points[:, :0], moved, 4).shape == (3, 0)
+    assert covers(margin[:0], points[:0], moved, 4).shape == (0, 500)
+    strided = covers(margin[:, :, ::-1], points[:, ::2], moved, 4)
+    assert np.array_equal(strided, covers(margin[:, :, ::-1].copy(), points[:, ::2].copy(), moved, 4))

@@ -84,16 +84,17 @@ def test_more_memory_than_there_is() -> None:
     resource = pytest.importorskip("resource", reason="no limits on memory here")
     code = """
 import resource, torch
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import twin
+search = twin("search_windows")
 resource.setrlimit(resource.RLIMIT_DATA, (1 << 30, 1 << 30))
 images, place, index = torch.zeros(1, 1, 8, 8), torch.zeros(1, 2), torch.zeros(1, dtype=torch.int64)
 for threads in (1, 3):
     torch.set_num_threads(threads)
     try:
-        kernels.search_windows(images, images, index, place, place, (1 << 14) + 1, (1 << 13) - 1)
+        search(images, images, index, place, place, (1 << 14) + 1, (1 << 13) - 1)
     except MemoryError as error:
         print(error)
-    kernels.search_windows(images, images, index, place, place, 5, 1)
+    search(images, images, index, place, place, 5, 1)
 """
     assert resource
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

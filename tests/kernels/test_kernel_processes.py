@@ -72,7 +72,7 @@ def test_threads_get_the_results_of_their_own_frames() -> None:
             wanted = kernels.median(own, 9)
             points = torch.rand(1, 50, 2) * 100 + 10
             variance = torch.ones(3)
-            templates = kernels.prepare_templates(own[:1], points, None, variance[:1], 11, True, 0.0)
+            templates = kernels.twin("prepare_templates")(own[:1], points, None, variance[:1], 11, 1, 0.0)
             found = kernels.find_templates(templates, own, points, None, None, 1, 0.0, 1.0, 0.5)
             for _ in range(60):
                 if not torch.equal(kernels.median(own, 9), wanted):

@@ -38,7 +38,7 @@ def test_followed_in_one_call_as_one_after_the_other() -> None:
 
     def followed(engine: Engine) -> Followed:
         images = engine.images(frames[:, 0].numpy())
-        return engine.follow(engine.prepare(engine.key(images[:1]), points), images[1:], points, np.zeros_like(points))
+        return engine.track(engine.prepare(images[:1], points), images[1:], points, np.zeros_like(points))
 
     found = followed(NativeEngine(settings))
     with pytest.MonkeyPatch.context() as patch:

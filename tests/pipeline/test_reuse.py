@@ -278,7 +278,7 @@ def _watching(kind: type[Stage], act: Callable[..., Any]) -> Callable[..., Any]:
 
 def _declared(stage: type[Stage]) -> Iterator[str]:
     yield from stage.settings
-    for other in (*stage.after, *stage.beside):
+    for other in (*stage.after, *stage.same_pass):
         yield from _declared(other)
 
 

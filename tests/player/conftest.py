@@ -18,7 +18,7 @@ from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels.library import is_present
 
 
-def _together(bundle: Bundle, *_: Any) -> NativeEngine:
+def _named_onnx(bundle: Bundle, *_: Any) -> NativeEngine:
     engine = NativeEngine(bundle.engine_settings)
     engine.name = "onnx"
     return engine
@@ -76,17 +76,11 @@ class Stream:
 
         return self.camera(lambda: grab)
 
-    def parallel(self, frames: int | None) -> tuple[str, ...]:
-        """Return the arguments for `frames` frames computed side by side, as ONNX Runtime computes them; no arguments
-        for None.
-
-        The compiled library takes the place of ONNX Runtime; key frames and restarts take effect two frames later, or
-        more.
+    def as_onnx(self) -> None:
+        """Let key frames and restarts take effect two frames later, as with ONNX Runtime, whose place the compiled
+        library takes.
         """
-        if frames is None:
-            return ()
-        self._monkeypatch.setattr("fingerflow.player.opening.engine_of_stream", _together)
-        return "--parallel-frames", str(frames)
+        self._monkeypatch.setattr("fingerflow.player.opening.engine_of_stream", _named_onnx)
 
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"

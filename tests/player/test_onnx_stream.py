@@ -41,8 +41,8 @@ def alone(runtime: Runtime) -> player.StreamResults:
     return runtime.play("alone")
 
 
-def test_two_frames_beside_each_other_give_what_one_does(runtime: Runtime, alone: player.StreamResults) -> None:
-    other = runtime.play("beside", "--parallel-frames", "2", "--rate", "60")
+def test_a_slower_pace_gives_the_same(runtime: Runtime, alone: player.StreamResults) -> None:
+    other = runtime.play("paced", "--rate", "60")
     assert {event["event"] for event in alone.events} == {"restart", "key_frame", "threshold"}
     for name in set(alone.records.dtype.names or ()) - {"time", "latency"}:
         assert other.records[name].tobytes() == alone.records[name].tobytes(), name

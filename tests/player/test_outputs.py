@@ -261,7 +261,7 @@ VALUES |= {one: VARIABLES[one] for one in ("slip_residual", "normal_force", "ell
     ("text", "name", "limit"),
     [
         ("gross_contact_area > 20 mm2", "gross_contact_area", 20),
-        ("apparent_area>=20mm²", "gross_contact_area", 20),
+        ("gross_contact_area>=20mm²", "gross_contact_area", 20),
         ("median_divergence < -15 um/mm", "median_divergence", -0.015),
         ("median_divergence > 1.5 %", "median_divergence", 0.015),
         ("slip_flag > 0.5", "slip_flag", 0.5),
@@ -279,8 +279,7 @@ def test_a_condition_is_read_by_the_record_of_the_variable(text: str, name: str,
     [
         ("gross_contact_area > 20", "is measured in 'mm2' or 'mm²', and the condition gives no unit behind the number"),
         ("gross_contact_area > 20 cm2", "is measured in 'mm2' or 'mm²', not in 'cm2'"),
-        ("area > 20 mm2", "'area' may be any of real_contact_area, gross_contact_area"),
-        ("size > 20 mm2", "there is no live value 'size'; there are real_contact_area, "),
+        ("gross_area > 20 mm2", "there is no live value 'gross_area'; did you mean 'gross_contact_area'? there are "),
         ("gross_contact_area = 20 mm2", "is no condition such as"),
         ("gross_contact_area > 2.0.1 mm2", "a number has one decimal point"),
     ],

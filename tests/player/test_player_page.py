@@ -65,12 +65,12 @@ class Served:
         for _ in range(200):
             _, body = self.ask("GET", "/live")
             (length,) = struct.unpack_from("<I", body)
-            facts = json.loads(body[4 : 4 + length])
-            place, arrays = 4 + length + -length % 4, {}
+            facts = json.loads(body[8 : 8 + length])
+            place, arrays = 8 + length + -length % 8, {}
             for listed in facts["arrays"]:
                 array = np.frombuffer(body, listed["type"], int(np.prod(listed["shape"])), place)
                 arrays[listed["name"]] = array.reshape(listed["shape"])
-                place += array.nbytes + -array.nbytes % 4
+                place += array.nbytes + -array.nbytes % 8
             assert place == len(body)
             if "topography_view" in arrays and len(arrays["traces"]) > 3:
                 return facts, arrays

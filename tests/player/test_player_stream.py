@@ -13,10 +13,11 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, PLACES, POINTS, WIDTH, frame, write_scene
 
 from fingerflow import player
+from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player import stream_player as stream_module
-from fingerflow.tracker.frame_tracker import StreamTracker, Work
-from fingerflow.tracker.upkeep import Upkeep
+from fingerflow.tracker.frame_tracker import Frame, StreamTracker
+from fingerflow.tracker.reseeding import ReseedingSchedule
 
 
 def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
@@ -111,38 +112,33 @@ def _frames() -> list[Any]:
     return [frame(found, elsewhere=elsewhere) for found, elsewhere in FOUND]
 
 
-@pytest.mark.parametrize(("parallel", "lag"), [(None, 1), (3, 3)])
-def test_points_are_keyed_anew_and_chosen_anew(
-    stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: int | None, lag: int
-) -> None:
-    """Every frame has its own result, in order. A key frame and a restart take effect a fixed number of frames after
-    the frame that causes them: one frame with the compiled library, more with frames side by side.
+def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame has its own result, in order. A key frame and a restart take effect in the frame after the one that
+    causes them.
     """
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
-    ended = stream.run(*stream.frames(_frames()), "--policy", "every", *stream.parallel(parallel))
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
+    ended = stream.run(*stream.frames(_frames()), "--policy", "every")
     records, number = ended.results.records, np.arange(len(FOUND))
     np.testing.assert_array_equal(records["frame"], number)
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
     assert events == [("restart", 0, 10), ("key_frame", 7, 7), ("restart", 15, 10)]
-    np.testing.assert_array_equal(records["key_frame"], np.select([number < 7 + lag, number < 15 + lag], [0, 7], 15))
-    np.testing.assert_array_equal(records["restart"], np.where(number < 15 + lag, 1, 2))
+    np.testing.assert_array_equal(records["key_frame"], np.select([number < 8, number < 16], [0, 7], 15))
+    np.testing.assert_array_equal(records["restart"], np.where(number < 16, 1, 2))
     # Points lost before the key frame are not tracked from it, until others are seeded.
-    keyed = (number >= 7 + lag) & (number < 15 + lag)
+    keyed = (number >= 8) & (number < 16)
     late = number[keyed][number[keyed] >= 16]  # the points from before the restart are still tracked
     tracked = np.where(np.isin(number, late), 4, TRACKED)
     np.testing.assert_array_equal((records["status"] == TrackStatus.TRACKED).sum(1), tracked)
     np.testing.assert_array_equal(np.isfinite(records["position_px"][..., 0]).sum(1), tracked)
     assert (records["status"][keyed][:, 7:] == TrackStatus.NOT_FINITE).all()
-    assert (records["status"][4 : 7 + lag, 7:] > TrackStatus.NOT_FINITE).all()
+    assert (records["status"][4:8, 7:] > TrackStatus.NOT_FINITE).all()
     # A point keeps its position when it is tracked from another key frame.
     np.testing.assert_allclose(records["position_px"][:15, :4], np.broadcast_to(PLACES[:4], (15, 4, 2)), atol=0.01)
 
 
 def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Results are the same bit for bit, whatever the pace, the number of frames side by side and the time that each
-    frame takes.
-    """
-    monkeypatch.setattr(Upkeep, "_RESTART", 10)
+    """Results are the same bit for bit, whatever the pace and the time that each frame takes."""
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 10)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     generator = np.random.default_rng(5)
     shown = FOUND + [(10, 0)] * 20 + FOUND
@@ -151,18 +147,18 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
     given = enumerate(zip(shown, moved, stretched, strict=True))
     frames = np.stack([frame(one[0], 40 * i % 3000, far, more, one[1]) for i, (one, far, more) in given])
     np.save(stream.folder / "frames.npy", frames)
-    source, parallel = ("--source", str(stream.folder / "frames.npy")), stream.parallel(2)
+    source = ("--source", str(stream.folder / "frames.npy"))
     plain = stream.run(*source)
     assert {event["event"] for event in plain.results.events} >= {"restart", "key_frame", "threshold"}
     (stream.folder / "results").rename(stream.folder / "plain")
-    compute = StreamTracker.compute
+    step = StreamTracker.step
 
-    def uneven(tracker: StreamTracker, work: Work) -> None:
+    def uneven(tracker: StreamTracker, frame: Frame) -> Any:
         time.sleep(float(generator.choice((0, 0, 0, 0.004))))
-        compute(tracker, work)
+        return step(tracker, frame)
 
-    monkeypatch.setattr(StreamTracker, "compute", uneven)
-    other = stream.run(*source, "--rate", "1500", *parallel)
+    monkeypatch.setattr(StreamTracker, "step", uneven)
+    other = stream.run(*source, "--rate", "1500")
     reference = player.read_results(stream.folder / "plain").records
     assert np.nanmax(np.ptp(reference["position_px"][:30, :4, 0], axis=0)) > 1
     for name in set(reference.dtype.names or ()) - {"time", "latency"}:
@@ -175,23 +171,18 @@ def test_results_do_not_depend_on_the_clock(stream: Stream, monkeypatch: pytest.
 def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
-    """A frame that fails ends the stream with the records of all frames before it, even if it fails before these have
-    ended.
-    """
-    compute, failed = StreamTracker.compute, threading.Event()
+    """A frame that fails ends the stream with the records of all frames before it."""
+    step = StreamTracker.step
 
-    def fail(tracker: StreamTracker, work: Work) -> None:
-        compute(tracker, work)
-        if not tracker.found:  # warm-up
-            return
-        if work.index == failing:
-            failed.set()
+    def fail(tracker: StreamTracker, frame: Frame) -> Any:
+        passed = step(tracker, frame)
+        if tracker.seeded and frame.number == failing:  # without points in the warm-up
             raise RuntimeError("broken engine")
-        assert failed.wait(timeout=60)
+        return passed
 
-    monkeypatch.setattr(StreamTracker, "compute", fail)
+    monkeypatch.setattr(StreamTracker, "step", fail)
     with pytest.raises(RuntimeError, match="broken engine"):
-        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", *stream.parallel(3))
+        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every")
     results = stream.folder / "results"
     assert results.is_dir() == (failing > 0)  # no empty folder is left
     if failing:
@@ -207,18 +198,17 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
     return picture
 
 
-@pytest.mark.parametrize(("setting", "parallel"), [("", None), ('threshold = "reference_frame"', 1)])
-def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str, parallel: int | None) -> None:
+@pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
+def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str) -> None:
     """The threshold is measured in the first frame with contact among every fourth frame: 0.4, half of the loss of
     intensity.
 
-    The threshold applies from that frame on, whether or not frames are computed side by side; later, darker frames do
-    not change the threshold.
+    The threshold applies from that frame on; later, darker frames do not change it.
     """
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
     levels = (200, 200, 40, 40, 40, 40, 40, 10, 130, 10)
     np.save(stream.folder / "frames.npy", np.stack([_darkened(level) for level in levels]))
-    ended = stream.run("--source", str(stream.folder / "frames.npy"), *stream.parallel(parallel))
+    ended = stream.run("--source", str(stream.folder / "frames.npy"))
     touching = np.array([level < 100 for level in levels]) & (np.arange(10) >= 4)
     np.testing.assert_array_equal(ended.results.records["real_contact_area"], DARKENED_MM2 * touching)
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
@@ -231,7 +221,7 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str,
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a restart the threshold is measured again; the old threshold stays in use until then."""
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     # Points are lost from frame 4 on: others are seeded in frame 7 and tracked from frame 8 on.
     levels = [40] * 2 + [110] * 14
@@ -248,7 +238,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     """Points that are covered for a while are the same points afterwards: a restart that finds no points is not
     kept.
     """
-    monkeypatch.setattr(Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(ReseedingSchedule, "_RESTART", 0)
     black = frame(found=0)
     black[:, :WIDTH] = 0
     frames = [frame()] * 4 + [black] * 10 + [frame()] * 10
@@ -355,7 +345,7 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
         "median_divergence (µm/mm),median_divergence_std (µm/mm),slip_residual (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
-    with pytest.raises(player.PlayerError, match="exists"):
+    with pytest.raises(FingerflowError, match="exists"):
         player.write_table(stream.folder / "results", table)
     again = stream.run(*stream.recorded(2))
     assert (again.code, len(again.results.records)) == (2, 5)

@@ -21,7 +21,7 @@ _BUMPS = ((-1.8, -1.2, 1.0), (2.0, -0.9, -1.5), (0.4, 2.1, 0.5))  # x, y (px) an
 _WIDTH = 1.3  # px, width of a bump
 
 
-def recipe_of(bit_depth: int = 8) -> Recipe:
+def parse_recipe(bit_depth: int = 8) -> Recipe:
     """Return the recipe of the bundle."""
     return Recipe(
         views=ViewRecipe(height=HEIGHT, width=WIDTH, bit_depth=bit_depth),
@@ -33,7 +33,7 @@ def recipe_of(bit_depth: int = 8) -> Recipe:
 
 def write_bundle(folder: Path, bit_depth: int = 8) -> Path:
     """Write the bundle, and return its folder."""
-    return write_library_bundle(folder, recipe_of(bit_depth))
+    return write_library_bundle(folder, parse_recipe(bit_depth))
 
 
 def write_scene(path: Path, extra: str = "", background: str = "empty.npy") -> Path:

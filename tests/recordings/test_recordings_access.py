@@ -39,9 +39,9 @@ def test_no_frame_is_read_before_it_is_asked_for(path, reads):
     assert reads == []
     np.testing.assert_array_equal(view[1], FRAMES[6])
     assert reads == [6]
-    batches = recording.batches(4)
+    part = recording[:4]
     assert reads == [6]
-    next(batches)
+    part.read()
     assert reads == [6, 0, 1, 2, 3]
 
 
@@ -99,17 +99,6 @@ def test_numbers_of_frames(path):
         recording[np.ones(11, bool)]
     with pytest.raises(TypeError):
         recording[1.5]
-
-
-def test_batches_cover_everything_once(path):
-    recording = open_recording(path)
-    for size, sizes in ((4, [4, 4, 3]), (11, [11]), (100, [11]), (1, [1] * 11)):
-        parts = list(recording.batches(size))
-        assert [len(part) for part in parts] == sizes
-        np.testing.assert_array_equal(np.concatenate(parts), FRAMES)
-    np.testing.assert_array_equal(np.concatenate(list(recording[::-2].batches(4))), FRAMES[::-2])
-    with pytest.raises(ValueError, match="size=0"):
-        next(recording.batches(0))
 
 
 def test_rate_is_never_guessed_and_follows_the_view(path):

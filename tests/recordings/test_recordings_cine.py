@@ -8,7 +8,7 @@ import pytest
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
-from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
+from fingerflow.recordings.frames.cine import LINEAR_OF_COMPANDED
 from tests.recordings.camera_files import Cine, pack_bits
 
 

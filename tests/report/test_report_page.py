@@ -77,7 +77,7 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
     for one, level in zip(frames, (1, 2, 3), strict=False):
         assert force[one.frame] >= level > force[one.frame - 1]
     assert frames[-1].frame == np.nanargmax(force)
-    lines = {line.name: line.values for line in key_numbers(result, frames)}
+    lines = {name: values for name, _, values in key_numbers(result, frames)}
     for k, one in enumerate(frames):
         value, spread = (1000 * float(result[f"median_divergence{of}"][one.frame]) for of in ("", "_std"))
         assert lines["median divergence"][k] == with_uncertainty(value, spread)

@@ -1,6 +1,5 @@
-"""Tests of `fingerflow figures`: the panels that a table supports, reasons for the others, and legible labels."""
+"""Tests of the figures of the supplement: panels that a table supports, reasons for the others, legible labels."""
 
-import json
 from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
@@ -11,13 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from fingerflow.models.observer import Trials
+from fingerflow.models.observer import Trials, read_trials
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import settle
 from fingerflow.report.sheet import Sheet
 from fingerflow.report.supplement import FIGURES, supplement_sheet
 from fingerflow.report.trial_metrics import METRICS
-from fingerflow.report.trials_file import load_trials
 
 Command = Callable[..., int]
 Printed = pytest.CaptureFixture[str]
@@ -25,48 +23,39 @@ pytestmark = pytest.mark.long
 _TOUCH_PX = 1.5  # at 100 dpi: labels may overlap by less than half a millimetre
 
 
-def table(path: Path, columns: tuple[str, ...]) -> Path:
-    """Write a table of 8 participants, 4 of them with softer skin, and 4 amplitudes; return its path."""
+def table(columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return the columns of a table of 8 participants, 4 of them with softer skin, and 4 amplitudes."""
     draw = np.random.default_rng(0)
-    lines = [",".join(("participant", "trial", "condition", "answer", *columns))]
+    rows = []
     for who in range(8):
         for amplitude in (0.0, 1.0, 2.0, 3.0):
             for trial in range(6):
                 right = int(draw.random() < 0.5 + 0.16 * amplitude)
                 level = 0.01 + 0.02 * (who >= 4) + 0.002 * amplitude + 0.001 * right
                 values = level * (1 + 0.2 * draw.random(len(columns)))
-                lines.append(",".join(map(str, (who, trial, amplitude, right, *values))))
-    path.write_text("\n".join(lines) + "\n")
-    return path
+                rows.append((who, trial, amplitude, right, *values))
+    names = ("participant", "trial", "condition", "answer", *columns)
+    found = {name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
+    return found | {"answer": found["answer"] == 1}
 
 
 @pytest.fixture(scope="module")
-def trials(tmp_path_factory: pytest.TempPathFactory) -> Trials:
-    return load_trials(table(tmp_path_factory.mktemp("table") / "t.csv", METRICS))
+def trials() -> Trials:
+    return read_trials(table(METRICS))
 
 
-def test_a_table_brings_the_figures_of_its_columns_and_the_others_say_why(
-    command: Command, tmp_path: Path, capsys: Printed
-) -> None:
-    columns = ("divergence", "curl", "strain", "global_displacement", "force_rate")
-    path = table(tmp_path / "t.csv", columns)
-    assert command("figures", tmp_path / "new", "--trials", path, "--json") == 0
-    found = {one["figure"]: one for one in json.loads(capsys.readouterr().out)}
-    assert list(found) == list(FIGURES)
-    drawn = ("S5", "S7", "S8", "S11", "S12", "S13")
-    assert [name for name, one in found.items() if one["file"]] == list(drawn)
-    names = sorted(path.name for path in (tmp_path / "new").iterdir())
-    assert names == sorted(f"{name}.{suffix}" for name in drawn for suffix in ("png", "txt"))
-    assert found["S1"]["left_out"] == [
+def test_a_table_brings_the_figures_of_its_columns_and_the_others_say_why() -> None:
+    trials = read_trials(table(("divergence", "curl", "strain", "global_displacement", "force_rate")))
+    sheets = {name: supplement_sheet(name, trials) for name in FIGURES}
+    assert sheets["S1"].missing() == [
         "C, E need pictures and series of recordings, which no table of trials holds",
         "D needs values of gross_contact_area in the table of trials",
         "F needs values of real_contact_area in the table of trials",
     ]
-    assert found["S11"]["left_out"] == [
+    assert sheets["S11"].missing() == [
         "the rest needs values of force_angle, strain_rate, strain_energy, real_contact_area in the table of trials"
     ]
-    sheets = {name: supplement_sheet(name, load_trials(path)) for name in drawn}
-    letters = {name: [panel.letter for panel in sheet.panels] for name, sheet in sheets.items()}
+    letters = {name: [panel.letter for panel in sheet.panels] for name, sheet in sheets.items() if sheet.panels}
     assert letters == {
         "S5": ["H", "I"],
         "S7": ["A", "C"],
@@ -79,19 +68,16 @@ def test_a_table_brings_the_figures_of_its_columns_and_the_others_say_why(
     assert [label.get_text() for label in metrics] == ["divergence", "global displacement", "force rate"]
 
 
-def test_differences_are_taken_where_the_caption_has_them(tmp_path: Path) -> None:
-    columns = ("divergence", "force_angle", "force_angle_difference")
-    found = load_trials(table(tmp_path / "t.csv", columns))
+def test_differences_are_taken_where_the_caption_has_them() -> None:
+    found = read_trials(table(("divergence", "force_angle", "force_angle_difference")))
     axes = supplement_sheet("S7", found).figure().axes
     assert [one.get_xlabel() for one in axes] == ["vibration amplitude (µm)", "median peak force angle difference (°)"]
 
 
-def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path) -> None:
-    path = table(tmp_path / "t.csv", ("divergence", "curl"))
-    heading, *rows = path.read_text().splitlines()
-    cells = [row.split(",") for row in rows]
-    path.write_text("\n".join([heading, *(",".join([*row[:3], "1", row[4], ""]) for row in cells)]))
-    found = load_trials(path)
+def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said() -> None:
+    columns = table(("divergence", "curl"))
+    columns["answer"][:], columns["curl"][:] = True, np.nan
+    found = read_trials(columns)
     assert "both are needed" in supplement_sheet("S11", found).figure().axes[0].get_title()
     supplement_sheet("S12", found).figure()
     assert supplement_sheet("S13", found).missing()[-1] == "C needs values of curl in the table of trials"
@@ -110,15 +96,14 @@ def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--trials", "none.csv"), "none.csv cannot be read"),
-        (("--trials", "none.csv", "--format", "jpg"), "'jpg' is none; give one or more of pdf, svg, png"),
-        (("--trials", "none.csv", "--width", "85"), "give a number and its unit: mm, cm or in, such as 85mm"),
+        (("--format", "jpg"), "'jpg' is none; give one or more of pdf, svg, png"),
+        (("--width", "85"), "give a number and its unit: mm, cm or in, such as 85mm"),
     ],
 )
 def test_mistakes_are_named(
     command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: Printed
 ) -> None:
-    assert command("figures", tmp_path / "out", *arguments) == 2
+    assert command("slip", "none.toml", "--figure", tmp_path / "out", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

@@ -1,7 +1,6 @@
 """Tests of the figures of a table of trials: artists hold the numbers of the table."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,20 +9,19 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Trials, pearson, repeated_anova
+from fingerflow.models.observer import Trials, pearson, read_trials, repeated_anova
 from fingerflow.plot.rounding import with_interval
 from fingerflow.report import trial_metrics as metrics
-from fingerflow.report.trials_file import load_trials
 
 AMPLITUDES = (0.0, 1.0, 2.0)
 
 
-def table(path: Path, rows: int = 20) -> Path:
-    """Write a table of 4 participants and 3 amplitudes, whose area is 10 times the participant's number and falls with
-    amplitude; return its path.
+def table(rows: int = 20) -> Trials:
+    """Return trials of 4 participants and 3 amplitudes, whose area is 10 times the participant's number and falls with
+    amplitude.
     """
     draw = np.random.default_rng(0)
-    lines = ["participant,trial,condition,answer,max_force,real_contact_area,force_angle,divergence,strain"]
+    cells = []
     for who in range(1, 5):
         for amplitude in AMPLITUDES:
             for trial in range(rows):
@@ -31,15 +29,17 @@ def table(path: Path, rows: int = 20) -> Path:
                 force = 5 + draw.standard_normal()
                 area = 10 * who * (1 - 0.1 * amplitude)
                 divergence = 0.01 + 0.005 * amplitude + 0.001 * draw.standard_normal()
-                cells = f"p{who},{trial},{amplitude},{right},{force:.6f},{area},0.1,{divergence:.6f}"
-                lines.append(f"{cells},{0.4 * divergence + 0.001:.8f}")
-    path.write_text("\n".join(lines) + "\n")
-    return path
+                strain = 0.4 * divergence + 0.001
+                cells.append((f"p{who}", trial, amplitude, right == 1, force, area, 0.1, divergence, strain))
+    names = ("participant", "trial", "condition", "answer")
+    measured = ("max_force", "real_contact_area", "force_angle", "divergence", "strain")
+    columns = zip(*cells, strict=True)
+    return read_trials({name: np.array(values) for name, values in zip((*names, *measured), columns, strict=True)})
 
 
 @pytest.fixture(scope="module")
-def trials(tmp_path_factory: pytest.TempPathFactory) -> Trials:
-    return load_trials(table(tmp_path_factory.mktemp("trials") / "trials.csv"))
+def trials() -> Trials:
+    return table()
 
 
 @pytest.fixture
@@ -140,33 +140,3 @@ def test_curl_against_divergence(axes: Axes, trials: Trials) -> None:
 def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:
     with pytest.raises(FingerflowError, match="no metric 'duration': it has max_force"):
         metrics.draw_distribution(axes, trials, "duration")
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("", "give a heading"),
-        ("participant,trial,condition,answer\n", "0 rows"),
-        ("participant,trial,condition,answer\na,1,0,yes\n", "row 2: answer is 'yes'; give 1"),
-        ("participant,trial,condition,answer\na,1,0\n", "row 2: 3 cells, the heading has 4"),
-        ("participant,trial,condition,answer,curl\na,1,0,1,much\n", "row 2: curl is 'much'; give a number"),
-        ("participant,trial,answer\na,1,0\n", r"t\.csv: the table of trials lacks condition"),
-    ],
-)
-def test_tables_with_mistakes(tmp_path: Path, text: str, match: str) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(text)
-    with pytest.raises(FingerflowError, match=match):
-        load_trials(path)
-    with pytest.raises(FingerflowError, match=r"none\.csv cannot be read"):
-        load_trials(tmp_path / "none.csv")
-
-
-def test_empty_cells_and_words(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("participant,trial,condition,answer,curl\n1,1,high,True,\n1,2,low,FALSE,0.5\n")
-    found = load_trials(path)
-    assert found.participant.tolist() == ["1", "1"]
-    assert found.condition.tolist() == ["high", "low"]
-    assert found.answer.tolist() == [True, False]
-    np.testing.assert_array_equal(found.metrics["curl"], [np.nan, 0.5])

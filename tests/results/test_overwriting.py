@@ -130,7 +130,6 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path) -> Non
     from fingerflow.plot.figure_files import PNG
     from fingerflow.report import video_writer as video
     from fingerflow.report import write_report
-    from fingerflow.report.supplement import write_supplement
     from fingerflow.results.atomic_write import is_marked
 
     trial = result().assign_coords(time=("frame", np.arange(3.0)))
@@ -150,7 +149,7 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path) -> Non
     assert is_marked(write_report(trial, None, tmp_path, overwrite=True))
     (tmp_path / "S13.png").write_bytes(b"years of work")
     with pytest.raises(FingerflowError, match=r"S13\.png exists and was not written by this command"):
-        write_supplement(None, tmp_path)  # type: ignore[arg-type]  # refused before a trial is read
+        PNG.keep_others(tmp_path, "S13", overwrite=False)
     assert (tmp_path / "S13.png").read_bytes() == b"years of work"
 
 

@@ -102,7 +102,7 @@ def write_folder(folder: Path) -> Path:
         "coarse": rig(_VIEWS).replace("mm_per_px = 0.0325", "mm_per_px = 3.25"),
         "negative": rig(_VIEWS).replace("mm_per_px = 0.0325", "mm_per_px = -0.0325"),
         "flat": rig(_VIEWS).replace("0.01, 1.01, -6.2", "1.01, -0.01, -6.2"),
-        "no_hole": "mm_per_px = 0.0325\n",
+        "no_views": "mm_per_px = 0.0325\n",
         "broken": "mm_per_px 0.0325\n",
         "of_words": rig(_VIEWS).replace("mm_per_px = 0.0325", 'mm_per_px = "small"'),
     }
@@ -269,7 +269,7 @@ WRONG = (
         CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it again"
     ),
     WrongScene(
-        CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it again"
+        CALIBRATION, 'file = "no_views.toml"', 'file = "no_views', "calibration has no entry 'views'. Write it again"
     ),
     WrongScene(CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "),
     WrongScene(

@@ -109,7 +109,7 @@ def test_a_calibration_file_gives_scale_and_transform(path: Path) -> None:
 def test_what_a_stream_needs_besides(path: Path) -> None:
     """A stream needs both views, whatever the kind, as the graphs of a bundle take both."""
     path.write_text(RIGHT.replace(TOPOGRAPHY, ""), encoding="utf-8")
-    assert package.load_scene(path).views.names() == ("contact",)
+    assert package.load_scene(path).views.keys() == {"contact"}
     with pytest.raises(PlayerError, match=r"views.topography is missing; add it"):
         player.load_scene(path)
 
@@ -133,7 +133,7 @@ def test_a_new_kind_is_an_entry_in_a_table(path: Path, monkeypatch: pytest.Monke
         f'kind = "markers"\n{rest[: rest.index("[stream]")]}[views.markers]\nrows = [0, 9]\ncolumns = [0, 8]\n'
     )
     scene = package.load_scene(path)
-    assert (scene.kind, scene.views.names(), scene.views["markers"].shape) == ("markers", ("markers",), (9, 8))
+    assert (scene.kind, list(scene.views), scene.views["markers"].shape) == ("markers", ["markers"], (9, 8))
     assert scene.has("views.markers")
     assert not scene.has("views.contact")
     with pytest.raises(PlayerError, match="its kind is 'markers', which has no contact view; a stream plays scenes of"):

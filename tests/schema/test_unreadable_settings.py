@@ -9,23 +9,23 @@ from typing import Any
 
 import pytest
 
-from fingerflow.calibration import Calibration
 from fingerflow.engines.bundle import load_bundle
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.results.stream_folder import read_results
+from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.scene import load_scene
 
 DEEP = "[" * 200_000
 
 
-@pytest.mark.parametrize("read", [load_scene, Calibration.from_toml])
+@pytest.mark.parametrize("read", [load_scene, read_calibration])
 def test_a_pipe_is_not_waited_for(tmp_path: Path, read: Callable[[Path], Any]) -> None:
     os.mkfifo(tmp_path / "a.toml")
     with pytest.raises(FingerflowError, match=r"a\.toml: .*is no file.*`fingerflow (init|calibrate)`"):
         read(tmp_path / "a.toml")
 
 
-@pytest.mark.parametrize("read", [load_scene, Calibration.from_toml])
+@pytest.mark.parametrize("read", [load_scene, read_calibration])
 def test_nesting_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any]) -> None:
     (tmp_path / "a.toml").write_text(f"a = {DEEP}")
     with pytest.raises(FingerflowError, match=r"a\.toml: .*recursion"):
@@ -44,16 +44,3 @@ def test_a_name_that_no_file_can_have(tmp_path: Path, name: str) -> None:
     (tmp_path / "a.toml").write_text(f'[recording]\nframes = "{name}"\n')
     with pytest.raises(FingerflowError, match=r"a\.toml, line 2: recording\.frames is .*cannot? be looked up|no path"):
         load_scene(tmp_path / "a.toml")
-
-
-@pytest.mark.parametrize("residuals", ["[[0.1, 0.0], [0.1]]", "[[0.1, 0.0, 1.0]]"])
-def test_residuals_that_are_no_pairs(tmp_path: Path, residuals: str) -> None:
-    from tests.fuzz.samples import samples
-
-    (sample,) = samples("calibration", tmp_path)
-    text = sample.files["calibration.toml"].decode()
-    (tmp_path / "calibration.toml").write_text(text)
-    Calibration.from_toml(tmp_path / "calibration.toml")
-    (tmp_path / "calibration.toml").write_text(text.replace("[[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]]", residuals))
-    with pytest.raises(FingerflowError, match=r"calibration\.toml: .*are no pairs of px.*fingerflow calibrate"):
-        Calibration.from_toml(tmp_path / "calibration.toml")

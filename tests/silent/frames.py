@@ -26,9 +26,9 @@ from fingerflow.recordings import open_recording
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.synthetic import PartialSlip, Press, Slide, SyntheticScene, scene_of_print, write_recording
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_copies import copies, key_of
+from fingerflow.tracker.frame_copies import copies, frame_key
 from fingerflow.tracker.frame_distances import PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_returns import jumps_and_returns
+from fingerflow.tracker.frame_jumps import jumps_and_returns
 from tests.silent.case import Case, records_of
 from tests.small_trials import (
     SPOILED,
@@ -223,8 +223,8 @@ def without_fault(folder: Path, few: bool) -> Iterator[Case]:
 
 
 def _clean(name: str, *views: Frames) -> Case:
-    distances = np.concatenate([squared_distances_before(PixelSamples.of(view), None) for view in views], axis=2)
-    keys = [key_of(blocks) for blocks in zip(*(block_means(view).blocks for view in views), strict=True)]
+    distances = np.concatenate([squared_distances_before(PixelSamples.sample(view), None) for view in views], axis=2)
+    keys = [frame_key(blocks) for blocks in zip(*(block_means(view).blocks for view in views), strict=True)]
     copied = copies(keys, distances, np.ones(len(keys), dtype=bool))
     excluded = np.setdiff1d(np.flatnonzero(copied | jumps_and_returns(distances, ~copied)), KNOWN.get(name, []))
     verdict = "false alarm" if len(excluded) else "right"

@@ -120,7 +120,7 @@ def flags_of(scene: SyntheticScene, seed: int) -> np.ndarray[Any, Any]:
         depth = torch.full((len(position),), -1.0)
         if ellipse is not None:
             depth = ellipse.distance(*torch.from_numpy(position).unbind(-1))
-        flags[frame] = flag.see(points, np.full(len(points), _NOISE_PX), (depth > 0).numpy()).slipping
+        flags[frame] = flag.update(points, np.full(len(points), _NOISE_PX), (depth > 0).numpy()).slipping
     return flags
 
 

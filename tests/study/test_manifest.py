@@ -130,9 +130,7 @@ def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: s
 def test_recordings_without_scenes(lab: Path) -> None:
     for scene in lab.rglob("scene.toml"):
         scene.unlink()
-    found = init_study(lab, lab / "answers.csv")
-    assert found.trials == 8
-    assert found.to_fill_in == ("[scene] in study.toml",)
+    assert init_study(lab, lab / "answers.csv") == (8, ["[scene] in study.toml"])
     manifest = load_manifest(lab)
     assert manifest.trials[0].settings["forces"] == {"file": "p01/0um/trial1/forces.csv"}
     assert {entry.condition for entry in manifest.trials} == {"0", "2"}

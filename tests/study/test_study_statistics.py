@@ -144,8 +144,8 @@ def test_a_trial_that_is_far_off_is_found() -> None:
     frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=4)))
     frame.loc[17, "curl"] = 0.1
     found = outliers(frame)
-    assert max(range(len(found)), key=lambda number: found[number].deviations) == 17
-    assert found[17].metric == "curl"
+    assert max(range(len(found)), key=lambda number: found[number][0]) == 17
+    assert found[17][1] == "curl"
 
 
 def test_curves_are_averaged_over_participants() -> None:

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.synthetic import Bump, Ellipse, PartialSlip, Press, Slide, SyntheticScene
-from fingerflow.synthetic.optics import OUTLINE_WIDTH, RIDGE_LEVEL, SKIN_LEVEL, Lights
+from fingerflow.synthetic.optics import OUTLINE_WIDTH, RIDGE_LEVEL, SKIN_LEVEL, grazing, stray
 
 Array = NDArray[np.float64]
 
@@ -168,11 +168,11 @@ def test_picture_shows_the_material_where_the_truth_says(scene: SyntheticScene) 
     pixels = np.stack((generator.integers(250, 400, 300), generator.integers(150, 350, 300)), axis=-1)
     positions = scene.truth.topography_positions(pixels)
     material = torch.from_numpy(scene.truth.material(positions, frame))
-    lights = Lights(size=(640 * scene.mm_per_px, 512 * scene.mm_per_px))
+    size = 640 * scene.mm_per_px, 512 * scene.mm_per_px
     x, y = torch.from_numpy(positions).unbind(-1)
     outline = Ellipse(scene.contact_centre, scene.finger).distance(material[:, 0], material[:, 1])
-    lit = lights.grazing(x, y) * torch.sigmoid(outline / OUTLINE_WIDTH)
-    seen = (torch.from_numpy(picture[pixels[:, 1], pixels[:, 0]]) - scene.camera.dark - lights.stray(x, y)) / lit
+    lit = grazing(x, y, *size) * torch.sigmoid(outline / OUTLINE_WIDTH)
+    seen = (torch.from_numpy(picture[pixels[:, 1], pixels[:, 0]]) - scene.camera.dark - stray(x, y, *size)) / lit
     expected = SKIN_LEVEL + RIDGE_LEVEL * scene.skin(material[:, 0], material[:, 1])
     # 1e-9 grey levels: rounding of float64 only.
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-9)

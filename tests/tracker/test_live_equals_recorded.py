@@ -88,8 +88,10 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     """Return for each frame (F,) whether every point in contact has its final reference position."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
-    border = Border.of({name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")})
+    border = Border.from_series(
+        {name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")}
+    )
     seen = touches.add_frames(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)
-    elsewhere = (seen.place != recorded["reference_position"].values).any(-1)
+    elsewhere = (seen.position != recorded["reference_position"].values).any(-1)
     result: Array = ~(seen.touching & elsewhere).any(1)
     return result

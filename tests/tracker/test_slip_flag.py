@@ -36,13 +36,13 @@ def test_the_residual_is_that_of_the_op() -> None:
 def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
     flag, radius = SlipFlag(), np.linalg.norm(POINTS - 150, axis=1) / 150
     for frame in range(60):
-        state = flag.see(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED)
+        state = flag.update(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED)
         assert not state.slipping
         assert frame == 0 or state.residual == pytest.approx(0.03 * math.sqrt(2), rel=0.15)
     raised = []
     for _ in range(4):
         # The rim slips by 0.3 px, ten times the noise.
-        state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
+        state = flag.update(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
         raised.append(state.slipping)
     assert raised == [False, False, True, True]
 
@@ -60,16 +60,16 @@ def test_the_flag_outlives_a_choice_of_other_points() -> None:
         return np.asarray(points + np.stack((ahead, 0 * ahead), 1))
 
     flag = SlipFlag()
-    flag.see(old, std, covered)
+    flag.update(old, std, covered)
     for _ in range(4):
-        state = flag.see(slipped(old), std, covered)
+        state = flag.update(slipped(old), std, covered)
     assert state.slipping
     flag.follow_others(slipped(old), slipped(new))
-    after = [flag.see(slipped(new), std[:150], covered[:150]) for _ in range(6)]
+    after = [flag.update(slipped(new), std[:150], covered[:150]) for _ in range(6)]
     assert all(one.slipping for one in after)
     assert after[-1].residual == pytest.approx(state.residual, rel=0.15)
     lost = np.full_like(new, np.nan)
-    assert all(flag.see(lost, std[:150], covered[:150]).slipping for _ in range(6))
+    assert all(flag.update(lost, std[:150], covered[:150]).slipping for _ in range(6))
     for _ in range(3):
-        ended = flag.see(slipped(new), std[:150], 0 * covered[:150])
+        ended = flag.update(slipped(new), std[:150], 0 * covered[:150])
     assert not ended.slipping

@@ -116,20 +116,20 @@ def test_the_scene_of_a_result_is_the_one_it_was_computed_from(processed: Path) 
 
 
 def test_what_a_path_is(press: Path, processed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    both = open_path(processed / "scene.toml")
-    assert both.draft is not None
-    assert both.result == processed / "result.h5"
-    alone = open_path(press / "scene.toml")
-    assert alone.draft is not None
-    assert alone.result is None
-    of_result = open_path(processed / "result.h5")
-    assert of_result.draft is not None
-    assert of_result.draft.path == processed / "scene.toml"
-    assert open_path(press / "frames.npy").result is None
+    draft, result = open_path(processed / "scene.toml")
+    assert draft is not None
+    assert result == processed / "result.h5"
+    draft, result = open_path(press / "scene.toml")
+    assert draft is not None
+    assert result is None
+    draft, result = open_path(processed / "result.h5")
+    assert draft is not None
+    assert draft.path == processed / "scene.toml"
+    assert open_path(press / "frames.npy")[1] is None
     monkeypatch.chdir(press)
-    here = open_path(None)
-    assert here.draft is not None
-    assert here.draft.path == press / "scene.toml"
+    draft, _ = open_path(None)
+    assert draft is not None
+    assert draft.path == press / "scene.toml"
     for wrong in ("nothing.toml", "forces.csv"):
         with pytest.raises(FingerflowError, match=wrong):
             open_path(press / wrong)

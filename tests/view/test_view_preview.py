@@ -30,11 +30,11 @@ def test_contact_is_that_of_process(processed: Path, old: str, new: str) -> None
     preview = Previewer(scene, before)  # as on the page, where each previewer takes over from the one before
     result = process(scene, [*CONTACT])
     for frame in (0, 5, 11, 6):
-        found = preview.contact(frame)
+        mask, numbers = preview.contact(frame)
         for name in CONTACT:
             # Equal with the compiled kernels; portable float32 sums depend on the number of frames at a time.
-            np.testing.assert_allclose(found.numbers[name], result[name].values[frame], rtol=1e-6, err_msg=name)
-        area = found.mask.sum() * scene.calibration.mm_per_px**2
+            np.testing.assert_allclose(numbers[name], result[name].values[frame], rtol=1e-6, err_msg=name)
+        area = mask.sum() * scene.calibration.mm_per_px**2
         assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-12)
     settled = load_result(processed / "result.h5")  # result of the settings before the change, which must differ
     assert any((settled[name].values != result[name].values).any() for name in CONTACT)
@@ -45,11 +45,11 @@ def test_points_are_those_of_process(processed: Path, direction: str) -> None:
     text = (processed / "scene.toml").read_text(encoding="utf-8").replace('"forward"', f'"{direction}"', 1)
     scene = scene_of_text(text, processed / "scene.toml")
     assert scene.tracking.direction == direction
-    chosen = Previewer(scene).chosen()
+    points, frame, warnings = Previewer(scene).chosen()
     result = process(scene, ["position_px"])
-    assert chosen.frame == (0 if direction == "forward" else 11)
-    np.testing.assert_array_equal(chosen.points, result["position_px"].values[chosen.frame])
-    assert any("points" in one for one in chosen.warnings)  # the view is too small for 700 points
+    assert frame == (0 if direction == "forward" else 11)
+    np.testing.assert_array_equal(points, result["position_px"].values[frame])
+    assert any("points" in one for one in warnings)  # the view is too small for 700 points
 
 
 def test_forces_are_those_of_process(processed: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any, ParamSpec, TypeVar, cast, get_args, get_origin, get_type
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.library import shapes_only
+from fingerflow.kernels.kernel import shapes_only
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

@@ -12,16 +12,6 @@ from fingerflow.models.partial_slip.fit import FrictionFit, fit_friction
 from fingerflow.models.partial_slip.verdict import TrialVerdict, judge_trial
 
 __all__ = [
-    "CurveComparison",
-    "CurveScore",
-    "FrictionFit",
-    "TrialVerdict",
-    "compare_curves",
-    "critical_load_ratio",
-    "critical_stuck_area",
-    "fit_friction",
-    "friction_ratio",
-    "judge_trial",
-    "load_ratio",
-    "stuck_area",
-]
+    "CurveComparison", "CurveScore", "FrictionFit", "TrialVerdict", "compare_curves", "critical_load_ratio",
+    "critical_stuck_area", "fit_friction", "friction_ratio", "judge_trial", "load_ratio", "stuck_area",
+]  # fmt: skip

@@ -9,12 +9,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import contact_sizes as sizes
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact import CELLS
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
 from fingerflow.ops.tensors import constant_like, half_angle
 
+_compiled: Twin[tuple[Tensor, Tensor]] = twin("apparent_contact")
 _PART = 32  # cells of a line smoothed by one matrix product
 
 
@@ -79,8 +81,8 @@ def apparent_contact(
     side = cell or cell_of(radius)
     if not 1 <= side <= 2 * radius + 1:
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
-    if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
-        margin, numbers = kernels.apparent_contact(mask, radius, side)
+    if precision == torch.float32 and side in CELLS and _compiled.serves(mask):
+        margin, numbers = _compiled(mask, radius, side)
         return ApparentRegion(margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
     return _region(cell_means(mask, side, precision), radius, side)
 
@@ -121,8 +123,8 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         # The outer border: what lies beyond the frame, or in a hole, is no rim.
         border = part * (1 - part) * largest_around(filled) * largest_around(1 - filled)
         # At a convex border the smoothed region itself is below one half.
-        own = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
-        level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
+        border_mass = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
+        level = (border_mass / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
         weights = torch.cat((*(_band(border, of_band) for of_band in bands), alike), dim=1).flatten(2).mT.contiguous()
         for _ in range(sizes.ROUNDS):
             near, far, everywhere = shares(limit, weights).split(1, dim=3)
@@ -167,7 +169,7 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
         down, along = (matrix(-(-side // size), wide) for side in cells.shape[-2:])
         return _Boxes(down, along, 3 * math.ceil(wide / 2))
 
-    return [boxes(1, width), *(boxes(2, max(width * one / 2, 1.0)) for one in (sizes.NARROW, sizes.WIDE))]
+    return [boxes(1, width), *(boxes(2, max(width * factor / 2, 1.0)) for factor in (sizes.NARROW, sizes.WIDE))]
 
 
 def _band(border: Tensor, boxes: _Boxes) -> Tensor:
@@ -185,9 +187,9 @@ def _smooth(cells: Tensor, boxes: _Boxes) -> Tensor:
         return down @ cells @ along
     # The smoothing matrices are banded: each part of a line is multiplied only with the cells within reach.
     height, wide = cells.shape[-2:]
-    of_rows = [down[own, near] @ cells[..., near, :] for own, near in _segments(height, reach)]
+    of_rows = [down[rows_out, near] @ cells[..., near, :] for rows_out, near in _segments(height, reach)]
     rows = torch.cat(of_rows, dim=2)
-    return torch.cat([rows[..., near] @ along[near, own] for own, near in _segments(wide, reach)], dim=3)
+    return torch.cat([rows[..., near] @ along[near, rows_out] for rows_out, near in _segments(wide, reach)], dim=3)
 
 
 def _segments(side: int, reach: int) -> list[tuple[slice, slice]]:
@@ -201,8 +203,8 @@ def _smoothing_matrix(side: int, width: float, device: torch.device) -> Tensor:
 
     The cells at the ends of a box have fractional weights.
     """
-    place = torch.arange(side, dtype=torch.float64, device=device)
-    box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
+    index = torch.arange(side, dtype=torch.float64, device=device)
+    box = ((width + 1) / 2 - (index[:, None] - index).abs()).clamp(0, 1) / width
     return box @ box @ box
 
 
@@ -243,11 +245,11 @@ def _enclosed(inside: Tensor) -> Tensor:
     between = []
     for axis in (2, 3):
         side = inside.shape[axis]
-        place = torch.arange(1, side + 1, dtype=inside.dtype, device=inside.device)
-        place = place[:, None] if axis == 2 else place
-        last = (inside * place).amax(axis, keepdim=True)
-        first = (side + 1) - (inside * ((side + 1) - place)).amax(axis, keepdim=True)
-        between.append((torch.minimum(place - first, last - place) + 1).clamp(0.0, 1.0))  # integers: 0 or 1
+        index = torch.arange(1, side + 1, dtype=inside.dtype, device=inside.device)
+        index = index[:, None] if axis == 2 else index
+        last = (inside * index).amax(axis, keepdim=True)
+        first = (side + 1) - (inside * ((side + 1) - index)).amax(axis, keepdim=True)
+        between.append((torch.minimum(index - first, last - index) + 1).clamp(0.0, 1.0))  # integers: 0 or 1
     return between[0] * between[1]
 
 
@@ -261,13 +263,13 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     powers = []
     middles = []
     for count in coverage.shape[-2:]:
-        place = torch.arange(count, dtype=coverage.dtype, device=coverage.device) - (count - 1) / 2
-        powers.append(torch.stack((torch.ones_like(place), place, place * place)))
+        coordinate = torch.arange(count, dtype=coverage.dtype, device=coverage.device) - (count - 1) / 2
+        powers.append(torch.stack((torch.ones_like(coordinate), coordinate, coordinate * coordinate)))
         middles.append((count - 1) / 2)
     moments = powers[0] @ coverage[:, 0] @ powers[1].T  # (B, 3, 3) by powers of y and x
     mass = moments[:, 0, :1]
-    some = mass > 0.5
-    moments = moments / torch.where(some, mass, 1.0)[..., None]
+    present = mass > 0.5
+    moments = moments / torch.where(present, mass, 1.0)[..., None]
     mean = torch.cat((moments[:, 0, 1:2], moments[:, 1, :1]), dim=1)
     square = torch.cat((moments[:, 0, 2:], moments[:, 2, :1]), dim=1) - mean * mean
     mixed = moments[:, 1, 1:2] - mean[:, :1] * mean[:, 1:]
@@ -280,8 +282,8 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     angle = half_angle(mixed, half)
     center = torch.cat((mean[:, :1] + middles[1], mean[:, 1:] + middles[0]), dim=1) * cell + (cell - 1) / 2
     return (
-        torch.where(some, mass * cell**2, 0.0).squeeze(1),
-        torch.where(some, center, torch.nan),
-        torch.where(some, axes, torch.nan),
-        torch.where(some, angle, torch.nan).squeeze(1),
+        torch.where(present, mass * cell**2, 0.0).squeeze(1),
+        torch.where(present, center, torch.nan),
+        torch.where(present, axes, torch.nan),
+        torch.where(present, angle, torch.nan).squeeze(1),
     )

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.ops.tensors import bytes_of
+from fingerflow.ops.tensors import count_bytes
 
 
 def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
@@ -17,18 +17,18 @@ def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32)
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
     # Add the lines of a mask as bytes, which hold sums up to 255: adding floats takes five times as long.
-    values = bytes_of(image) if image.dtype == torch.bool and cell <= 255 else image.to(precision)
+    values = count_bytes(image) if image.dtype == torch.bool and cell <= 255 else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
     lines = values.unflatten(2, (-1, cell))
     # Sum the columns first, by adding whole lines: torch adds slices faster than it reduces a short axis. ONNX runtimes
     # reduce.
-    down = sum_of(lines.unbind(3))
+    down = add_all(lines.unbind(3))
     columns = down.to(precision).unflatten(3, (-1, cell))
-    return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
+    return (columns.sum(4) if exporting else add_all(columns.unbind(4))) / cell**2
 
 
-def sum_of(parts: Sequence[Tensor]) -> Tensor:
+def add_all(parts: Sequence[Tensor]) -> Tensor:
     """Return the elementwise sum of several tensors of equal shape and dtype, by pairwise summation."""
     while len(parts) > 1:
         parts = [first + second for first, second in zip(parts[::2], parts[1::2], strict=False)] + list(
@@ -72,7 +72,7 @@ def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor,
     The weight is the distance from the first cell, in cells; positions beyond the middle of the outermost cells are
     clamped to it, in the dtype of `cells`. Each result is (pixels,).
     """
-    place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
-    first = place.floor().clamp(0, max(count - 2, 0))
+    x = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
+    first = x.floor().clamp(0, max(count - 2, 0))
     index = first.to(torch.int64)
-    return index, index + min(1, count - 1), place - first
+    return index, index + min(1, count - 1), x - first

@@ -5,7 +5,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import contact_frames
+from fingerflow.kernels import contact
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
@@ -13,7 +13,7 @@ from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.otsu import histogram, otsu_classes
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.filters.illumination import LEVELS_PER_UNIT, LOWEST_SIGNAL
-from fingerflow.ops.filters.strided_median import median_at
+from fingerflow.ops.filters.strided_median import strided_median
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
 # Contact reduces the light by at least a twentieth. The two classes must be separated by at least _NOISE_RATIO standard
@@ -44,7 +44,7 @@ def contact_threshold(
     skin between ridges, and it would enlarge the area by 2 %.
 
     The edge of a ridge lies where its blurred image changes fastest. The threshold is the mean loss of all pairs of
-    neighbouring pixels, in x and in y, weighted by the cube of the difference between the two (`_at_edges`). It needs
+    neighbouring pixels, in x and in y, weighted by the cube of the difference between the two (`_edge_level`). It needs
     no pixel of full contact. Ridges of two to three pixels have none: half-way between the medians of ridges and of
     valleys, their real contact area would be 10 % too large, and that of valleys as thin 2 % too small. Cells at the
     border of the apparent contact are left out, as ridges end beside glass there, which is brighter than valleys.
@@ -61,10 +61,10 @@ def contact_threshold(
     Returns:
         (B,) in the dtype of `light`, between 0.05 and 1. NaN without contact: where no two classes are separated.
     """
-    kind = light.dtype
+    dtype = light.dtype
     if (
         frames.dtype in kernels.FRAME_KINDS
-        and kind == black.dtype == torch.float32
+        and dtype == black.dtype == torch.float32
         and (gain is None or gain.dtype == torch.float32)
         and median_px <= kernels.LARGEST_MAJORITY
         and kernels.serve(frames, light, black, gain)
@@ -78,15 +78,15 @@ def contact_threshold(
 def _threshold(
     median_px: int, radius: int, stride_px: int, frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None
 ) -> Tensor:
-    kind, lit = light.dtype, light > 0
+    dtype, lit = light.dtype, light > 0
     low, scale = LOWEST_SIGNAL, LEVELS_PER_UNIT
-    lost = (1 - low) * scale - (frames.to(kind) - black) * (scale / torch.where(lit, light, 1.0))
+    lost = (1 - low) * scale - (frames.to(dtype) - black) * (scale / torch.where(lit, light, 1.0))
     if frames.is_floating_point():
         lit = lit & (lost.abs() < torch.inf)
     levels = torch.where(lit, lost, -low * scale).clamp(0, _LEVELS - 1).round()
     if not torch.compiler.is_exporting():  # some ONNX execution providers cannot compute a minimum of bytes
         levels = levels.to(torch.uint8)
-    smooth = median_at(levels, median_px, stride_px)
+    smooth = strided_median(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
@@ -94,23 +94,23 @@ def _threshold(
         """Return the relative intensity loss at a quantised level, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
-    classes = otsu_classes(_counts(smooth, counted).to(kind))
+    classes = otsu_classes(_counts(smooth, counted).to(dtype))
     least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_INTENSITY_LOSS)
     contrast = classes.upper - classes.lower
-    apart = (share(classes.upper) > _LEAST_INTENSITY_LOSS) & (contrast > least * scale)
-    start = torch.where(apart, classes.threshold, torch.nan)
+    distinct = (share(classes.upper) > _LEAST_INTENSITY_LOSS) & (contrast > least * scale)
+    start = torch.where(distinct, classes.threshold, torch.nan)
     # Levels are rounded, so the limit lies half a level above.
     mask = real_contact_mask(frames, light, black, 1 - ((start + 0.5) / scale + low), median_px)
-    outside = (apparent_contact(mask, radius, precision=kind).density_margin <= 0).to(kind)
-    inside = _at_lines(largest_around(outside) == 0, cell_of(radius), stride_px, frames.shape[2:])
-    edges, steepness = _at_edges(levels, inside, lit, stride_px, kind)
+    outside = (apparent_contact(mask, radius, precision=dtype).density_margin <= 0).to(dtype)
+    inside = _expand_lines(largest_around(outside) == 0, cell_of(radius), stride_px, frames.shape[2:])
+    edges, steepness = _edge_level(levels, inside, lit, stride_px, dtype)
     middle = torch.where(start.abs() < torch.inf, (classes.upper + classes.lower) / 2, torch.nan)
     level = torch.where(steepness > (_LEAST_STEEPNESS * contrast) ** 3, edges, middle)
     threshold = share(level)
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
 
 
-def _one_a_frame(frames: Tensor, light: Tensor, *others: object) -> Tensor:
+def _one_a_frame(frames: Tensor, light: Tensor, *rest: object) -> Tensor:
     return light.new_empty(len(frames))
 
 
@@ -119,16 +119,15 @@ def compiled_threshold(
     frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
 ) -> Tensor:
     """Compute `contact_threshold` in one call of the compiled library."""
-    arrays = (None if one is None else one.detach().resolve_neg().numpy() for one in (frames, light, black, gain))
     sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
-    return torch.from_numpy(contact_frames.contact_threshold(*arrays, **sizes))  # type: ignore[arg-type]
+    return contact.contact_threshold(frames, light, black, gain, **sizes)
 
 
 def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
     return histogram(smooth, mask, _LEVELS, (-1.0, _LEVELS - 1.0))
 
 
-def _at_edges(levels: Tensor, inside: Tensor, lit: Tensor, step: int, kind: torch.dtype) -> tuple[Tensor, Tensor]:
+def _edge_level(levels: Tensor, inside: Tensor, lit: Tensor, step: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """Return the mean level (B,) of pairs of neighbouring pixels, weighted by the cube of the difference between the
     two, and the mean (B,) of these weights.
 
@@ -137,20 +136,20 @@ def _at_edges(levels: Tensor, inside: Tensor, lit: Tensor, step: int, kind: torc
     """
     side = levels.shape[2]
     lines = torch.arange(0, side, step, device=levels.device)
-    above, own, below = (levels.index_select(2, (lines + by).clamp(0, side - 1)) for by in (-1, 0, 1))
+    above, middle, below = (levels.index_select(2, (lines + by).clamp(0, side - 1)) for by in (-1, 0, 1))
     # A median of three pixels at right angles to the pair removes defective pixels and preserves the edge.
-    upright = _median_of_three(above, own, below)
+    upright = _median_of_three(above, middle, below)
     lit_own, lit_below = (lit.index_select(2, (lines + by).clamp(max=side - 1)) for by in (0, 1))
     pairs = (
         (upright[..., :-1], upright[..., 1:], (inside & lit_own)[..., :-1] & lit_own[..., 1:]),
-        (_median_along_line(own), _median_along_line(below), inside & lit_own & lit_below),
+        (_median_along_line(middle), _median_along_line(below), inside & lit_own & lit_below),
     )
     parts = []
     for first, second, counted in pairs:
-        first, second = (level.to(kind) * counted for level in (first, second))
+        first, second = (level.to(dtype) * counted for level in (first, second))
         cube = (first - second).abs() ** 3
-        parts.append([values.sum((1, 2, 3)) for values in ((first + second) / 2 * cube, cube, counted.to(kind))])
-    weighted, cubes, count = (one + other for one, other in zip(*parts, strict=True))
+        parts.append([values.sum((1, 2, 3)) for values in ((first + second) / 2 * cube, cube, counted.to(dtype))])
+    weighted, cubes, count = (left + right for left, right in zip(*parts, strict=True))
     return weighted / cubes, cubes / count
 
 
@@ -160,11 +159,11 @@ def _median_along_line(levels: Tensor) -> Tensor:
     return _median_of_three(left, levels, torch.cat((levels[..., 1:], levels[..., -1:]), dim=3))
 
 
-def _median_of_three(one: Tensor, two: Tensor, three: Tensor) -> Tensor:
-    return torch.maximum(torch.minimum(one, two), torch.minimum(torch.maximum(one, two), three))
+def _median_of_three(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
+    return torch.maximum(torch.minimum(first, second), torch.minimum(torch.maximum(first, second), third))
 
 
-def _at_lines(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
+def _expand_lines(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
     """Return the values, at every pixel of every `step`-th line of a frame of `shape` (height, width), of the cells
     (B, 1, h, w) of `cell` px in which the pixels lie.
     """

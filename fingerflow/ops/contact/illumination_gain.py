@@ -4,8 +4,10 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import contact_sizes as sizes
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import block_of
+from fingerflow.kernels.tensors import Twin, twin
+
+_compiled: Twin[Tensor] = twin("illumination_gain")
 
 
 def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
@@ -29,20 +31,19 @@ def illumination_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int 
         (B,) in the dtype of `light`, between 0.7 and 1.4, else NaN: a larger change of light cannot be distinguished
         from a frame full of contact.
     """
-    kind = light.dtype
+    dtype = light.dtype
     block = block_of(radius)
-    single = light.dtype == black.dtype == torch.float32
-    if frames.dtype in kernels.FRAME_KINDS and single and kernels.serve(frames, light, black):
-        return kernels.illumination_gain(frames, light, black, block)
-    some, given, dark = (image[..., sizes.LINE_STEP // 2 :: sizes.LINE_STEP, :] for image in (frames, light, black))
-    if some.shape[2] < block // sizes.LINE_STEP or some.shape[3] < block:
-        return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
+    if _compiled.serves(frames, light, black):
+        return _compiled(frames, light, black, block)
+    lines, empty, dark = (image[..., sizes.LINE_STEP // 2 :: sizes.LINE_STEP, :] for image in (frames, light, black))
+    if lines.shape[2] < block // sizes.LINE_STEP or lines.shape[3] < block:
+        return torch.full(frames.shape[:1], torch.nan, dtype=dtype, device=light.device)
     if frames.is_floating_point():
-        finite = some.abs() < torch.inf
-        some, given = torch.where(finite, some, 0.0), torch.where(finite, given, 0.0)
-    lit = (given > 0).to(kind)
-    passed = torch.addcmul(-dark * lit, some.to(kind), lit)
-    return _uppermost_mode(_blocks(passed, block), _blocks(given, block))
+        finite = lines.abs() < torch.inf
+        lines, empty = torch.where(finite, lines, 0.0), torch.where(finite, empty, 0.0)
+    lit = (empty > 0).to(dtype)
+    passed = torch.addcmul(-dark * lit, lines.to(dtype), lit)
+    return _uppermost_mode(_blocks(passed, block), _blocks(empty, block))
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
@@ -67,15 +68,15 @@ def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
     quotient = torch.where(variance < sizes.ROUGH**2, quotient, 0.0)
     number = lit.to(quotient.dtype).sum(1, keepdim=True)
     # Start from the least of the brightest 3 % of the blocks: reflections lie above it.
-    kept = max(1, round(sizes.TOP * quotient.shape[1]))
-    gain = quotient.topk(kept, dim=1).values[:, -1:]
+    count = max(1, round(sizes.TOP * quotient.shape[1]))
+    gain = quotient.topk(count, dim=1).values[:, -1:]
     for width in sizes.WIDTHS:
         near = ((quotient - gain).abs() <= width * gain).to(quotient.dtype)
         gain = (quotient * near).sum(1, keepdim=True) / near.sum(1, keepdim=True).clamp_min(1)
     distance = quotient / gain.clamp_min(1e-6) - 1
     glass = ((distance.abs() <= sizes.NARROW_GLASS) & lit).to(quotient.dtype).sum(1, keepdim=True)
-    beside = (
+    lower = (
         ((distance < -sizes.NARROW_GLASS) & (distance >= -sizes.BESIDE_GLASS)).to(quotient.dtype).sum(1, keepdim=True)
     )
-    seen = (gain > sizes.LEAST_GAIN) & (gain < sizes.MOST_GAIN) & (glass >= sizes.TOP * number) & (glass >= 2 * beside)
+    seen = (gain > sizes.LEAST_GAIN) & (gain < sizes.MOST_GAIN) & (glass >= sizes.TOP * number) & (glass >= 2 * lower)
     return torch.where(seen, gain, torch.nan).squeeze(1)

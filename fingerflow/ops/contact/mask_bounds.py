@@ -19,12 +19,12 @@ def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
     whole = (0, height), (0, width)
     if not may_branch(mask):
         return whole
-    found = []
+    bounds = []
     for axis, length in ((3, height), (2, width)):
         touched = mask.any(axis).flatten(0, 1).any(0).nonzero()
         if not len(touched):
             return whole
-        found.append((max(int(touched[0]) - margin, 0), min(int(touched[-1]) + 1 + margin, length)))
-    rows, columns = found
+        bounds.append((max(int(touched[0]) - margin, 0), min(int(touched[-1]) + 1 + margin, length)))
+    rows, columns = bounds
     high, wide = rows[1] - rows[0], columns[1] - columns[0]
     return (rows, columns) if high * wide >= least and min(high, wide) > 2 * margin else whole

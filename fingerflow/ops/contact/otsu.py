@@ -51,8 +51,8 @@ def histogram(
     """
     low, high = _range(frames, value_range)
     if frames.dtype in kernels.COUNTED_DTYPES and bins <= _MOST_COMPILED_BINS and kernels.serve(frames, mask):
-        own = frames.dtype == torch.uint8 and (low, high, bins) == (-1, 255, 256)
-        bin_of_level = None if own else _bin_of_level(frames.dtype, bins, low, high)
+        default = frames.dtype == torch.uint8 and (low, high, bins) == (-1, 255, 256)
+        bin_of_level = None if default else _bin_of_level(frames.dtype, bins, low, high)
         return kernels.histogram(frames, None if mask is None else mask.expand(frames.shape), bin_of_level, bins)
     index = _bin_index(frames, bins, low, high)
     if mask is not None:
@@ -160,5 +160,5 @@ def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
         return (values.int() - (int(low) + 1)).clamp(0, bins - 1)
     values = values if values.dtype in (torch.float32, torch.float64) else values.double()
     counted = torch.isfinite(values)
-    place = ((torch.where(counted, values, low) - low) * (bins / (high - low))).ceil() - 1
-    return torch.where(counted, place.clamp(0, bins - 1), bins).int()
+    index = ((torch.where(counted, values, low) - low) * (bins / (high - low))).ceil() - 1
+    return torch.where(counted, index.clamp(0, bins - 1), bins).int()

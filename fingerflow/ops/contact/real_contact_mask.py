@@ -5,11 +5,14 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact import LARGEST_MAJORITY
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_frames, check_window
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.pieces import frames_at_once, in_pieces
-from fingerflow.ops.tensors import bytes_of
+from fingerflow.ops.tensors import count_bytes
+
+_compiled: Twin[Tensor] = twin("real_contact_mask")
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
@@ -40,14 +43,8 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
     # At most the full light, so that a saturated pixel is never in contact.
     share = torch.where(limit == limit, limit.clamp(0, 1), -torch.inf).to(light.dtype)
-    single = light.dtype == black.dtype == torch.float32
-    if (
-        frames.dtype in kernels.FRAME_KINDS
-        and single
-        and median_px <= kernels.LARGEST_MAJORITY
-        and kernels.serve(frames, light, black, limit)
-    ):
-        return kernels.real_contact_mask(frames, light, black, share, median_px)
+    if median_px <= LARGEST_MAJORITY and _compiled.serves(frames, light, black, share):
+        return _compiled(frames, light, black, share, median_px)
     compute = partial(_mask, median_px)
     result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
     return result
@@ -70,7 +67,7 @@ def majority(holds: Tensor, size: int) -> Tensor:
     Beyond the frame the nearest pixel counts.
     """
     half = size // 2
-    bits = bytes_of(holds)
+    bits = count_bytes(holds)
     for axis in (2, 3):
         first, last = bits.narrow(axis, 0, 1), bits.narrow(axis, -1, 1)
         shape = [-1] * 4

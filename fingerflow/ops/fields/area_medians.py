@@ -126,7 +126,7 @@ def _medians_of_known(
     angle: Tensor,
     reference: Tensor,
     displacement: Tensor,
-    *others: Tensor | None,
+    *rest: Tensor | None,
 ) -> AreaMedians:
     """Leave out points that are unknown in every frame, then compute the medians of divergence, curl and strain over
     the ellipses by `_medians`, from local fits of the given `radius`.
@@ -135,13 +135,13 @@ def _medians_of_known(
 
     The known points are few while a contact grows.
     """
-    points: list[Tensor | None] = [reference, displacement, *others]
+    points: list[Tensor | None] = [reference, displacement, *rest]
     count = displacement.shape[1]
     if may_branch(*points):
-        known = finite((reference + displacement).sum(2)).any(0)
-        known[:1] = True
-        some = known.nonzero().squeeze(1)
-        points, count = [None if one is None else one.index_select(1, some) for one in points], len(some)
+        valid = finite((reference + displacement).sum(2)).any(0)
+        valid[:1] = True
+        index = valid.nonzero().squeeze(1)
+        points, count = [None if tensor is None else tensor.index_select(1, index) for tensor in points], len(index)
     compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
     result: AreaMedians = in_pieces(compute, at_once, center, semi_axes, angle, *points)
     return result
@@ -166,78 +166,78 @@ def _medians(
     reference, displacement = reference.mT, displacement.mT  # components before points from here on
     if covariance is not None:
         covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
-    among, own, own_std = entered
+    among, values, own_std = entered
     now = reference + displacement
-    apart = None if among is None or own is None else Apart(among, own, own_std)
-    given = finite(sum_rows(now))
+    excluded = None if among is None or values is None else Apart(among, values, own_std)
+    valid = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
     good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
     middle, axes, turn = (
-        torch.where(good, one, 0.0) for one in (center[..., None], semi_axes[..., None], angle[:, None, None])
+        torch.where(good, tensor, 0.0) for tensor in (center[..., None], semi_axes[..., None], angle[:, None, None])
     )
-    usable, theirs = given, None
+    usable, theirs = valid, None
     if covariance is not None:
         usable = usable & finite(sum_rows(covariance)) & (covariance[:, ::2] >= 0).all(1, keepdim=True)
-    if apart is not None:
-        usable = usable & ~apart.among[:, None]
-        theirs = given & apart.among[:, None] & finite(sum_rows(apart.fields.mT))
+    if excluded is not None:
+        usable = usable & ~excluded.among[:, None]
+        theirs = valid & excluded.among[:, None] & finite(sum_rows(excluded.fields.mT))
     # Points that are neither usable nor apart are moved away, so that none is the nearest.
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
-    places = torch.where(counts, (now - middle) / radius, elsewhere)
+    positions_scaled = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
     along, across = (axes / radius * constant_like(_LATTICE, displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
-    fit = fit_planes(places, displacement, positions, usable, radius)
+    fit = fit_planes(positions_scaled, displacement, positions, usable, radius)
     xx, xy, yx, yy = fit.gradient.split(1, dim=1)
     # G (I - G)^-1 = (I - G)^-1 - I, with little lost where G is small.
     ratio = (1 - xx) * (1 - yy) - xy * yx
-    beside = fit.centroid - positions
-    known = (
+    offset = fit.centroid - positions
+    clear = (
         fit.known
         & good
-        & (sum_rows(beside * beside) < (2 * limits.FARTHEST_CENTROID) ** 2)
+        & (sum_rows(offset * offset) < (2 * limits.FARTHEST_CENTROID) ** 2)
         & (ratio > limits.LEAST_RATIO)
     )
     lost = xx * yy - xy * yx
-    gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
+    gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(clear, ratio, 1.0)
     fields = _fields(gradient, measure)
     nearest = None
-    if apart is not None and theirs is not None:
-        nearest = _nearest_fields(apart, theirs, fit.weights)
+    if excluded is not None and theirs is not None:
+        nearest = _nearest_fields(excluded, theirs, fit.weights)
         fields = torch.where(nearest.apart, nearest.fields, fields)
-        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # ONNX runtimes: no `where` of bool
-    count = known.to(fields.dtype).sum(2, keepdim=True)
+        clear = (nearest.apart & nearest.within & good) | (clear & ~nearest.apart)  # ONNX runtimes: no `where` of bool
+    count = clear.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
-    median = _median(fields, known, count)
+    median = _median(fields, clear, count)
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
         return AreaMedians(median, None, known_share)
-    share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
+    share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * clear
     joint = torch.zeros_like(median)
     if nearest is not None and nearest.std is not None:
         away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
-        share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * known, share)
+        share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * clear, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
     if nearest is not None and nearest.std is not None:
-        joint = (share * torch.where(nearest.apart & known, nearest.std, 0.0)).sum(2)
+        joint = (share * torch.where(nearest.apart & clear, nearest.std, 0.0)).sum(2)
         share = torch.where(nearest.apart, 0.0, share)
-    by_points = _mean_derivatives(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
+    by_points = _mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
     return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
 
 
-def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
-    """Return the medians (B, 5) of five fields (B, 5, Q) over those of the Q positions where the fields are `known`.
+def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
+    """Return the medians (B, 5) of five fields (B, 5, Q) over those of the Q positions where the fields are `valid`.
 
     `count` (B, 1, 1) is the number of known values. The median is arbitrary where they are fewer than half.
     """
     if not torch.compiler.is_exporting():
-        lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
+        lower, upper = torch.where(valid, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
         return (lower - upper) / 2
-    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
+    falling = torch.where(valid, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
     # Both ranks are the same where the count is odd.
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
     result: Tensor = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
@@ -255,24 +255,24 @@ class _NearestFields(NamedTuple):
     std: Tensor | None
 
 
-def _nearest_fields(apart: Apart, theirs: Tensor, weights: Tensor) -> _NearestFields:
-    """Return the divergence, curl and strain at each of Q positions whose nearest point is one of `apart` (its fields
-    are given, not fitted), copied from that point.
+def _nearest_fields(excluded: Apart, theirs: Tensor, weights: Tensor) -> _NearestFields:
+    """Return the divergence, curl and strain at each of Q positions whose nearest point is one of `excluded` (its
+    fields are given, not fitted), copied from that point.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
     """
     nearest = weights.amax(2, keepdim=True)
-    own = apart.fields if apart.std is None else torch.cat((apart.fields, apart.std), dim=2)
+    values = excluded.fields if excluded.std is None else torch.cat((excluded.fields, excluded.std), dim=2)
     columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
-    columns = torch.cat((columns, torch.where(theirs.mT, own, 0.0)), dim=2)
+    columns = torch.cat((columns, torch.where(theirs.mT, values, 0.0)), dim=2)
     # A product with 0 and 1: gathering is far slower in ONNX runtimes.
-    found = ((weights == nearest).to(weights.dtype) @ columns).mT
-    count, of_them = found[:, :1], found[:, 1:2]
-    fields = found[:, 2:] / of_them.clamp_min(1)
+    nearest_values = ((weights == nearest).to(weights.dtype) @ columns).mT
+    count, of_them = nearest_values[:, :1], nearest_values[:, 1:2]
+    fields = nearest_values[:, 2:] / of_them.clamp_min(1)
     within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
     return _NearestFields(
-        of_them > count / 2, within, fields[:, :_FIELDS], None if apart.std is None else fields[:, _FIELDS:]
+        of_them > count / 2, within, fields[:, :_FIELDS], None if excluded.std is None else fields[:, _FIELDS:]
     )
 
 
@@ -311,7 +311,7 @@ def _closeness_weights(
     return result
 
 
-def _mean_derivatives(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
+def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
     """Return the derivatives (B, 5, 2, N) of the means of five fields (divergence, curl and strain), weighted by
     `share` over Q positions, with respect to the displacement components of N points.
 
@@ -326,7 +326,7 @@ def _mean_derivatives(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Te
     around = torch.cat((around, products(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
     columns = (products(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
-    result: Tensor = (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
+    result: Tensor = (sums[:, :, :, :2] * positions[:, None, None]).sum(3) - sums[:, :, :, 2]
     return result
 
 
@@ -369,18 +369,18 @@ def _check(
         raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")
 
 
-def _check_apart(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
+def _check_apart(excluded: Apart, displacement: Tensor, with_std: bool) -> Apart:
     """Check the points whose divergence, curl and strain are given (`Apart`), and return them in the dtype of
     `displacement`, with standard deviations only if `with_std`.
     """
     batch, points = displacement.shape[:2]
     for name, values, shape in (
-        ("among", apart.among, (batch, points)),
-        ("fields", apart.fields, (batch, points, _FIELDS)),
-        *([("std", apart.std, (batch, points, _FIELDS))] if with_std else []),
+        ("among", excluded.among, (batch, points)),
+        ("fields", excluded.fields, (batch, points, _FIELDS)),
+        *([("std", excluded.std, (batch, points, _FIELDS))] if with_std else []),
     ):
         if values is None or values.shape != shape:
-            found = None if values is None else tuple(values.shape)
-            raise ValueError(f"{name} of apart must be {shape}, found {found}")
-    std = apart.std.to(displacement.dtype) if with_std and apart.std is not None else None
-    return Apart(apart.among, apart.fields.to(displacement.dtype), std)
+            actual = None if values is None else tuple(values.shape)
+            raise ValueError(f"{name} of apart must be {shape}, found {actual}")
+    std = excluded.std.to(displacement.dtype) if with_std and excluded.std is not None else None
+    return Apart(excluded.among, excluded.fields.to(displacement.dtype), std)

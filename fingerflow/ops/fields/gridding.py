@@ -51,8 +51,8 @@ def scattered_to_grid(
         if axis.dim() != 1:
             raise ValueError(f"{name} must have one dimension, found {tuple(axis.shape)}")
     if mask is not None and (mask.dtype != torch.bool or mask.shape[1:] != (1, *grid_y.shape, *grid_x.shape)):
-        wanted = f"(B, 1, {grid_y.shape[0]}, {grid_x.shape[0]})"
-        raise ValueError(f"mask must be bool {wanted}, found {mask.dtype} {tuple(mask.shape)}")
+        shape = f"(B, 1, {grid_y.shape[0]}, {grid_x.shape[0]})"
+        raise ValueError(f"mask must be bool {shape}, found {mask.dtype} {tuple(mask.shape)}")
     rows, columns = torch.meshgrid(grid_y, grid_x, indexing="ij")
     nodes = torch.stack((columns, rows), dim=-1).flatten(0, 1)[None].to(working_dtype(points, values))
     fit = local_gradients(points, values, nodes, gauge_length=gauge_length)

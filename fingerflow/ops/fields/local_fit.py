@@ -71,9 +71,9 @@ def local_gradients(
     """
     queries = points if queries is None else queries
     _check(points, values, queries, gauge_length, variance, minimum_points)
-    given = (points, values, queries)
-    dtype = working_dtype(*given)
-    positions, measured, wanted = (tensor.to(dtype) for tensor in given)
+    inputs = (points, values, queries)
+    dtype = working_dtype(*inputs)
+    positions, measured, wanted = (tensor.to(dtype) for tensor in inputs)
     components, radius = values.shape[2], gauge_length / 2
     noise = None
     if variance is not None:
@@ -88,31 +88,31 @@ def local_gradients(
             least_spread=MINIMUM_SPREAD * radius,
             minimum_points=minimum_points,
         )
-        kept = result_dtype(*given)
+        dtype_out = result_dtype(*inputs)
         return LocalFit(
-            fitted.value.to(kept),
-            fitted.gradient.to(kept),
-            None if fitted.covariance is None else fitted.covariance.to(kept),
+            fitted.value.to(dtype_out),
+            fitted.gradient.to(dtype_out),
+            None if fitted.covariance is None else fitted.covariance.to(dtype_out),
             fitted.point_count,
-            fitted.centroid_offset.to(kept),
+            fitted.centroid_offset.to(dtype_out),
         )
 
     # NaN becomes 0 with a weight of 0, rather than being masked at the end, so that derivatives stay finite.
     usable = torch.isfinite(positions).all(-1) & torch.isfinite(measured).all(-1)
     if noise is not None:
-        own = noise[..., :: components + 1] if noise.shape[2] == components**2 else noise
-        usable = usable & torch.isfinite(noise).all(-1) & (own >= 0).all(-1)
+        diagonal = noise[..., :: components + 1] if noise.shape[2] == components**2 else noise
+        usable = usable & torch.isfinite(noise).all(-1) & (diagonal >= 0).all(-1)
         noise = torch.where(usable[..., None], noise, 0)
-    asked = torch.isfinite(wanted).all(-1)
+    valid = torch.isfinite(wanted).all(-1)
     positions = torch.where(torch.isfinite(positions), positions, 0)
-    wanted = torch.where(asked[..., None], wanted, 0)
+    wanted = torch.where(valid[..., None], wanted, 0)
     measured = torch.where(usable[..., None], measured, 0)
     # A constant does not change the slope: subtracting the mean saves its precision.
     level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
     measured = torch.where(usable[..., None], measured - level, 0)
 
     sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
-    count = torch.where(asked, sums.point_count, 0)
+    count = torch.where(valid, sums.point_count, 0)
     determined = count >= minimum_points
 
     # Moments about the weighted centroid; the fit there separates into a mean and a 2 x 2 system.
@@ -132,8 +132,8 @@ def local_gradients(
     value = mean - (gradient * centre[..., None, :]).sum(-1) + level
 
     def or_nan(tensor: Tensor) -> Tensor:
-        known = determined.reshape(determined.shape + (1,) * (tensor.dim() - 2))
-        return torch.where(known, tensor, torch.nan).to(result_dtype(*given))
+        valid_fit = determined.reshape(determined.shape + (1,) * (tensor.dim() - 2))
+        return torch.where(valid_fit, tensor, torch.nan).to(result_dtype(*inputs))
 
     covariance = None
     if sums.noise is not None:

@@ -53,30 +53,30 @@ def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Te
     Points are (B, N, 2). Unknown positions are 0.
     """
     moved = points.mT
-    given = finite(sum_rows(moved))
-    number = given.to(points.dtype)
-    moved = torch.where(given, moved, 0.0)
+    valid = finite(sum_rows(moved))
+    number = valid.to(points.dtype)
+    moved = torch.where(valid, moved, 0.0)
     origin = moved.sum(2, keepdim=True) / number.sum(2, keepdim=True).clamp_min(1)
-    return (moved - origin) * number / radius, given
+    return (moved - origin) * number / radius, valid
 
 
-def support_of(places: Tensor, queries: Tensor) -> Support:
-    """Compute the weights (`Support`) that points at `places` have in local fits around positions `queries`: (1 -
+def point_support(positions: Tensor, queries: Tensor) -> Support:
+    """Compute the weights (`Support`) that points at `positions` have in local fits around positions `queries`: (1 -
     r^2)^2 at a distance r; all coordinates are in units of the fits' radius.
 
     Places (1 or B, 2, N) and queries (1 or B, 2, Q) are in radii of the support from one origin. 1 - |x_i - x_q|^2 is
     the product of (2x, |x|^2, 1) with its counterpart: one matrix product serves all pairs.
     """
-    norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
-    support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
-    asked = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
-    near = asked.mT @ support
+    norm, asked_norm = sum_rows(positions * positions), sum_rows(queries * queries)
+    support = torch.cat((2 * positions, -torch.ones_like(norm), 1 - norm), dim=1)
+    query_rows = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
+    near = query_rows.mT @ support
     inside = near.clamp_min(0)
     return Support(inside * inside, inside.clamp_max(_ONE))
 
 
 def fit_planes(
-    places: Tensor,
+    positions: Tensor,
     values: Tensor,
     queries: Tensor,
     usable: Tensor,
@@ -90,34 +90,34 @@ def fit_planes(
     weights with the monomials of x and u.
 
     Args:
-        places: (1 or B, 2, N) positions in radii from an origin among them; precision falls with the square of the
+        positions: (1 or B, 2, N) positions in radii from an origin among them; precision falls with the square of the
             distance.
         values: (B, C, N), arbitrary where not usable.
         queries: (1 or B, 2, Q) in radii from the same origin.
-        usable: (B, 1, N) bool; `places` are finite everywhere.
+        usable: (B, 1, N) bool; `positions` are finite everywhere.
         radius: of the support, in the length unit of the gradients.
         support: of these positions and queries; computed by default.
     """
-    weights, within = support or support_of(places, queries)
+    weights, within = support or point_support(positions, queries)
     channels = values.shape[1]
     # If the same points are usable in all frames, everything but the values has a batch of 1.
-    if len(places) == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
+    if len(positions) == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
         usable = usable[:1]
-    weight = usable.to(places.dtype)
+    weight = usable.to(positions.dtype)
     # A constant does not change the slope; subtracting the mean preserves its precision.
     values = torch.where(usable, values, 0.0)
     level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
     moved = weight * (values - level)
     # Moments of the positions: 1, x, y and the products xx, xy, yy; of the values: u, v, ..., ux, uy, vx, ...
-    of_places = weight * torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
-    of_values = torch.cat((moved, _mixed(moved, places)), dim=1)
+    of_places = weight * torch.cat((torch.ones_like(positions[:, :1]), positions, squares(positions)), dim=1)
+    of_values = torch.cat((moved, _mixed(moved, positions)), dim=1)
     count = _product(weight, within) / _ONE
     if len(of_places) == len(of_values):
         sums, moments = _product(torch.cat((of_places, of_values), dim=1), weights).split((6, 3 * channels), dim=1)
     else:
         sums, moments = _product(of_places, weights), _product(of_values, weights)
-    known = count > MINIMUM_POINTS - 0.5
-    mass = torch.where(known, sums[:, :1], 1.0)
+    determined = count > MINIMUM_POINTS - 0.5
+    mass = torch.where(determined, sums[:, :1], 1.0)
     _, centroid, square = (sums / mass).split((1, 2, 3), dim=1)
     motion, mixed = (moments / mass).split((channels, 2 * channels), dim=1)
     spread, cross = square - squares(centroid), mixed - _mixed(motion, centroid)
@@ -125,25 +125,25 @@ def fit_planes(
     determinant = xx * yy - xy * xy
     half = (xx + yy) / 2  # half of the trace
     narrowest = half - (half * half - determinant).clamp_min(0).sqrt()
-    known = known & (narrowest >= MINIMUM_SPREAD**2) & (determinant > _TINY)
-    inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
+    determined = determined & (narrowest >= MINIMUM_SPREAD**2) & (determinant > _TINY)
+    inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(determined, determinant, 1.0)
     by_x, by_y = cross[:, ::2], cross[:, 1::2]  # moments of every value with x and with y
     along_x, along_y = by_x * inverse[:, :1] + by_y * inverse[:, 1:2], by_x * inverse[:, 1:2] + by_y * inverse[:, 2:]
-    beside = centroid - queries
-    value = motion + level - along_x * beside[:, :1] - along_y * beside[:, 1:]
+    offset = centroid - queries
+    value = motion + level - along_x * offset[:, :1] - along_y * offset[:, 1:]
     slopes = torch.stack((along_x, along_y), dim=2).flatten(1, 2)
-    return PlaneFit(known, value, slopes / radius, centroid, inverse, mass, weights)
+    return PlaneFit(determined, value, slopes / radius, centroid, inverse, mass, weights)
 
 
-def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
+def gradient_covariance(fit: PlaneFit, positions: Tensor, covariance: Tensor, radius: float) -> Tensor:
     """Return the covariance (B, Q, 2, 2, 2, 2) of the displacement gradients of fitted planes, given the covariance (B,
     3, N) of point displacements; the axes are as in `LocalFit`.
 
     `covariance` (B, 3, N) is that of the points: uu, uv, vv, 0 where not usable. The sandwich A^-1 (sum w^2 s d d')
     A^-1 is exact for this linear estimator and independent errors.
     """
-    one = torch.ones_like(places[:, :1])
-    of_places = torch.cat((one, places, squares(places)), dim=1)  # (., 6, N)
+    constant = torch.ones_like(positions[:, :1])
+    of_places = torch.cat((constant, positions, squares(positions)), dim=1)  # (., 6, N)
     weighted = (covariance[:, :, None] * of_places[:, None]).flatten(1, 2)
     sums = _product(weighted, fit.weights * fit.weights).unflatten(1, (3, 6)) / (fit.mass * fit.mass)[:, None]
     x, y = fit.centroid[:, None, :1], fit.centroid[:, None, 1:]

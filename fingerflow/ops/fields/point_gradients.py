@@ -6,7 +6,7 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
+from fingerflow.ops.fields.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, point_support
 from fingerflow.ops.tensors import finite, sum_rows
 
 
@@ -24,23 +24,23 @@ def point_gradients(
     if kernels.serve(reference, displacement, covariance):
         fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
         across, down = displacement.unbind(-1)  # torch is slow over an axis of two
-        own = across + down
+        total = across + down
         if covariance is not None:
             (xx, xy), (_, yy) = (row.unbind(-1) for row in covariance.unbind(-2))
-            own = own + xy + xx.sqrt() + yy.sqrt()
-        own = 0 * own[..., None, None]  # NaN where one is not finite, or a variance negative
-        return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
+            total = total + xy + xx.sqrt() + yy.sqrt()
+        total = 0 * total[..., None, None]  # NaN where one is not finite, or a variance negative
+        return fit.gradient + total, None if fit.covariance is None else fit.covariance + total[..., None, None]
     radius = gauge_length / 2
     if not may_branch(reference, displacement, covariance):
         return _gradients(radius, reference, displacement, covariance)
     # Points that are known in no frame are left out.
-    some = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
-    noise = None if covariance is None else covariance.index_select(1, some)
-    gradient, spread = _gradients(radius, reference.index_select(1, some), displacement.index_select(1, some), noise)
+    index = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
+    noise = None if covariance is None else covariance.index_select(1, index)
+    gradient, spread = _gradients(radius, reference.index_select(1, index), displacement.index_select(1, index), noise)
 
-    def for_all(found: Tensor) -> Tensor:
-        shape = len(found), displacement.shape[1], *found.shape[2:]
-        return found.new_full(shape, torch.nan).index_copy(1, some, found)
+    def for_all(values: Tensor) -> Tensor:
+        shape = len(values), displacement.shape[1], *values.shape[2:]
+        return values.new_full(shape, torch.nan).index_copy(1, index, values)
 
     return for_all(gradient), None if spread is None else for_all(spread)
 
@@ -48,18 +48,18 @@ def point_gradients(
 def _gradients(
     radius: float, reference: Tensor, displacement: Tensor, covariance: Tensor | None
 ) -> tuple[Tensor, Tensor | None]:
-    places, given = about_their_mean(reference, radius)
-    usable = given & finite(sum_rows(displacement.mT))
+    positions, valid = about_their_mean(reference, radius)
+    usable = valid & finite(sum_rows(displacement.mT))
     planes = None
     if covariance is not None:
         planes = covariance.flatten(2).mT[:, (0, 1, 3)]
         usable = usable & finite(sum_rows(planes)) & (planes[:, ::2] >= 0).all(1, keepdim=True)
         planes = torch.where(usable, planes, 0.0)
-    fitted = fit_planes(places, displacement.mT, places, usable, radius)
+    fitted = fit_planes(positions, displacement.mT, positions, usable, radius)
     gradient = torch.where(fitted.known & usable, fitted.gradient, torch.nan).mT.unflatten(2, (2, 2))
     if planes is None:
         return gradient, None
-    return gradient, gradient_covariance(fitted, places, planes, radius) + 0 * gradient[..., None, None]
+    return gradient, gradient_covariance(fitted, positions, planes, radius) + 0 * gradient[..., None, None]
 
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
@@ -70,8 +70,8 @@ def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None
     """
     if kernels.serve(reference):
         return None
-    places, _ = about_their_mean(reference, gauge_length / 2)
-    return support_of(places, places)
+    positions, _ = about_their_mean(reference, gauge_length / 2)
+    return point_support(positions, positions)
 
 
 def neighbour_planes(
@@ -88,24 +88,25 @@ def neighbour_planes(
         fit = local_gradients(reference, values, gauge_length=gauge_length)
         return fit.value, fit.gradient
     radius = gauge_length / 2
-    places, given = about_their_mean(reference, radius)
-    usable = given & finite(sum_rows(values.mT))
-    fitted = fit_planes(places, values.mT, places, usable, radius, support)
-    known = fitted.known & given
-    value, gradient = (torch.where(known, one, torch.nan).mT for one in (fitted.value, fitted.gradient))
+    positions, valid = about_their_mean(reference, radius)
+    usable = valid & finite(sum_rows(values.mT))
+    fitted = fit_planes(positions, values.mT, positions, usable, radius, support)
+    determined = fitted.known & valid
+    value, gradient = (torch.where(determined, values, torch.nan).mT for values in (fitted.value, fitted.gradient))
     return value, gradient.unflatten(2, (-1, 2))
 
 
-def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
+def query_gradients(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
     """Return gradients (B, Q, C, 2) at query positions (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
 
     Gradients are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed
     cost, which is exported. `gauge_length` (1,) is in the unit of the points.
     """
     radius = gauge_length.to(points.dtype) / 2
-    both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)
-    (places, asked), (known, wanted) = (one.split((points.shape[1], queries.shape[1]), dim=2) for one in (both, given))
-    usable = known & finite(sum_rows(values.mT))
-    fitted = fit_planes(places, values.mT, asked, usable, radius)
-    gradient: Tensor = torch.where(fitted.known & wanted, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
+    both = about_their_mean(torch.cat((points, queries), dim=1), radius)
+    sizes = points.shape[1], queries.shape[1]
+    (positions, targets), (valid, valid_targets) = (tensor.split(sizes, dim=2) for tensor in both)
+    usable = valid & finite(sum_rows(values.mT))
+    fitted = fit_planes(positions, values.mT, targets, usable, radius)
+    gradient: Tensor = torch.where(fitted.known & valid_targets, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
     return gradient

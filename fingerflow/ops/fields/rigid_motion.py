@@ -28,9 +28,10 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
         raise ValueError(f"displacement must have shape (B, N, 2), found {tuple(displacement.shape)}")
     dtype = working_dtype(points, displacement)
     # Use separate tensors for the components: torch is several times as slow if the last axis is short.
-    (place_x, place_y), (moved_x, moved_y) = (one.to(dtype).unbind(-1) for one in (points, displacement))
+    (place_x, place_y), (moved_x, moved_y) = (values.to(dtype).unbind(-1) for values in (points, displacement))
     present = finite(place_x + place_y) & finite(moved_x + moved_y)
-    place_x, place_y, moved_x, moved_y = (torch.where(present, one, 0) for one in (place_x, place_y, moved_x, moved_y))
+    components = place_x, place_y, moved_x, moved_y
+    place_x, place_y, moved_x, moved_y = (torch.where(present, values, 0) for values in components)
     mass = present.to(dtype)
     if weights is not None:
         if weights.dim() != 2 or weights.shape[1] != points.shape[1]:
@@ -39,8 +40,8 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
         mass = mass * torch.where(torch.isfinite(weights), weights, 0).to(dtype)
 
     # Subtract the mean twice: the first mean of coordinates far from the origin is itself rounded.
-    x, y = (_centred(_centred(one, mass), mass) for one in (place_x, place_y))
-    change_x, change_y = (_centred(one, mass) for one in (moved_x, moved_y))
+    x, y = (_centred(_centred(values, mass), mass) for values in (place_x, place_y))
+    change_x, change_y = (_centred(values, mass) for values in (moved_x, moved_y))
     # Compute dot and cross product of the positions before and after; the cross product of a position with itself is 0.
     spread = _sum(mass * (x * x + y * y))
     along = spread + _sum(mass * (x * change_x + y * change_y))
@@ -53,8 +54,8 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
     # Compute R - I from the half angle: cos(angle) - 1 would lose the digits of a small rotation.
     less, sine = -2 * torch.sin(angle / 2).square(), torch.sin(angle)
     left = torch.stack((change_x - (less * x - sine * y), change_y - (sine * x + less * y)), dim=-1)
-    known = (present & determined)[..., None]
-    return torch.where(known, left, torch.nan).to(result_dtype(points, displacement))
+    valid = (present & determined)[..., None]
+    return torch.where(valid, left, torch.nan).to(result_dtype(points, displacement))
 
 
 def _centred(values: Tensor, mass: Tensor) -> Tensor:

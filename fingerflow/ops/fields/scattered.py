@@ -24,8 +24,8 @@ def check_batches(**tensors: Tensor) -> None:
     """Raise ValueError unless the batch sizes (first dimensions) of all tensors are equal or 1."""
     sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
     if len(set(sizes.values()) - {1}) > 1:
-        found = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise ValueError(f"batches must be equal, or 1 to serve all; found {found}")
+        batches = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise ValueError(f"batches must be equal, or 1 to serve all; found {batches}")
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:

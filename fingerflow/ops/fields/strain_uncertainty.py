@@ -29,11 +29,11 @@ def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: s
     """
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
-    none, one = torch.zeros_like(ux), torch.ones_like(ux)
+    none, unit = torch.zeros_like(ux), torch.ones_like(ux)
     # Derivatives of e_ij = (F_ki F_kj - delta_ij) / 2 with F = I + gradient; for infinitesimal strain F is I.
-    identity, moved = (one, none, none, one), (1 + ux, uy, vx, 1 + vy)
+    identity, moved = (unit, none, none, unit), (1 + ux, uy, vx, 1 + vy)
     xx, xy, yx, yy = identity if measure == "infinitesimal" else moved
-    divergence, curl = (one, none, none, one), (none, -one, one, none)
+    divergence, curl = (unit, none, none, unit), (none, -unit, unit, none)
     exx, eyy = (xx, none, yx, none), (none, xy, none, yy)
     xx, xy, yx, yy = (part / 2 for part in (moved if measure == "green_lagrange" else identity))
     return [*divergence, *curl, *exx, *eyy, xy, xx, yy, yx]

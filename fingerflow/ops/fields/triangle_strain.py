@@ -80,17 +80,17 @@ def triangle_strain(
         deviation = _energy_deviation(forces[..., 0].T, forces[..., 1].T, covariance, own, shared)
         return TriangleStrain(strain_of, strain_std, held, energy, deviation + 0 * energy)
 
-    def at_corners(values: Tensor) -> Tensor:
+    def take_corners(values: Tensor) -> Tensor:
         """Gather values (B, N) of points at the corners of the triangles, as (3, M, B)."""
         result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
         return result
 
     def gradient(values: Tensor) -> tuple[Tensor, Tensor]:
-        first, second, third = at_corners(values)
+        first, second, third = take_corners(values)
         second, third = second - first, third - first
         return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
 
-    def at_points(corner_values: Tensor) -> Tensor:
+    def sum_points(corner_values: Tensor) -> Tensor:
         """Return, for each of N points, the sum (N, B) of the contributions (3, M, B) of all triangle corners that lie
         at the point.
         """
@@ -104,12 +104,12 @@ def triangle_strain(
     counted = shares.nan_to_num(0.0)
 
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    at_corner = (at_corners(part) for part in (uu, uv, vv))
+    at_corner = (take_corners(part) for part in (uu, uv, vv))
     errors = strain_covariance_parts(*products[..., None], *at_corner)  # (3, M, B) each
     added = counted * energy_form(*errors, *solid).nan_to_num(0.0)
     energy = (shares * density.nan_to_num(0.0)).sum(0, dtype=torch.float64) - added.sum((0, 1), dtype=torch.float64)
     sxx, syy, sxy = (counted * part.nan_to_num(0.0) for part in stress_parts(*strain, *solid))
-    x, y, own = (at_points(part) for part in (sxx * along + sxy * down, syy * down + sxy * along, added))
+    x, y, own = (sum_points(part) for part in (sxx * along + sxy * down, syy * down + sxy * along, added))
     deviations = [error.sum(0).clamp_min(0).sqrt() + 0 * part for error, part in zip(errors[:3], strain, strict=True)]
     return TriangleStrain(
         torch.stack(strain).permute(2, 1, 0),
@@ -120,14 +120,14 @@ def triangle_strain(
     )
 
 
-def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
+def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, alone: Tensor, shared: SharedErrors | None) -> Tensor:
     """Return the standard deviation (B,) of the strain energy due to displacement errors of the points, from their
     `covariance` and the elastic forces x, y (N, B) at the points (derivatives of the energy).
 
     The variance is the sum of two parts:
     - To first order: that of the errors times the forces x, y (N, B) at the points.
     - That of the energy that the errors themselves add. For a point it is the square of the mean of that energy, as a
-      displacement has two components. `own` (B,) is the sum over points; the stiff coupling between neighbours adds a
+      displacement has two components. `alone` (B,) is the sum over points; the stiff coupling between neighbours adds a
       sixth.
 
     The measured forces are noisy too, which adds twice the second part to the first on average.
@@ -138,24 +138,24 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
         forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
         correlation = shared.correlation.to(x.dtype)
         # `device` is given, as torch would otherwise use the default device and not that of the tensors.
-        beside = torch.sparse_coo_tensor(
+        neighbours = torch.sparse_coo_tensor(
             shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
         )
-        of_others = torch.stack([torch.sparse.mm(beside, one) for one in forces])
+        of_others = torch.stack([torch.sparse.mm(neighbours, force) for force in forces])
         linear = linear + 2 * (forces * of_others).sum((0, 1), dtype=torch.float64)
-    of_itself = 7 / 6 * own
+    of_itself = 7 / 6 * alone
     return torch.maximum(linear - of_itself, of_itself).sqrt()
 
 
-def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
+def area_shares(in_contact: Tensor, valid: Tensor, areas: Tensor) -> Tensor:
     """Return the area (B, M) with which each triangle enters an integral over the triangles in contact: triangles of
-    `known` strain get a larger area, to stand also for unknown ones.
+    `valid` strain get a larger area, to stand also for unknown ones.
 
-    Triangles that are not `known` are represented by the mean of the others. NaN where the known ones cover less than
+    Triangles that are not `valid` are represented by the mean of the others. NaN where the known ones cover less than
     half of the area, or where no triangle is in contact.
     """
     areas = areas.nan_to_num(0.0)
-    counted = (in_contact & known) * areas
+    counted = (in_contact & valid) * areas
     whole, seen = (in_contact * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
     return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
 

@@ -140,5 +140,5 @@ def _check(field: Tensor, mask: Tensor | None) -> None:
     if mask.dtype != torch.bool:
         raise TypeError(f"the mask must be bool, found {mask.dtype}")
     if mask.shape[1:] != (1, *field.shape[2:]) or mask.shape[0] not in (1, field.shape[0]):
-        wanted = (field.shape[0], 1, *field.shape[2:])
-        raise ValueError(f"the mask must have shape {wanted}, found {tuple(mask.shape)}")
+        shape = (field.shape[0], 1, *field.shape[2:])
+        raise ValueError(f"the mask must have shape {shape}, found {tuple(mask.shape)}")

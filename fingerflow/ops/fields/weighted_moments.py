@@ -45,7 +45,7 @@ def weighted_moments(
     rows = max(1, _CHUNK_ELEMENTS // max(1, geometries * points.shape[1]))
     point_x, point_y = (coordinate[:, None, :].contiguous() for coordinate in points.unbind(-1))
     query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
-    one, scale = points.new_ones(()), -1 / radius**2
+    constant, scale = points.new_ones(()), -1 / radius**2
     components, noises = values.shape[2], 0 if noise is None else noise.shape[2]
     widths = [1] * 4 + [1 + components] * 3 + [noises] * 6
     batch = torch.broadcast_shapes((geometries,), values.shape[:1])[0]
@@ -57,7 +57,7 @@ def weighted_moments(
         dy = point_y - query_y[:, start : start + rows]
         # Exact for whole numbers, so that points on the rim are never counted as within it.
         squared = torch.addcmul(dx * dx, dy, dy)
-        closeness = torch.add(one, squared, alpha=scale).clamp(min=0)
+        closeness = torch.add(constant, squared, alpha=scale).clamp(min=0)
         weight = closeness * closeness
         weight_x, weight_y = weight * dx, weight * dy
         inside = (squared < radius**2).to(values.dtype)

@@ -2,8 +2,10 @@
 
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_pixels
+
+_compiled: Twin[Tensor] = twin("halve")
 
 
 def halved_image(images: Tensor) -> Tensor:
@@ -18,8 +20,8 @@ def halved_image(images: Tensor) -> Tensor:
         ValueError: smaller images.
     """
     check_pixels(images, 3)
-    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
-        return kernels.halve(images)
+    if _compiled.serves(images):
+        return _compiled(images)
     height, width = images.shape[-2] // 2 * 2, images.shape[-1] // 2 * 2
     images = images if images.is_floating_point() else images.float()
     rows = images[..., 0:height:2, :width] + images[..., 1:height:2, :width]

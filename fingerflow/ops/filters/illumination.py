@@ -5,14 +5,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.filters.quantile import frame_quantile
 
 # Signal at grey level 0, and levels per unit of the signal; a signal of 1 has level 255. Negative signals are pixels
 # brighter than the empty glass.
 LOWEST_SIGNAL = -0.25
 LEVELS_PER_UNIT = 255 / (1 - LOWEST_SIGNAL)
+
+_compiled: Twin[tuple[Tensor, Tensor]] = twin("normalize")
 
 
 class NormalizedFrames(NamedTuple):
@@ -68,16 +70,16 @@ def normalize_illumination(
     empty, *black = (image.to(precision) for image in images[1:])
     light = empty - black[0] if black else empty
     least = minimum_illumination * _full_light(light)
-    if precision == torch.float32 and frames.dtype in kernels.FRAME_KINDS and kernels.serve(frames, light):
+    if _compiled.serves(frames, light):
         none = black[0] if black else torch.zeros_like(light[:1])
-        return NormalizedFrames(*kernels.normalize(frames, light, none, least))
+        return NormalizedFrames(*_compiled(frames, light, none, least))
     counts = frames.to(precision)
     passed = counts - black[0] if black else counts
 
-    known = _exceeds(light, least) & torch.isfinite(passed)
+    lit = _exceeds(light, least) & torch.isfinite(passed)
     # Both branches of `where` are differentiated, so the values replaced must be finite too.
-    quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
-    valid = known & torch.isfinite(quotient)
+    quotient = torch.where(lit, passed, 1.0) / torch.where(lit, light, 1.0)
+    valid = lit & torch.isfinite(quotient)
     return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
 
 

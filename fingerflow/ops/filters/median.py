@@ -66,13 +66,13 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     if frames.dtype not in _DTYPES:
         raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
     if torch.compiler.is_exporting():
-        return _of_rows(frames, size)
+        return _row_median(frames, size)
     if torch.compiler.is_compiling() and size > LARGEST_TRACED:
         return large_median(frames, size)
-    return _by_network(frames, size)
+    return _network_median(frames, size)
 
 
-def _by_network(frames: Tensor, size: int) -> Tensor:
+def _network_median(frames: Tensor, size: int) -> Tensor:
     program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
     result: Tensor = in_pieces(functools.partial(_run, program), frames_at_once(frames), frames)
     return result
@@ -102,10 +102,10 @@ def large_median(frames: Tensor, size: int) -> Tensor:
 
     The compiler would need minutes to trace thousands of minima and maxima.
     """
-    return _by_network(frames, size).contiguous()
+    return _network_median(frames, size).contiguous()
 
 
-def _of_rows(frames: Tensor, size: int) -> Tensor:
+def _row_median(frames: Tensor, size: int) -> Tensor:
     """Compute the median filter by operations on whole rows of pixels; exported graphs contain this form.
 
     The tiles of `_run` have one column here. A plane then holds whole rows, which an unfused runtime copies in one
@@ -183,15 +183,15 @@ def run_network(
     # A shift by whole tiles is an offset in the flattened plane. Reading past the end of a line or frame gives a wrong
     # value only where no window begins. Planes are dropped after their last use to save memory.
     cells = planes[0].shape[0]
-    known = dict(enumerate(planes))
-    lengths = dict.fromkeys(known, cells)
+    lanes = dict(enumerate(planes))
+    lengths = dict.fromkeys(lanes, cells)
     pair, first, second, length = None, planes[0], planes[0], cells
     for operation, result, left, right, rows, shift, released in steps:
         offset = rows * columns + shift
         # Computed once for minimum and maximum: mostly the maximum of two planes follows their minimum.
         if pair != (left, right, offset):
             pair = (left, right, offset)
-            first, second = known[left], known[right]
+            first, second = lanes[left], lanes[right]
             if not views:
                 second = _drop_first(second, offset, 0)
             else:
@@ -200,11 +200,11 @@ def run_network(
                     second = second[offset : offset + length]
                 if length < lengths[left]:
                     first = first[:length]
-        known[result] = torch.minimum(first, second) if operation == "minimum" else torch.maximum(first, second)
+        lanes[result] = torch.minimum(first, second) if operation == "minimum" else torch.maximum(first, second)
         lengths[result] = length
         for plane in released:
-            del known[plane]
-    return [_drop_first(known[plane], rows * columns + shift, cells - lengths[plane]) for plane, rows, shift in outputs]
+            del lanes[plane]
+    return [_drop_first(lanes[plane], rows * columns + shift, cells - lengths[plane]) for plane, rows, shift in outputs]
 
 
 def _drop_first(plane: Tensor, offset: int, lack: int) -> Tensor:

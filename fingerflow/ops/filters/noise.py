@@ -5,9 +5,11 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tracking_limits import ROUNDING
 from fingerflow.ops.checks import check_pixels
+
+_mean_response: Twin[Tensor] = twin("mean_response")
 
 
 def rounding_variance(images: Tensor) -> float:
@@ -34,8 +36,8 @@ def estimate_noise(images: Tensor) -> Tensor:
         ValueError: smaller images.
     """
     check_pixels(images, 3)
-    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
-        return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
+    if _mean_response.serves(images):
+        return (math.sqrt(math.pi / 2) / 6 * _mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
     step = max(1, min(4, x.shape[-2] // 64))
     bent = x[..., :-2:step, :] - 2 * x[..., 1:-1:step, :] + x[..., 2::step, :]

@@ -32,29 +32,29 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
     if frames.shape[2:].numel() == 0:
         return torch.full(frames.shape[:1], torch.nan, dtype=torch.float64, device=frames.device)
     if frames.dtype == torch.uint8:
-        return _from_histogram(histogram(frames), fraction)
-    return _by_halving(frames.flatten(1), fraction)
+        return _histogram_quantile(histogram(frames), fraction)
+    return _halving_quantile(frames.flatten(1), fraction)
 
 
-def _from_histogram(counts: Tensor, fraction: float) -> Tensor:
-    wanted = (counts.sum(1, keepdim=True).double() * fraction).ceil().clamp(min=1)
-    return (counts.cumsum(1) < wanted).sum(1).double()
+def _histogram_quantile(counts: Tensor, fraction: float) -> Tensor:
+    rank = (counts.sum(1, keepdim=True).double() * fraction).ceil().clamp(min=1)
+    return (counts.cumsum(1) < rank).sum(1).double()
 
 
-def _by_halving(values: Tensor, fraction: float) -> Tensor:
+def _halving_quantile(values: Tensor, fraction: float) -> Tensor:
     whole = not values.is_floating_point()
     if values.dtype not in (torch.float32, torch.float64):
         values = values.to(torch.int32) if whole else values.float()
     finite = values.isfinite()
     present = finite.sum(1, keepdim=True)
-    wanted = (present.double() * fraction).ceil().clamp(min=1)
+    rank = (present.double() * fraction).ceil().clamp(min=1)
     lowest = torch.where(finite, values, torch.inf).amin(1, keepdim=True).double()
     high = torch.where(finite, values, -torch.inf).amax(1, keepdim=True).double()
     # Replace non-finite pixels by infinity, so that they never count as below a limit.
     counted = values if whole else torch.where(finite, values, torch.inf)
 
     def enough(limit: Tensor) -> Tensor:
-        return (counted <= limit.to(counted.dtype)).sum(1, keepdim=True) >= wanted
+        return (counted <= limit.to(counted.dtype)).sum(1, keepdim=True) >= rank
 
     low = lowest - 1 if whole else lowest
     for _ in range(_HALVINGS):

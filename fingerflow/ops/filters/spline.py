@@ -16,7 +16,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import Twin, twin
+
+_compiled: Twin[Tensor] = twin("spline_coefficients")
 
 
 def spline_coefficients(images: Tensor) -> Tensor:
@@ -28,8 +30,8 @@ def spline_coefficients(images: Tensor) -> Tensor:
     Returns:
         (B, 1, H, W), float64 for float64 images, else float32.
     """
-    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
-        return kernels.spline_coefficients(images)
+    if _compiled.serves(images):
+        return _compiled(images)
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
     x = F.pad(x, (1, 1, 1, 1), mode="replicate") if x.shape[0] else x.new_zeros((0, 1, x.shape[2] + 2, x.shape[3] + 2))
     x = x[..., :-2, :] + 2 * x[..., 1:-1, :] + x[..., 2:, :]

@@ -14,7 +14,7 @@ from fingerflow.ops.filters.median import median_filter, plain, run_network
 _OWN_WINDOWS = 3
 
 
-def median_at(frames: Tensor, size: int, step: int) -> Tensor:
+def strided_median(frames: Tensor, size: int, step: int) -> Tensor:
     """Compute the median filter at every `step`-th pixel of every `step`-th line.
 
     The result is `median_filter(frames, size)[..., ::step, ::step]`. The columns of all windows are sorted in one

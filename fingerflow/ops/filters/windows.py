@@ -33,8 +33,8 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
         wide = F.pad(images, (size, size, 0, 0), mode="replicate")
         column = (corner[:, 0, None] + size).clamp(0, width + size)
         first = (row + image_index[:, None] * height) * wide.shape[3] + column
-        return lines_of(wide, first, size)
-    # The gradient with respect to the view in `lines_of` would be ``size`` times as large as the image.
+        return take_lines(wide, first, size)
+    # The gradient with respect to the view in `take_lines` would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
     return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
 
@@ -92,8 +92,8 @@ def _sample_warped(
     at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few points at a time, so that their weights stay in the cache
     pieces = zip(*(whole.split(at_once) for whole in (image_index, points, warp)), strict=True)
     sampled = [
-        _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
-        for indices, places, warps in pieces
+        _sample_piece(flat, coefficients.shape, indices, positions, warps, size, order)
+        for indices, positions, warps in pieces
     ]
     values, gradients = zip(*sampled, strict=True)
     return torch.cat(values), torch.cat(gradients)
@@ -144,7 +144,7 @@ def _sample_piece(
     return value + level, gradient
 
 
-def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
+def take_lines(planes: Tensor, first: Tensor, length: int) -> Tensor:
     """Copy runs of ``length`` consecutive pixels from images, starting at the flat pixel indices ``first`` (...).
 
     Whole lines are copied ten times as fast as single pixels are gathered.

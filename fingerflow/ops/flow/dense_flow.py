@@ -32,10 +32,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.flow import FlowFields, FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tensors.twin import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients, spline_weights
@@ -59,6 +59,8 @@ _CYCLES = 3  # multigrid cycles after the last warp
 _MARGIN = 2  # px at the border of an image, where its spline would need pixels beyond the border
 _SMALLEST_SIDE = 32  # px, smallest side of a halved image
 _TINY = 1e-12
+_compiled_fields: Twin[tuple[Tensor, ...]] = twin("flow_template")
+_compiled_residual: Twin[tuple[Tensor, ...]] = twin("flow_left")
 # Window side (px), roughness and number of warps for scenes with motion boundaries: photographs, discs that move one
 # after the other, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
@@ -160,11 +162,11 @@ def dense_flow(
     return whole_flow(first, current, initial, mask, noise, box, roughness, warps, model)
 
 
-def _like_flow(first: Tensor, *others: Any) -> "Flow":
+def _like_flow(first: Tensor, *rest: Any) -> "Flow":
     batch, _, height, width = first.shape
-    kind = torch.float64 if first.dtype == torch.float64 else torch.float32
+    dtype = torch.float64 if first.dtype == torch.float64 else torch.float32
     sizes = ((2,), (2, 2), (1,))
-    return Flow(*(first.new_empty((batch, *size, height, width), dtype=kind) for size in sizes))
+    return Flow(*(first.new_empty((batch, *size, height, width), dtype=dtype) for size in sizes))
 
 
 @torch_op(shapes=_like_flow)
@@ -192,10 +194,10 @@ def whole_flow(
     chosen = (share > _LEAST_SHARE).nonzero().squeeze(1)
     if not len(chosen):
         return flow
-    some = [None if one is None else one[chosen] for one in (first, current, initial, mask, noise)]
-    again, left = _flow_with_edges(*some)  # type: ignore[arg-type]  # images are given
+    selected = [None if tensor is None else tensor[chosen] for tensor in (first, current, initial, mask, noise)]
+    again, left = _flow_with_edges(*selected)  # type: ignore[arg-type]  # images are given
     better = left < _BETTER * share[chosen]
-    return Flow(*(one.index_copy(0, chosen[better], new[better]) for one, new in zip(flow, again, strict=True)))
+    return Flow(*(tensor.index_copy(0, chosen[better], new[better]) for tensor, new in zip(flow, again, strict=True)))
 
 
 def _flow_with_edges(
@@ -238,16 +240,16 @@ def prepare_flow(
     if box < 1 or box % 2 == 0 or not roughness > 0:
         raise ValueError(f"box must be odd and at least 1 px, roughness above 0, not {box} and {roughness}")
     _check_choice("constancy", constancy, Constancy)
-    kind = torch.float64 if first.dtype == torch.float64 else torch.float32
-    variance = (estimate_noise(first) if noise is None else noise).to(kind).square()
+    dtype = torch.float64 if first.dtype == torch.float64 else torch.float32
+    variance = (estimate_noise(first) if noise is None else noise).to(dtype).square()
     least = rounding_variance(first)
     variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
-    template = _template_of(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    template = _build_template(first.to(dtype), everywhere.to(dtype), variance, box, roughness, constancy)
     return template._replace(covariance=_covariance(template, template.levels[0]))
 
 
-def _template_of(
+def _build_template(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
 ) -> FlowTemplate:
     """Return the flow template of an image, which includes the templates of successively halved images as long as
@@ -255,26 +257,26 @@ def _template_of(
 
     The image is floating point. The covariance is left None.
     """
-    given = channels(spline_coefficients(first), constancy)
-    count = len(given) // len(first)
-    fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
+    values = channels(spline_coefficients(first), constancy)
+    count = len(values) // len(first)
+    fields = _fields(values, mask if count == 1 else mask.repeat(count, 1, 1, 1))
     value, gradient = fields.value, fields.gradient
     # A pixel that is unknown in one channel is unknown in all.
     everywhere = (fields.inside, fields.known, fields.right, fields.down)
-    inside, known, right, down = (_channel_minimum(one, count) for one in everywhere)
+    inside, textured, right, down = (_channel_minimum(field, count) for field in everywhere)
     products = _sum(fields.tensor, count)
     weights = window(max(box / CELL, 1.0))
-    tensor = known * integrated(products, weights)
+    tensor = textured * integrated(products, weights)
     alpha = _smoothing(variance, roughness)
-    energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / known.sum((1, 2, 3)).clamp_min(1)
+    energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / textured.sum((1, 2, 3)).clamp_min(1)
     of_noise = _noise_of_tensor(variance, constancy)
     lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * of_noise).all()
     coarser = None
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
         # A mean of four pixels has a fourth of the noise variance, and is unknown where one of the four is.
         all_known = (halved_image(inside) == 1).to(inside.dtype)
-        coarser = _template_of(halved_image(first), all_known, variance / 4, box, roughness, constancy)
-    levels = pyramid(tensor, alpha * right, alpha * down, known)
+        coarser = _build_template(halved_image(first), all_known, variance / 4, box, roughness, constancy)
+    levels = pyramid(tensor, alpha * right, alpha * down, textured)
     return FlowTemplate(
         value, gradient, inside, levels, products, variance, roughness, constancy, None, weights, coarser
     )
@@ -322,8 +324,8 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
 
     The tensor is not yet integrated over windows. `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
     """
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
-        return kernels.flow_template(coefficients, mask, _MARGIN)
+    if _compiled_fields.serves(coefficients, mask):
+        return FlowFields(*_compiled_fields(coefficients, mask, _MARGIN))
     usable = finite(coefficients)
     # The spline at a pixel uses the coefficients of its neighbours, so these must be known too.
     inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
@@ -333,8 +335,8 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
     gradient = _slopes(clean) * _stays_inside(still, inside, _MARGIN)
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
-    known = (halved(inside) > 0).to(inside.dtype)
-    return FlowFields(value, gradient, inside, tensor, known, *halved_edges(*edges(inside)))
+    textured = (halved(inside) > 0).to(inside.dtype)
+    return FlowFields(value, gradient, inside, tensor, textured, *halved_edges(*edges(inside)))
 
 
 def find_flow(
@@ -355,34 +357,34 @@ def find_flow(
     shape = (len(current), 2, *current.shape[-2:])
     if initial is not None and initial.shape != shape:
         raise ValueError(f"initial must be {shape}, not {tuple(initial.shape)}")
-    given = current.to(template.value.dtype)
+    image = current.to(template.value.dtype)
     if initial is None:
-        flow = _initial_flow(template, given, warps, penalty)
+        flow = _initial_flow(template, image, warps, penalty)
     else:
-        flow = to_cells(initial.to(given.dtype), template.inside)
-    flow, left, finest = _refined(template, given, flow, warps, penalty)
+        flow = to_cells(initial.to(image.dtype), template.inside)
+    flow, left, finest = _refined(template, image, flow, warps, penalty)
     covariance = template.covariance
     if covariance is None or penalty == "charbonnier":
         covariance = _covariance(template, finest)
-    return _at_pixels(template, flow, left, covariance)
+    return _to_pixels(template, flow, left, covariance)
 
 
-def _at_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor], covariance: Tensor) -> Flow:
+def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor], covariance: Tensor) -> Flow:
     """Interpolate the flow, its covariance and the image residual from cells of 2 x 2 px to the pixels of the first
     image; return them as a `Flow`.
 
     `left` is the residual before the last step, `covariance` that at a gain of 1.
     """
     size = template.inside.shape[-2:]
-    known = template.levels[0].inside
+    valid = template.levels[0].inside
     # Half of the covariance is due to noise of the first image, half to the current one, whose part grows with falling
     # gain.
     covariance = covariance * ((1 + 1 / (left.gain * left.gain)) / 2)
-    squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
+    squares, seen = (integrated(field, template.weights) for field in (left.squares, left.seen))
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
-    others = torch.cat((covariance, residual), dim=1)
-    displacement = to_pixels(flow, known, *size)
-    xx, xy, yy, residual = spread(others, known, *size).split(1, dim=1)
+    deviations = torch.cat((covariance, residual), dim=1)
+    displacement = to_pixels(flow, valid, *size)
+    xx, xy, yy, residual = spread(deviations, valid, *size).split(1, dim=1)
     lost = torch.where(_stays_inside(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
     rows = torch.cat((xx, xy, xy, yy), dim=1) + lost
     return Flow(displacement + lost, rows.unflatten(1, (2, 2)), residual + lost)
@@ -395,9 +397,9 @@ def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: 
     if coarser is None:
         return template.value.new_zeros(batch, 2, height, width)
     half = halved_image(current)
-    found, _, _ = _refined(coarser, half, _initial_flow(coarser, half, warps, penalty), warps, penalty)
+    coarse, _, _ = _refined(coarser, half, _initial_flow(coarser, half, warps, penalty), warps, penalty)
     # Pixels of the halved images are cells of the full ones.
-    wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
+    wide = 2 * to_pixels(coarse, coarser.levels[0].inside, *half.shape[-2:])
     return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
 
 
@@ -412,15 +414,15 @@ def _refined(
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
         left = _residual(template, coefficients, flow)
-        known, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
+        valid, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
         if penalty == "charbonnier":
             of_data = data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
             tensor = integrated(of_data * template.products, template.weights)
-            levels = weighted_levels(levels[0], tensor, flow, known, template.roughness)
+            levels = weighted_levels(levels[0], tensor, flow, valid, template.roughness)
             data = of_data * data
         pull = -levels[0].inside * integrated(data, template.weights)
         # Warps before the last one only bring the image close enough to be linearised.
-        flow = descended(levels, pull, flow, known, _CYCLES if warp + 1 == warps else 1)
+        flow = descended(levels, pull, flow, valid, _CYCLES if warp + 1 == warps else 1)
     return flow, left, levels[0]
 
 
@@ -432,10 +434,10 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
     gain, (B, 2, h, w); of its squares, and of where it was seen, (B, 1, h, w). Also the illumination gain (B, 1, 1, 1).
     """
     count = len(coefficients) // len(flow)
-    known, inside = template.levels[0].inside, template.inside
+    valid, inside = template.levels[0].inside, template.inside
     if count > 1:
-        known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
-    data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, known)
+        valid, inside, flow = (tensor.repeat(count, 1, 1, 1) for tensor in (valid, inside, flow))
+    data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, valid)
     # The slopes are those of the first image. In the current one they scale with the gain, and J with its square.
     return FlowResidual(
         _sum(data / gain, count),
@@ -453,8 +455,9 @@ def _channel_residuals(
 
     As for `_residual`, but the products with the slopes are not divided by the gain.
     """
-    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
-        return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
+    images = coefficients, value, gradient, inside, flow, known
+    if _compiled_residual.serves(*images):
+        return FlowResidual(*_compiled_residual(*images, _MARGIN, limits.MOST_GAIN))
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
     warped = _sampled(coefficients, displacement)
     usable = finite(warped)
@@ -491,8 +494,8 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     for k in range(4):
         start = (row + (k - 1)).clamp(0, height - 1) * width
         line = torch.zeros_like(coefficients)
-        for weight, place in zip(weights_x, columns, strict=True):
-            line = line + weight * flat.gather(1, (start + place).flatten(1)).unflatten(1, (1, height, width))
+        for weight, index in zip(weights_x, columns, strict=True):
+            line = line + weight * flat.gather(1, (start + index).flatten(1)).unflatten(1, (1, height, width))
         values = values + weights_y[k] * line
     return values
 
@@ -515,10 +518,10 @@ def _fit_gain_and_offset(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[T
     The fit is by least squares.
     """
     count = seen.sum((1, 2, 3), keepdim=True).clamp_min(1)
-    mean, mean_warped = ((seen * one).sum((1, 2, 3), keepdim=True) / count for one in (value, warped))
-    apart = seen * (value - mean)
-    energy = (apart * apart).sum((1, 2, 3), keepdim=True)
-    gain = (apart * (warped - mean_warped)).sum((1, 2, 3), keepdim=True) / energy.clamp_min(_TINY)
+    mean, mean_warped = ((seen * values).sum((1, 2, 3), keepdim=True) / count for values in (value, warped))
+    deviation = seen * (value - mean)
+    energy = (deviation * deviation).sum((1, 2, 3), keepdim=True)
+    gain = (deviation * (warped - mean_warped)).sum((1, 2, 3), keepdim=True) / energy.clamp_min(_TINY)
     # An uncorrelated image could have a gain near 0 or below; such a gain is replaced by 1.
     gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
     return gain, mean_warped - gain * mean

@@ -31,7 +31,7 @@ class Planes(NamedTuple):
     slope_x: Tensor
     slope_y: Tensor
 
-    def at(self, x: Tensor, y: Tensor) -> Tensor:
+    def evaluate(self, x: Tensor, y: Tensor) -> Tensor:
         return self.height + self.slope_x * x + self.slope_y * y
 
 
@@ -49,14 +49,14 @@ def magnified(fields: Tensor, times: int) -> Tensor:
     return functional.interpolate(fields, scale_factor=times, mode="bilinear", align_corners=False)
 
 
-def spread(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
-    """Interpolate fields bilinearly from the cells where they are `known` to the `height` x `width` elements of a grid
+def spread(cells: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
+    """Interpolate fields bilinearly from the cells where they are `valid` to the `height` x `width` elements of a grid
     of half the spacing: smaller cells, or pixels.
 
-    Fields (B, C, h, w) become (B, C, height, width). `known` is 1 or 0. The four nearest cells have the weights 9/16,
+    Fields (B, C, h, w) become (B, C, height, width). `valid` is 1 or 0. The four nearest cells have the weights 9/16,
     3/16, 3/16 and 1/16. The result is 0 where none of them is known.
     """
-    both = magnified(torch.cat((torch.where(known > 0, cells, 0.0), known), dim=1), CELL)[..., :height, :width]
+    both = magnified(torch.cat((torch.where(valid > 0, cells, 0.0), valid), dim=1), CELL)[..., :height, :width]
     share = both[:, -1:]
     return both[:, :-1] / torch.where(share > 0, share, 1.0)
 
@@ -80,22 +80,22 @@ def _sums(fields: Tensor) -> Tensor:
     return rows[..., ::2] + rows[..., 1::2]
 
 
-def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
+def to_pixels(cells: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
     """Interpolate a flow (B, 2, h, w) from cells to pixels: return (B, 2, height, width).
 
-    `known` (B, 1, h, w) is 1 for known cells, else 0.
+    `valid` (B, 1, h, w) is 1 for known cells, else 0.
     """
-    plane = plane_of(cells, known)
-    beside = spread(cells - plane.at(*places(cells)), known, height, width)
-    return plane.at(*finer_places(cells, height, width)) + beside
+    plane = fit_plane(cells, valid)
+    departure = spread(cells - plane.evaluate(*cell_positions(cells)), valid, height, width)
+    return plane.evaluate(*pixel_positions(cells, height, width)) + departure
 
 
-def plane_of(cells: Tensor, known: Tensor) -> Planes:
-    """Fit one plane (B, 2, 1, 1) to a whole field on cells (B, 2, h, w), with the weights `known`."""
-    return planes(moments(known, known * cells, *places(cells)).sum((2, 3), keepdim=True))
+def fit_plane(cells: Tensor, valid: Tensor) -> Planes:
+    """Fit one plane (B, 2, 1, 1) to a whole field on cells (B, 2, h, w), with the weights `valid`."""
+    return planes(moments(valid, valid * cells, *cell_positions(cells)).sum((2, 3), keepdim=True))
 
 
-def places(cells: Tensor) -> tuple[Tensor, Tensor]:
+def cell_positions(cells: Tensor) -> tuple[Tensor, Tensor]:
     """Return the coordinates x (w) and y (h, 1) of cells (., ., h, w), in cells from the centre of the field."""
     x, y = (
         torch.arange(count, dtype=cells.dtype, device=cells.device) - (count - 1) / 2
@@ -104,7 +104,7 @@ def places(cells: Tensor) -> tuple[Tensor, Tensor]:
     return x, y[:, None]
 
 
-def finer_places(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+def pixel_positions(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
     """Return the coordinates x (width) and y (height, 1) of the pixels of a frame whose flow is given on `cells`, in
     units of a cell from the centre of the field of cells.
     """
@@ -132,8 +132,8 @@ def planes(moments: Tensor) -> Planes:
     A plane is the mean where cells do not span it, and 0 where there are no cells.
     """
     around, *sums = moments.split((1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1)
-    some = torch.where(around > _TINY, around, 1.0)
-    mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (one / some for one in sums)
+    count = torch.where(around > _TINY, around, 1.0)
+    mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (total / count for total in sums)
     xx, xy, yy = xx - mean_x * mean_x, xy - mean_x * mean_y, yy - mean_y * mean_y
     by_x, by_y = by_x - mean_x * mean, by_y - mean_y * mean
     determinant = xx * yy - xy * xy
@@ -178,15 +178,15 @@ def integrated(fields: Tensor, weights: list[float]) -> Tensor:
 COURSE_WINDOW = window(9)  # weights over cells of 4 px
 
 
-def trend(flow: Tensor, known: Tensor) -> Tensor:
+def trend(flow: Tensor, valid: Tensor) -> Tensor:
     """Return the trend (B, 2, h, w) of a flow on cells: a smooth part, locally a plane, which the smoothness term of
     dense flow does not penalise.
 
-    `known` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
+    `valid` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
     to the remainder around every position, in two successive boxes of 36 px.
     """
-    whole = plane_of(flow, known).at(*places(flow))
-    share = halved(known)
-    x, y = places(share)
-    around = planes(integrated(moments(share, halved(known * (flow - whole)), x, y), COURSE_WINDOW))
-    return whole + magnified(around.at(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]
+    whole = fit_plane(flow, valid).evaluate(*cell_positions(flow))
+    share = halved(valid)
+    x, y = cell_positions(share)
+    around = planes(integrated(moments(share, halved(valid * (flow - whole)), x, y), COURSE_WINDOW))
+    return whole + magnified(around.evaluate(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]

@@ -30,20 +30,18 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
     variance, of_noise = variance[:, None, None, None], of_noise[:, None, None, None]
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2
-    apart = (half * half + xy * xy).sqrt()
+    gap = (half * half + xy * xy).sqrt()
     density = 2 * variance * _RIDGE_NOISE
     of_larger, of_smaller = (
-        density / (4 * math.pi * alpha) * _passed(rho_square * (one / alpha).clamp_min(_TINY))
-        for one in (mean + apart, (mean - apart).clamp_min(0))
+        density / (4 * math.pi * alpha) * _passed(rho_square * (eigenvalue / alpha).clamp_min(_TINY))
+        for eigenvalue in (mean + gap, (mean - gap).clamp_min(0))
     )
     # Apply a function f to a symmetric matrix J:
     # f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
-    slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
-    textured = mean + apart > limits.TEXTURE_TO_NOISE * of_noise
-    known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
-    return (
-        torch.cat((of_smaller + slope * (apart + half), slope * xy, of_smaller + slope * (apart - half)), dim=1) + known
-    )
+    slope = (of_larger - of_smaller) / (2 * gap).clamp_min(_TINY)
+    textured = mean + gap > limits.TEXTURE_TO_NOISE * of_noise
+    mask = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
+    return torch.cat((of_smaller + slope * (gap + half), slope * xy, of_smaller + slope * (gap - half)), dim=1) + mask
 
 
 def _passed(z: Tensor) -> Tensor:

@@ -96,9 +96,9 @@ def descended(levels: list[Level], pull: Tensor, flow: Tensor, known: Tensor, cy
     if pull.dtype == torch.float32 and kernels.serve(pull, flow, known, *levels[0]):
         planes = [plane for level in levels for plane in level]
         return kernels.flow_descend(planes, pull, flow, known, COURSE_WINDOW, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING)
-    own = trend(flow, known)
-    flow = torch.where(known > 0, flow, own)
-    step = v_cycle(levels, pull - laplacian(levels[0], flow - own))
+    base = trend(flow, known)
+    flow = torch.where(known > 0, flow, base)
+    step = v_cycle(levels, pull - laplacian(levels[0], flow - base))
     for _ in range(cycles - 1):
         moved = flow + step
         over = laplacian(levels[0], moved - trend(moved, known))
@@ -139,9 +139,9 @@ def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
     degree = degrees(right, down)
     xx, xy, yy = tensor[:, :1] + degree, tensor[:, 1:2], tensor[:, 2:] + degree
     determinant = xx * yy - xy * xy
-    known = determinant > _REGULAR * (xx + yy).square()  # False for an isolated cell with a slope in one direction
-    inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
-    return Level(tensor, right, down, torch.where(known, inverse, 0.0), mask)
+    regular = determinant > _REGULAR * (xx + yy).square()  # False for an isolated cell with a slope in one direction
+    inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(regular, determinant, 1.0)
+    return Level(tensor, right, down, torch.where(regular, inverse, 0.0), mask)
 
 
 def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) -> Tensor:

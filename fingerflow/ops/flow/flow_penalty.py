@@ -47,7 +47,7 @@ def data_weights(left: FlowResidual[Tensor], by_noise: Tensor) -> Tensor:
     return ((_DATA_SCALE**2 + 1) / (_DATA_SCALE**2 + ratio)).sqrt()
 
 
-def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, roughness: float) -> list[Level]:
+def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, valid: Tensor, roughness: float) -> list[Level]:
     """Build the multigrid levels of dense flow for the robust penalty: an edge between cells has a low smoothness
     weight where the given flow (B, 2, h, w), minus its smooth trend, jumps.
 
@@ -55,10 +55,10 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, known: Tensor, 
         finest: level of the quadratic system.
         tensor: (B, 3, h, w) J with the weights of the data.
         flow: (B, 2, h, w) px.
-        known: (B, 1, h, w), 1 or 0: cells that contribute to the trend; at the others the departure is 0.
+        valid: (B, 1, h, w), 1 or 0: cells that contribute to the trend; at the others the departure is 0.
         roughness: as of `dense_flow`.
     """
-    departure = torch.where(known > 0, flow - trend(flow, known), 0.0)
+    departure = torch.where(valid > 0, flow - trend(flow, valid), 0.0)
     right, down = edge_weights(departure, roughness)
     return pyramid(finest.inside * tensor, finest.right * right, finest.down * down, finest.inside)
 

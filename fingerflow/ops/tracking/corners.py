@@ -96,11 +96,11 @@ def detect_corners(
     if mask is not None:
         allowed = allowed & mask
     spread = _noise_deviation(frame) if noise is None else torch.full_like(response[:, 0, 0, 0], noise)
-    known = torch.where(allowed & response.isfinite(), response, 0.0)
-    floor = torch.maximum(quality * known.amax((1, 2, 3)), _above_noise(window) * spread.square())
-    peak = known == largest_around(known)
-    candidate = peak & (known > floor[:, None, None, None]) & (known > _ROUNDING * larger)
-    return _strongest_apart(known, candidate, count, min_distance)
+    strength = torch.where(allowed & response.isfinite(), response, 0.0)
+    floor = torch.maximum(quality * strength.amax((1, 2, 3)), _above_noise(window) * spread.square())
+    peak = strength == largest_around(strength)
+    candidate = peak & (strength > floor[:, None, None, None]) & (strength > _ROUNDING * larger)
+    return _strongest_apart(strength, candidate, count, min_distance)
 
 
 def corner_response(frame: Tensor, window: int = 7) -> Tensor:
@@ -142,14 +142,14 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
         padded = functional.pad(tensor, (half, half, half, half), mode="replicate")
         tensor = box_sum(padded, window)
     xx, xy, yy = tensor.split(1, 1)
-    both, apart, twice = xx + yy, xx - yy, 2 * xy
+    both, difference, twice = xx + yy, xx - yy, 2 * xy
     if whole:
         # Up to here integers are exact. From here on every operation rounds once.
-        both, apart, twice = both.float(), apart.float(), twice.float()
+        both, difference, twice = both.float(), difference.float(), twice.float()
         # Compute the root in float64, since torch's float32 square root is not correctly rounded for all values.
-        spread = (apart.square() + twice.square()).double().sqrt().float()
+        spread = (difference.square() + twice.square()).double().sqrt().float()
     else:
-        spread = torch.hypot(apart, twice)
+        spread = torch.hypot(difference, twice)
     scale = 1 / (2 * _GRADIENT_SCALE**2 * window * window)
     return (both - spread) * scale, (both + spread) * scale
 
@@ -200,13 +200,13 @@ def _inside(frame: Tensor, border: int) -> Tensor:
 
 
 def _strongest_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Corners:
-    place = choose_apart(response.detach(), candidate, count, min_distance)
-    found, index = place >= 0, place.clamp_min(0)
+    index_of = choose_apart(response.detach(), candidate, count, min_distance)
+    valid, index = index_of >= 0, index_of.clamp_min(0)
     width = response.shape[3]
     points = torch.stack((index % width, index // width), dim=2).to(response.dtype)
     strengths = response.flatten(1).gather(1, index)
-    points = torch.where(found[..., None], points, torch.nan)
-    strengths = torch.where(found, strengths, torch.nan)
+    points = torch.where(valid[..., None], points, torch.nan)
+    strengths = torch.where(valid, strengths, torch.nan)
     return Corners(points, strengths, strengths.isfinite())
 
 
@@ -227,14 +227,14 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
     order = strength.sort(descending=True, stable=True).indices
     order = order[frame[order].sort(stable=True).indices]
     frame, y, x = frame[order], y[order], x[order]
-    kept = _keep_apart(frame, y, x, (batch, height, width), min_distance)
-    frame, y, x = frame[kept], y[kept], x[kept]
+    spaced = _keep_apart(frame, y, x, (batch, height, width), min_distance)
+    frame, y, x = frame[spaced], y[spaced], x[spaced]
 
-    found = torch.bincount(frame, minlength=batch)
-    place = torch.arange(len(frame), device=frame.device) - (found.cumsum(0) - found)[frame]
-    some = place < count
+    counts = torch.bincount(frame, minlength=batch)
+    rank = torch.arange(len(frame), device=frame.device) - (counts.cumsum(0) - counts)[frame]
+    within = rank < count
     chosen = frame.new_full((batch, count), -1)
-    chosen[frame[some], place[some]] = (y * width + x)[some]
+    chosen[frame[within], rank[within]] = (y * width + x)[within]
     return chosen
 
 
@@ -260,14 +260,14 @@ def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int]
     nobody = cell.new_full((shape[0] * rows * columns,), none)
     far = x.new_full((1,), 1 << 30)  # position of the missing candidate, far from all others
     x, y = torch.cat([x, far]), torch.cat([y, far])
-    kept = torch.zeros_like(x[:-1], dtype=torch.bool)
+    accepted = torch.zeros_like(x[:-1], dtype=torch.bool)
     index = torch.arange(none, device=x.device)  # indices of undecided candidates
     while len(index):
         neighbours = cell[index, None] + around_cell
         first = nobody.scatter_reduce(0, cell[index], index, "amin")
         chosen = index[first[neighbours].amin(1) == index]
-        kept[chosen] = True
+        accepted[chosen] = True
         near = nobody.scatter(0, cell[chosen], chosen)[neighbours]
         squared = (x[near] - x[index, None]).square() + (y[near] - y[index, None]).square()
         index = index[~(squared < distance * distance).any(1)]
-    return kept
+    return accepted

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.deformation import CorrectedPoints
+from fingerflow.kernels.tracking import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import neighbour_planes, neighbours_support
@@ -64,7 +64,7 @@ def correct_points(
         inverse_warp: (1 or K, N, 2, 2) F_0^-1 with which the templates were prepared.
         window: px, side of a template.
         gauge_px: diameter of the local fits.
-        supports: `supports_of` the positions `start`, to save computing them.
+        supports: `fit_supports` the positions `start`, to save computing them.
     """
     given = start, points, covariance, numbers, inverse_warp
     if kernels.serve(*given) and all(one.dtype == torch.float32 for one in given) and len(start):
@@ -78,7 +78,7 @@ def correct_points(
             for k in range(len(start))
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
-    supports = supports or supports_of(start, gauge_px)
+    supports = supports or fit_supports(start, gauge_px)
     # Put components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
     inverse, of = inverse_warp.flatten(2).mT.contiguous().unflatten(1, (2, 2)), numbers.mT.contiguous()
@@ -110,7 +110,7 @@ def correct_points(
     )
 
 
-def supports_of(start: Tensor, gauge_px: float) -> Supports:
+def fit_supports(start: Tensor, gauge_px: float) -> Supports:
     """Return the weights of points at positions (1 or B, N, 2) px in the local fits around each of them, over the gauge
     length `gauge_px` (diameter of the fit) and over its inner part.
     """
@@ -126,9 +126,9 @@ def _extrapolated(
     `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
     """
     _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, supports.inner)
-    known = finite(inner - outer)
-    beyond = torch.where(known, _BEYOND * (inner - outer), 0.0)
-    return torch.where(known, inner, outer) + beyond, beyond
+    valid = finite(inner - outer)
+    beyond = torch.where(valid, _BEYOND * (inner - outer), 0.0)
+    return torch.where(valid, inner, outer) + beyond, beyond
 
 
 def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:

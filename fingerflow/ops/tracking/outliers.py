@@ -54,10 +54,10 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
     if positions.shape[1] < 2:
         raise ValueError(f"{positions.shape[1]} points have no neighbours: give 2 or more")
     # x and y separately, and topk along rows, which the symmetry of distances allows: half the time.
-    across, down = (one[:, None] - one[:, :, None] for one in positions.unbind(-1))
+    across, down = (coordinate[:, None] - coordinate[:, :, None] for coordinate in positions.unbind(-1))
     distance = across * across + down * down
-    apart = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
-    distance = torch.where(apart & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is never near
+    distinct = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
+    distance = torch.where(distinct & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is never near
     nearest = distance.topk(min(limits.NEIGHBOURS, positions.shape[1] - 1), dim=2, largest=False)
     number, within = nearest.indices.mT.contiguous(), nearest.values.mT.contiguous() < torch.inf
     there = positions.gather(1, number.flatten(1)[..., None].expand(-1, -1, 2)).unflatten(1, number.shape[1:])
@@ -93,11 +93,11 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     index, offset, within = neighbours
     # (P, k, N), broadcast over frames. Contiguous: interleaved pairs would not be vectorised.
     x, y = (part.contiguous() for part in offset.unbind(-1))
-    known = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all quantities per point
-    one = known.to(displacement.dtype)
-    sure = torch.where(known, position_std[:, None], 1.0).clamp_min(limits.LEAST_DEVIATION)
-    u, v = torch.where(known, displacement.mT, 0.0).split(1, dim=1)
-    there_u, there_v, variance, there = _gather_neighbours(index, u, v, sure.square(), one)
+    valid = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all quantities per point
+    present = valid.to(displacement.dtype)
+    sure = torch.where(valid, position_std[:, None], 1.0).clamp_min(limits.LEAST_DEVIATION)
+    u, v = torch.where(valid, displacement.mT, 0.0).split(1, dim=1)
+    there_u, there_v, variance, there = _gather_neighbours(index, u, v, sure.square(), present)
     weight = there * within
     number = _sum_over_neighbours(weight)
     u, v = there_u - u, there_v - v
@@ -106,11 +106,11 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     distance, level = _agreement(u, v, precision, weight, number)
     slope = _plane(x, y, u, v, weight / (1 + distance / (limits.SPREAD * level)))
     _, fitted = _agreement(*_plane_residuals(slope, x, y, u, v), precision, weight, number)
-    trust = one / fitted.square()
+    trust = present / fitted.square()
     donated = (*(part * trust for part in slope), trust)
     *slopes, total = (
-        _sum_over_neighbours(part * within) + own
-        for part, own in zip(_gather_neighbours(index, *donated), donated, strict=True)
+        _sum_over_neighbours(part * within) + values
+        for part, values in zip(_gather_neighbours(index, *donated), donated, strict=True)
     )
     total = total.clamp_min(_LEAST)
     _, borrowed = _agreement(
@@ -122,7 +122,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
         number / _sum_over_neighbours(part * weight).clamp_min(_LEAST)
         for part in _gather_neighbours(index, 1 / disagreement, 1 / sure)
     )
-    judged = known & (number >= limits.LEAST_NEIGHBOURS)
+    judged = valid & (number >= limits.LEAST_NEIGHBOURS)
     return Outliers(
         (judged & (disagreement > limits.MOST_DISAGREEMENT * usual)).squeeze(1),
         (judged & (sure > limits.MOST_UNCERTAINTY * usual_deviation)).squeeze(1),

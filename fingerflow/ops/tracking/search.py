@@ -3,14 +3,15 @@
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
+from fingerflow.kernels.tensors import Twin, twin
+from fingerflow.kernels.tracking import SEARCHED, sizes_of
 from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.windows import cut_windows
 from fingerflow.ops.pieces import points_at_once
 
+_compiled: Twin[Tensor] = twin("search_windows")
 _CHUNK = 128  # number of points per pass, so that the transforms stay in the cache
 _FAR = 2.0**30  # px, an integer position outside every image
 
@@ -50,18 +51,18 @@ def search_windows(
     coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
     size, reach = sizes_of(window, radius)
     given = (coarse_templates, coarse_images, image_index, points, guess)
-    if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
-        return kernels.search_windows(*given, size, reach)
+    if _compiled.serves(*given):
+        return _compiled(*given, size, reach)
     if torch.compiler.is_exporting():
         return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
     if not len(points):
         return guess.clone()
     at_once = points_at_once(points, _CHUNK)
-    found = [
+    results = [
         _search_coarse(coarse_templates, coarse_images, *part, size, reach)
         for part in zip(image_index.split(at_once), points.split(at_once), guess.split(at_once), strict=True)
     ]
-    return torch.cat(found)
+    return torch.cat(results)
 
 
 def search_and_return(
@@ -99,7 +100,7 @@ def _search_coarse(
     # Pixel i of the half-resolution image is centred at 2 i + 1/2 in the full image.
     start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
     center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
-    cut_at, searched_at = (place.clamp(-_FAR, _FAR).long() - half for place in (start, center))
+    cut_at, searched_at = (position.clamp(-_FAR, _FAR).long() - half for position in (start, center))
     # Use float64: transforms round relative to the whole patch, and a window may have a thousandth of its contrast.
     template = cut_windows(templates, image_index, cut_at, size).double().nan_to_num(0.0, 0.0, 0.0)
     patch = cut_windows(images, image_index, searched_at - reach, size + span - 1)
@@ -140,7 +141,7 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
     size = template.shape[-1]
     if torch.compiler.is_exporting():  # transforms of small patches take ONNX runtimes six times as long
         columns = [patch[:, :, shift : shift + size] for shift in range(span)]
-        sums = [(one[:, down : down + size] * template).sum((1, 2)) for down in range(span) for one in columns]
+        sums = [(column[:, down : down + size] * template).sum((1, 2)) for down in range(span) for column in columns]
         stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
         return stacked
     shape = patch.shape[-2:]

@@ -11,7 +11,7 @@ of a point's position: neither the order of the points nor the state of a random
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.deformation import CorrectedPoints
+from fingerflow.kernels.tracking import CorrectedPoints
 from fingerflow.ops.fields.point_gradients import neighbour_planes
 from fingerflow.ops.tensors import finite
 from fingerflow.ops.tracking.deformation import correct_points
@@ -71,7 +71,7 @@ def _variance_of_noise(start: Tensor, covariance: Tensor, numbers: Tensor, windo
     signs = (hashed.frac().abs() < 0.5).unflatten(0, (-1, 2)).mT.to(start) * 2 - 1
     still = torch.eye(2, dtype=start.dtype, device=start.device).expand(1, len(start), 2, 2)
     noisy = start + signs * deviation
-    given = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
-    corrected = correct_points(*given, window, _NARROW * window)
+    inputs = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
+    corrected = correct_points(*inputs, window, _NARROW * window)
     result: Tensor = (corrected.points - noisy).square().mean(0)
     return result

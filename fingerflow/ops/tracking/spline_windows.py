@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.ops.branching import may_branch
-from fingerflow.ops.filters.windows import lines_of
+from fingerflow.ops.filters.windows import take_lines
 
 MARGIN = 3  # px of a patch on each side of its window: two for the support of the spline, one for the smoothing
 TAPS = 5
@@ -43,24 +43,24 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
         index = first + (steps[:, None] * width + steps).flatten()
         pixels = plane.flatten(1).gather(1, index.flatten(1))
     else:
-        own = torch.arange(len(plane), device=view.device)[:, None, None] * (height * width)
-        pixels = lines_of(plane, first + own + steps * width, side)
+        first_pixel = torch.arange(len(plane), device=view.device)[:, None, None] * (height * width)
+        pixels = take_lines(plane, first + first_pixel + steps * width, side)
     return pixels.to(dtype).reshape(-1, side, side)
 
 
 def taps(shift: Tensor) -> Tensor:
     """Return the five cubic B-spline weights (..., 5) of the coefficients at -2 to 2, for a position `shift` (...)."""
-    return _values(*_distances(_from_places(shift)))
+    return _values(*_distances(_tap_offsets(shift)))
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the five cubic B-spline weights (`taps`) and the derivatives of the weights, (..., 5) each."""
-    beside = _from_places(shift)
-    u, v = _distances(beside)
-    return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()
+    """Return the five cubic B-spline weights (`offsets`) and the derivatives of the weights, (..., 5) each."""
+    offsets = _tap_offsets(shift)
+    u, v = _distances(offsets)
+    return _values(u, v), (2 * v * v - u * u / 2) * offsets.sign()
 
 
-def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
+def cut_windows(shift: Tensor, patches: Tensor, size: int) -> Tensor:
     """Sample the spline on windows (P, size size), shifted by (P, 2) px from the centres of patches (P, side, side)."""
     weights = taps(shift)
     if may_branch(patches, shift) and len(patches):
@@ -109,17 +109,17 @@ def _smoothed(like: Tensor) -> Tensor:
     """Return the matrix (5, 7) that converts five weights of spline coefficients to seven weights of pixels, as
     coefficients are pixels smoothed by (1, 2, 1) / 4.
     """
-    place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
-    middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
-    return middle / 2 + beside / 4
+    offset = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
+    middle, sides = (offset == 1).to(like.dtype), ((offset == 0) | (offset == 2)).to(like.dtype)
+    return middle / 2 + sides / 4
 
 
-def _from_places(shift: Tensor) -> Tensor:
+def _tap_offsets(shift: Tensor) -> Tensor:
     return shift[..., None] - torch.arange(-2, 3, dtype=shift.dtype, device=shift.device)
 
 
-def _distances(beside: Tensor) -> tuple[Tensor, Tensor]:
-    u = (2 - beside.abs()).clamp_min(0)
+def _distances(offsets: Tensor) -> tuple[Tensor, Tensor]:
+    u = (2 - offsets.abs()).clamp_min(0)
     return u, (u - 1).clamp_min(0)
 
 

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
@@ -35,12 +36,13 @@ from fingerflow.ops.tracking.spline_windows import (
     along_x,
     along_y,
     cut_patches,
+    cut_windows,
     onto_pixels,
     taps_and_slopes,
-    windows_at,
 )
 
 _TINY = 1e-20
+_prepare: Twin[tuple[Tensor, ...]] = twin("prepare_templates")
 
 
 class Templates(NamedTuple):
@@ -65,7 +67,7 @@ class Templates(NamedTuple):
 
     def of(self, chosen: Tensor) -> "Templates":
         """Return the templates of the points with indices `chosen` (B, L), int64."""
-        return Templates._make(rows_of(one, chosen) for one in self)
+        return Templates._make(take_rows(values, chosen) for values in self)
 
 
 class Found(NamedTuple):
@@ -122,17 +124,17 @@ def prepare_templates(
     rounding = rounding_variance(image)
     given = points.to(dtype)
     inverse = None if warp is None else inverse_2x2(warp.to(dtype))
-    if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
-        return Templates(*kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding))
+    if _prepare.serves(image, given, inverse, variance):
+        return Templates(*_prepare(image, given, inverse, variance, window, int(gain_offset), rounding))
     if inverse is not None:
         spline = spline_coefficients(image)
         return _sample_templates(
             spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding
         )
-    known = finite(given).all(-1, keepdim=True)
-    place = torch.where(known, given, 0.0)
-    sampled = _sample_straight(image, place, window)
-    return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
+    valid = finite(given).all(-1, keepdim=True)
+    position = torch.where(valid, given, 0.0)
+    sampled = _sample_straight(image, position, window)
+    return _assemble(sampled, position, valid, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
 def renew_templates(
@@ -148,54 +150,54 @@ def renew_templates(
         noise: (B,) standard deviation of white noise, grey levels.
         points, window, warp, gain_offset: as for `prepare_templates`.
     """
-    kind = coefficients.dtype
-    inverse, variance = inverse_2x2(warp.to(kind)), noise.to(kind).square()
+    dtype = coefficients.dtype
+    inverse, variance = inverse_2x2(warp.to(dtype)), noise.to(dtype).square()
     settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
-    return _sample_templates(coefficients, points.to(kind), inverse, window, **settings)
+    return _sample_templates(coefficients, points.to(dtype), inverse, window, **settings)
 
 
-def _sample_templates(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
-    """Compute the templates of points `given` (B, N, 2) by sampling the spline of the key frame on windows deformed by
+def _sample_templates(coefficients: Tensor, points: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
+    """Compute the templates of points `points` (B, N, 2) by sampling the spline of the key frame on windows deformed by
     the inverse deformation gradients `inverse` (B, N, 2, 2).
 
     The template of a point or deformation that is not finite is a placeholder.
     """
-    known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
-    inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
-    place = torch.where(known, given, 0.0)
-    batch, count = place.shape[:2]
-    image_index = torch.arange(batch, device=place.device)[:, None].expand(batch, count).flatten()
-    sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), window, 3, inverse.flatten(0, 1))
-    return _from_samples(sampled, place, known, coefficients, **settings)
+    valid = finite(points).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
+    inverse = torch.where(valid[..., None], inverse, torch.eye(2, dtype=points.dtype, device=points.device))
+    position = torch.where(valid, points, 0.0)
+    batch, count = position.shape[:2]
+    image_index = torch.arange(batch, device=position.device)[:, None].expand(batch, count).flatten()
+    sampled = sample_windows(coefficients, image_index, position.flatten(0, 1), window, 3, inverse.flatten(0, 1))
+    return _assemble(sampled, position, valid, coefficients, **settings)
 
 
-def _from_samples(
+def _assemble(
     sampled: tuple[Tensor, Tensor],
-    place: Tensor,
-    known: Tensor,
+    position: Tensor,
+    valid: Tensor,
     image: Tensor,
     *,
     gain_offset: bool,
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Compute the templates of points at `place` (B, N, 2) from the grey levels (P, n, n) and slopes (P, 2, n, n)
+    """Compute the templates of points at `position` (B, N, 2) from the grey levels (P, n, n) and slopes (P, 2, n, n)
     `sampled` in their windows, P = B N.
 
-    `known` is False for positions that are placeholders.
+    `valid` is False for positions that are placeholders.
     """
-    own, slope = sampled[0].flatten(1), sampled[1].flatten(2)
-    batched, window = place.shape[:2], sampled[0].shape[-1]
-    level = own.mean(1, keepdim=True)
-    own = own - level
-    gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
+    samples, slope = sampled[0].flatten(1), sampled[1].flatten(2)
+    batched, window = position.shape[:2], sampled[0].shape[-1]
+    level = samples.mean(1, keepdim=True)
+    samples = samples - level
+    gradient = _without_gain_and_offset(samples, slope) if gain_offset else slope
     numbers = _numbers(
-        own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
+        samples, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
     )
-    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(own.dtype)
+    numbers[:, Number.INSIDE] = contains(position.flatten(0, 1), image, window).to(samples.dtype)
     return Templates(
-        torch.where(known, place, torch.nan),
-        torch.cat((own[:, None], gradient), dim=1).unflatten(0, batched),
+        torch.where(valid, position, torch.nan),
+        torch.cat((samples[:, None], gradient), dim=1).unflatten(0, batched),
         numbers.unflatten(0, batched),
     )
 
@@ -238,65 +240,59 @@ def find_templates(
         and dtype == torch.float32
     ):
         followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
-        return Found(*[one[0] for one in followed[:5]])
-    return in_rounds(lambda some, near: _step(some, current, near, variance, *settings), templates, guess, rounds)
+        return Found(*[values[0] for values in followed[:5]])
 
+    def step(part: Templates, near: Tensor) -> Found:
+        return _step(part, current, near, variance, *settings)
 
-def in_rounds(
-    step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
-) -> Found:
-    """Register templates by repetition of a registration step, from predicted positions (B, N, 2) px, until all points
-    have converged, at most `rounds` times.
-
-    More than one step depends on data and cannot be exported.
-    """
-    return further_rounds(step, templates, step(templates, prediction), rounds - 1)
+    # More than one step depends on data and cannot be exported.
+    return further_rounds(step, templates, step(templates, guess), rounds - 1)
 
 
 def further_rounds(
-    step: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, rounds: int
+    step: Callable[[Templates, Tensor], Found], templates: Templates, tracks: Found, rounds: int
 ) -> Found:
-    """Repeat a registration step for those points of `found` that have not converged, each from the position where the
+    """Repeat a registration step for those points of `tracks` that have not converged, each from the position where the
     previous step ended, at most `rounds` times.
     """
     for _ in range(rounds):
-        lost = found.status == TrackStatus.NOT_CONVERGED
+        lost = tracks.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break
-        chosen = first_of(lost)
-        again = step(templates.of(chosen), rows_of(found.estimate, chosen))
-        found = replaced(found, again, chosen, lost)
-    return found
+        chosen = first_rows(lost)
+        again = step(templates.of(chosen), take_rows(tracks.estimate, chosen))
+        tracks = replaced(tracks, again, chosen, lost)
+    return tracks
 
 
-def first_of(wanted: Tensor) -> Tensor:
-    """Return indices (B, L) of all `wanted` points (B, N), followed by other points so that each frame has L indices.
+def first_rows(mask: Tensor) -> Tensor:
+    """Return the indices (B, L) of points marked in `mask` (B, N), then others, so that each frame has L indices.
 
     L is the smallest power of 2 that holds them (at most N), so that compiled code sees few sizes.
     """
-    size = 1 << (int(wanted.sum(1).max()) - 1).bit_length()
-    return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
+    size = 1 << (int(mask.sum(1).max()) - 1).bit_length()
+    return mask.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
 
 
-def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
+def take_rows(tensor: Tensor, chosen: Tensor) -> Tensor:
     """Return the rows (B, L, ...) of a tensor (B, N, ...) with indices `chosen` (B, L), int64."""
     batch, count = tensor.shape[:2]
-    place = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
+    index = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
     # Copying whole rows is many times as fast as gathering their elements.
-    result: Tensor = tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
+    result: Tensor = tensor.flatten(0, 1).index_select(0, index.flatten()).unflatten(0, chosen.shape)
     return result
 
 
-def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
-    """Return `found` (B, N) with the results `again` of points `chosen` (B, L) inserted where `wanted` (B, N)."""
-    return Found(*[inserted(whole, part, chosen, wanted) for whole, part in zip(found, again, strict=True)])
+def replaced(tracks: Found, again: Found, chosen: Tensor, mask: Tensor) -> Found:
+    """Return `tracks` (B, N) with the results `again` of points `chosen` (B, L) inserted where `mask` (B, N)."""
+    return Found(*[inserted(whole, part, chosen, mask) for whole, part in zip(tracks, again, strict=True)])
 
 
-def inserted(whole: Tensor, part: Tensor, chosen: Tensor, wanted: Tensor) -> Tensor:
-    """Return `whole` (B, N, ...) with the rows `part` (B, L, ...) of points `chosen` inserted where `wanted` (B, N)."""
+def inserted(whole: Tensor, part: Tensor, chosen: Tensor, mask: Tensor) -> Tensor:
+    """Return `whole` (B, N, ...) with the rows `part` (B, L, ...) of points `chosen` inserted where `mask` (B, N)."""
     extra = [1] * (whole.ndim - 2)
     index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
-    return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
+    return torch.where(mask.reshape(*mask.shape, *extra), whole.scatter(1, index, part), whole)
 
 
 def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
@@ -331,16 +327,16 @@ def inverse_2x2(matrix: Tensor) -> Tensor:
     return result
 
 
-def _sample_straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
+def _sample_straight(image: Tensor, position: Tensor, wide: int) -> tuple[Tensor, Tensor]:
     """Sample the spline of an image, and the spline's slopes, on undeformed windows of `wide` x `wide` px around points
     (B, N, 2) px.
     """
-    known = place.transpose(1, 2)
-    center = known.round()
-    patches = cut_patches(image, center, wide, place.dtype)
+    transposed = position.transpose(1, 2)
+    center = transposed.round()
+    patches = cut_patches(image, center, wide, position.dtype)
     # Minus the mean, so that a constant patch has zero slope in any precision.
     base = patches.mean((1, 2), keepdim=True)
-    weights, slopes = taps_and_slopes((known - center).transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
+    weights, slopes = taps_and_slopes((transposed - center).transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
     lines, bent = along_y(weights[:, 1], wide) @ (patches - base), along_y(slopes[:, 1], wide) @ (patches - base)
     across = along_x(weights[:, 0], wide)
     along = torch.stack((lines @ along_x(slopes[:, 0], wide), bent @ across), dim=1)
@@ -370,12 +366,12 @@ def _numbers(
     xx, xy, yy = ((gradient[:, i] * gradient[:, j]).sum(1) for i, j in ((0, 0), (0, 1), (1, 1)))
     determinant = xx * yy - xy * xy
     regular = determinant > _TINY
-    some = torch.where(regular, determinant, 1.0)
+    safe = torch.where(regular, determinant, 1.0)
     mean, half = (xx + yy) / 2, (xx - yy) / 2
     smaller = mean - (half * half + xy * xy).sqrt()
     floor = variance.clamp_min(rounding) * (limits.TEXTURE_TO_NOISE * samples * limits.GRADIENT_NOISE)
     textured = regular & (smaller > torch.maximum(floor, limits.LEAST_TEXTURE * mean))
-    inverse = torch.stack((yy, -xy, -xy, xx), dim=1).unflatten(1, (2, 2)) / some[:, None, None]
+    inverse = torch.stack((yy, -xy, -xy, xx), dim=1).unflatten(1, (2, 2)) / safe[:, None, None]
     inverse = torch.where(regular[:, None, None], inverse, 0.0)
     side = round(samples**0.5)
     offset = torch.arange(side, dtype=value.dtype, device=value.device) - side // 2
@@ -390,12 +386,12 @@ def _numbers(
     bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean
     bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair counts twice
     constant = (gradient @ value[..., None]).squeeze(2)
-    ones = torch.ones_like(level)
+    unit = torch.ones_like(level)
     return torch.cat(
         (
             torch.stack((inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], (value * value).sum(1), level), dim=1),
             constant,
-            torch.stack((variance, textured.to(value.dtype), ones, ones * float(gain_offset)), dim=1),
+            torch.stack((variance, textured.to(value.dtype), unit, unit * float(gain_offset)), dim=1),
             lean.flatten(1),
             _covariance_of_noise(inverse, gradient),
             *(bending[:, k, k:] for k in range(4)),
@@ -429,7 +425,7 @@ def _step(
     window, dtype = templates.window, templates.samples.dtype
     # From here on components before points, (B, K, N): ONNX runtimes are slow if the last axis is short.
     start, guess = components_first(templates.start), components_first(prediction)
-    given = finite(start - guess)[:, :1]
+    known_guess = finite(start - guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
     numbers = templates.numbers.transpose(1, 2)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
@@ -439,9 +435,9 @@ def _step(
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
 
-    matched = windows_at((guess - center).transpose(1, 2).flatten(0, 1), patches, window)
+    matched = cut_windows((guess - center).transpose(1, 2).flatten(0, 1), patches, window)
     tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
-    m1 = matched.sum(1).reshape(given.shape)
+    m1 = matched.sum(1).reshape(known_guess.shape)
     samples = window * window
     explaining = tm * tm / energy.clamp_min(_TINY)
     gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
@@ -452,7 +448,7 @@ def _step(
     steep = torch.where(gain > 0, gain.clamp_min(limits.LEAST_GAIN), 1 / limits.MOST_GAIN)
     last = _symmetric(inverse, missing / steep)
     converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: not converged
-    found = guess - last
+    position = guess - last
 
     # Squared residual at the end of the step, and the part of it that contrast alone does not explain.
     left = squares - (gain * sum_rows(last * missing))
@@ -466,11 +462,11 @@ def _step(
     noise_energy = noise * (samples * limits.VALUE_NOISE)
     common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
     explained = (bb - unlike) * energy * (tm > 0)
-    ends, begins = (contains(one.transpose(1, 2), current, window)[:, None] for one in (found, guess))
+    ends, begins = (contains(positions.transpose(1, 2), current, window)[:, None] for positions in (position, guess))
     # A search does not end with a step out of the frame or into it.
     within = (of[Number.INSIDE.value] > 0) & (ends | (begins & ~converged))
     textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
-    status = torch.zeros_like(given, dtype=torch.int32)  # GPU runtimes compare no bytes
+    status = torch.zeros_like(known_guess, dtype=torch.int32)  # GPU runtimes compare no bytes
     # From the last reason to the first, so that the first that applies remains.
     for reason, fine in (
         (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
@@ -479,7 +475,7 @@ def _step(
         (TrackStatus.NO_TEXTURE, textured),
         (TrackStatus.NOT_FINITE, readable),
         (TrackStatus.LEFT_FRAME, within),
-        (TrackStatus.NOT_FINITE, given),
+        (TrackStatus.NOT_FINITE, known_guess),
     ):
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
@@ -488,8 +484,8 @@ def _step(
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
     return Found(
-        (found + lost).transpose(1, 2),
-        torch.where(given & within & readable & textured & converged, error, torch.nan).squeeze(1),
+        (position + lost).transpose(1, 2),
+        torch.where(known_guess & within & readable & textured & converged, error, torch.nan).squeeze(1),
         (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),
         status.squeeze(1).to(torch.uint8),
         estimate.transpose(1, 2),
@@ -503,10 +499,10 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
     The sums are (B, 3, N). The residual of a window M (P, samples) is D = M - a T - b. The sums are of D^2, and of D
     grad D in x and in y: half the differences of D^2 between opposite edges.
     """
-    own = samples.narrow(2, 0, 1).flatten(0, 2)
-    left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
-    place = torch.arange(size, device=samples.device)
-    edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
+    template = samples.narrow(2, 0, 1).flatten(0, 2)
+    left = matched - gain.reshape(-1, 1) * template - offset.reshape(-1, 1)
+    index = torch.arange(size, device=samples.device)
+    edge = ((index == size - 1).to(samples.dtype) - (index == 0).to(samples.dtype)) / 2
     # The summed axis is contiguous in both factors: a third of the time in torch.
     weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)))
     return components_first((left * left @ weights.mT).unflatten(0, samples.shape[:2]))

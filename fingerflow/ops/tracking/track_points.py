@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tensors.torch_op import requires_gradient, torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
@@ -21,13 +22,15 @@ from fingerflow.ops.tracking.templates import (
     Found,
     check_points,
     find_templates,
-    first_of,
+    first_rows,
     inserted,
     inverse_2x2,
     prepare_templates,
     replaced,
-    rows_of,
+    take_rows,
 )
+
+_compiled: Twin[tuple[Tensor, ...]] = twin("find_pairs")
 
 
 class Tracks(NamedTuple):
@@ -143,14 +146,14 @@ def _like_passed(
     passes: int,
     *settings: float,
 ) -> PassResult:
-    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
-    place, matrix = points.new_empty(points.shape, dtype=kind), points.new_empty((*points.shape, 2), dtype=kind)
+    dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    position, matrix = points.new_empty(points.shape, dtype=dtype), points.new_empty((*points.shape, 2), dtype=dtype)
     status = points.new_empty(points.shape[:2], dtype=torch.uint8)
     if warp is not None:
         deformation: Tensor | None = torch.empty_like(warp)
     else:
         deformation = torch.empty_like(matrix) if passes == 2 else None
-    return PassResult(place, place.new_empty(points.shape[:2]), matrix, status, deformation)
+    return PassResult(position, position.new_empty(points.shape[:2]), matrix, status, deformation)
 
 
 @torch_op(shapes=_like_passed)
@@ -174,41 +177,41 @@ def in_passes(
     The result has no derivatives. This is one operator for the compiler, since the number of passes and searches
     depends on data.
     """
-    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
-    start, guess = points.to(kind), guess.to(kind)
+    dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    start, guess = points.to(dtype), guess.to(dtype)
     limits_of = (forward_backward_limit, mismatch_limit)
-    find = partial(_find, previous, current, noise.to(kind), window, gain_offset, *limits_of)
+    find = partial(_find, previous, current, noise.to(dtype), window, gain_offset, *limits_of)
 
-    def one_pass(places: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[Found, Tensor]:
-        found, numbers = find(places, deformation, near)
+    def one_pass(positions: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[Found, Tensor]:
+        track, numbers = find(positions, deformation, near)
         if search:
-            images = previous, current
-            found = _search_lost(find, images, places, deformation, found, near, window, search, forward_backward_limit)
-        return found, numbers
+            images, limits_of_search = (previous, current), (window, search, forward_backward_limit)
+            track = _search_lost(find, images, positions, deformation, track, near, *limits_of_search)
+        return track, numbers
 
     with torch.no_grad():
-        found, numbers = one_pass(start, warp, guess)
+        track, numbers = one_pass(start, warp, guess)
         if warp is not None:
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
-            inverse = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
-            given = start, found.points, found.covariance, numbers, inverse
-            corrected = correct_points(*given, window, WIDE * window)
+            inverse = torch.eye(2, dtype=dtype, device=start.device).expand(*start.shape, 2)
+            inputs = start, track.points, track.covariance, numbers, inverse
+            corrected = correct_points(*inputs, window, WIDE * window)
             warp = corrected.warp.contiguous()  # as `_like_passed` declares
-            lost = found.status >= TrackStatus.NOT_CONVERGED
-            renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
+            lost = track.status >= TrackStatus.NOT_CONVERGED
+            renewed = lost | ((track.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
             if renewed.any():
-                chosen = first_of(renewed)
-                near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)
-                again, others = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
-                found = replaced(found, again, chosen, renewed)
-                numbers = inserted(numbers, others, chosen, renewed)
+                chosen = first_rows(renewed)
+                near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, track.estimate)
+                again, other_numbers = one_pass(*(take_rows(tensor, chosen) for tensor in (start, warp, near)))
+                track = replaced(track, again, chosen, renewed)
+                numbers = inserted(numbers, other_numbers, chosen, renewed)
                 inverse = torch.where(renewed[..., None, None], inverse_2x2(warp), inverse)
-                given = start, found.points, found.covariance, numbers, inverse
-                corrected = correct_points(*given, window, WIDE * window)
-            corrected = correct_short_waves(corrected, *given, window)
-            found = found._replace(points=corrected.points, covariance=corrected.covariance)
-    return PassResult(found.points, found.error, found.covariance, found.status, warp)
+                inputs = start, track.points, track.covariance, numbers, inverse
+                corrected = correct_points(*inputs, window, WIDE * window)
+            corrected = correct_short_waves(corrected, *inputs, window)
+            track = track._replace(points=corrected.points, covariance=corrected.covariance)
+    return PassResult(track.points, track.error, track.covariance, track.status, warp)
 
 
 def _find(
@@ -227,23 +230,20 @@ def _find(
     also return the statistics of the points' templates.
     """
     inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
-    if (
-        kernels.serve(previous, current, points, inverse, variance, near)
-        and previous.dtype in kernels.FRAME_KINDS
-        and previous.dtype == current.dtype
-    ):
-        settings = (window, gain_offset, limits.ROUNDS, rounding_variance(previous))
-        limits_of = (forward_backward_limit, mismatch_limit)
-        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings, *limits_of)
-        return Found(*own), numbers
+    if _compiled.serves(previous, current, points, inverse, variance, near) and previous.dtype == current.dtype:
+        *_, numbers, tracked, error, covariance, status, estimate = _compiled(
+            *(previous, current, points, inverse, variance, window, int(gain_offset), limits.ROUNDS, near, None),
+            *(rounding_variance(previous), forward_backward_limit, mismatch_limit),
+        )
+        return Found(tracked, error, covariance, status, estimate), numbers
     templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
-    found = find_templates(
+    tracks = find_templates(
         *(templates, current, near),
         forward_backward_limit=forward_backward_limit,
         mismatch_limit=mismatch_limit,
         noise=noise,
     )
-    return found, templates.numbers
+    return tracks, templates.numbers
 
 
 def _search_lost(
@@ -251,14 +251,14 @@ def _search_lost(
     images: tuple[Tensor, Tensor],
     start: Tensor,
     warp: Tensor | None,
-    found: Found,
+    tracks: Found,
     guess: Tensor,
     window: int,
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
     """Search exhaustively for points that registration lost, within `radius` px of `guess` (B, N, 2), and return
-    `found` with the results of the search inserted.
+    `tracks` with the results of the search inserted.
 
     A search back from the match is independent of the displacement found. If it misses the start by more than the limit
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.
@@ -266,18 +266,18 @@ def _search_lost(
     Args:
         find: `_find` as a function of points, their deformation and predictions.
     """
-    lost = found.status >= TrackStatus.NOT_CONVERGED
+    lost = tracks.status >= TrackStatus.NOT_CONVERGED
     if not lost.any():
-        return found
+        return tracks
     image, point = lost.nonzero(as_tuple=True)
-    places = image, start[image, point], guess[image, point]
-    ahead, returns = search_and_return(*images, *places, window, radius, forward_backward_limit)
+    inputs = image, start[image, point], guess[image, point]
+    ahead, returns = search_and_return(*images, *inputs, window, radius, forward_backward_limit)
     everywhere = torch.full_like(start, torch.nan)
     everywhere[image, point] = ahead
-    chosen = first_of(lost)
-    near, some = rows_of(everywhere, chosen), rows_of(start, chosen)
-    again, _ = find(some, None if warp is None else rows_of(warp, chosen), near)
-    result = replaced(found, again, chosen, lost)
+    chosen = first_rows(lost)
+    near, selected = take_rows(everywhere, chosen), take_rows(start, chosen)
+    again, _ = find(selected, None if warp is None else take_rows(warp, chosen), near)
+    result = replaced(tracks, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)
     elsewhere[image, point] = ~returns
     wrong = elsewhere & (result.status == TrackStatus.TRACKED)
@@ -319,24 +319,22 @@ def _to_float(image: Tensor) -> Tensor:
 
 
 def _with_derivative(
-    images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
+    images: tuple[Tensor, Tensor], points: Tensor, position: Tensor, warp: Tensor | None, window: int, gain_offset: bool
 ) -> Tensor:
-    """Return the positions `found` with unchanged values, but differentiable with respect to images and points.
+    """Return the positions `position` with unchanged values, but differentiable with respect to images and points.
 
     The derivative is that of a Newton step from the root. At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0,
     hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.
     """
     batch, count = points.shape[:2]
     image_index = torch.arange(batch, device=points.device).repeat_interleave(count)
-    start, place = points.to(found.dtype).reshape(-1, 2), found.reshape(-1, 2)
-    known = (start.isfinite() & place.isfinite()).all(-1, keepdim=True)
-    inverse = None if warp is None else inverse_2x2(warp.to(found.dtype)).reshape(-1, 2, 2)
+    start, flat = points.to(position.dtype).reshape(-1, 2), position.reshape(-1, 2)
+    valid = (start.isfinite() & flat.isfinite()).all(-1, keepdim=True)
+    inverse = None if warp is None else inverse_2x2(warp.to(position.dtype)).reshape(-1, 2, 2)
     template, gradient = sample_windows(
-        spline_coefficients(images[0]), image_index, torch.where(known, start, 0.0), window, 3, inverse
+        spline_coefficients(images[0]), image_index, torch.where(valid, start, 0.0), window, 3, inverse
     )
-    value, slope = sample_windows(
-        spline_coefficients(images[1]), image_index, torch.where(known, place, 0.0), window, 3
-    )
+    value, slope = sample_windows(spline_coefficients(images[1]), image_index, torch.where(valid, flat, 0.0), window, 3)
     if gain_offset:
         centred = template - template.mean((-1, -2), keepdim=True)
         gradient = gradient - gradient.mean((-1, -2), keepdim=True)
@@ -349,4 +347,4 @@ def _with_derivative(
     residual = (gradient * difference[:, None]).sum((-1, -2))
     jacobian = (gradient.flatten(2) @ slope.flatten(2).transpose(1, 2)).detach()
     step = (inverse_2x2(jacobian) * (residual - residual.detach())[:, None, :]).sum(-1)
-    return (place - torch.where(known, step, 0.0)).view(found.shape)
+    return (flat - torch.where(valid, step, 0.0)).view(position.shape)

@@ -9,10 +9,11 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.contact.cells import sum_of
+from fingerflow.kernels.tensors import Twin, twin
+from fingerflow.ops.contact.cells import add_all
 from fingerflow.ops.filters.windows import taken
 
+_compiled: Twin[Tensor] = twin("sample_windows")
 _SHARPNESS = -0.75  # slope of the weights at 1 px, as in bicubic interpolation of torch and OpenCV
 
 
@@ -30,16 +31,15 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     Returns:
         (N, m) of the dtype of `places`; NaN where a window does not lie at least 1 px inside the border of the image.
     """
-    known = kernels.serve(images, number, places, warp) and images.dtype in kernels.FRAME_KINDS
-    if known and places.dtype == torch.float32 and min(images.shape[-2:]) >= 4:
-        return kernels.sample_windows(images, number, places, warp, window, step)
+    if _compiled.serves(images, number, places, warp) and min(images.shape[-2:]) >= 4:
+        return _compiled(images, number, places, warp, window // 2, step)
     height, width = images.shape[-2:]
     steps = _steps(window, step, places)
     if min(height, width) < 4:
         return places.new_full((len(places), len(steps)), torch.nan)
     # Use positions relative to the pixel nearest to the centre: frame coordinates would lose two digits.
     center = places.round()
-    (near_x, near_y), (pixel_x, pixel_y) = (one[..., None].unbind(1) for one in (places - center, center))
+    (near_x, near_y), (pixel_x, pixel_y) = (pair[..., None].unbind(1) for pair in (places - center, center))
     right, down = steps.unbind(1)
     x = near_x + warp[:, 0, 0, None] * right + warp[:, 0, 1, None] * down
     y = near_y + warp[:, 1, 0, None] * right + warp[:, 1, 1, None] * down
@@ -56,15 +56,15 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     index = (number[:, None] * height + first_y) * width + first_x
     if torch.compiler.is_exporting():
         # Gather all sixteen pixels of a sample at once: separately they are a hundred small operations.
-        beside = torch.arange(4, dtype=torch.int32, device=index.device)
-        pixels = taken(flat, index.to(torch.int32) + (beside[:, None] * width + beside)[..., None, None])
-        found = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
+        taps = torch.arange(4, dtype=torch.int32, device=index.device)
+        pixels = taken(flat, index.to(torch.int32) + (taps[:, None] * width + taps)[..., None, None])
+        samples = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
     else:
-        found = torch.zeros_like(x)
+        samples = torch.zeros_like(x)
         for lower, weight in enumerate(weights_y):
             line = [taken(flat, index, lower * width + right).to(places.dtype) for right in range(4)]
-            found = torch.addcmul(found, weight, sum_of([a * b for a, b in zip(line, weights_x, strict=True)]))
-    return torch.where(whole, found, torch.nan)
+            samples = torch.addcmul(samples, weight, add_all([a * b for a, b in zip(line, weights_x, strict=True)]))
+    return torch.where(whole, samples, torch.nan)
 
 
 def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:

@@ -15,14 +15,14 @@ def all_stages() -> tuple[type[Stage], ...]:
     """
     for module in walk_packages(__path__, f"{__name__}."):
         import_module(module.name)
-    found: list[type[Stage]] = []
+    ordered: list[type[Stage]] = []
 
     def add(stage: type[Stage]) -> None:
-        for earlier in (*stage.after, *stage.beside):
+        for earlier in (*stage.after, *stage.same_pass):
             add(earlier)
-        if stage not in found:
-            found.append(stage)
+        if stage not in ordered:
+            ordered.append(stage)
 
     for stage in sorted(Stage.__subclasses__(), key=lambda stage: stage.name):
         add(stage)
-    return tuple(found)
+    return tuple(ordered)

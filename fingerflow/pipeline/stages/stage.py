@@ -41,7 +41,7 @@ class Batch:
         assert self.frames is not None
         return inputs.engine.images(inputs.counts(self.frames, view))
 
-    def of(self, stage: type["Stage"]) -> Any:
+    def result(self, stage: type["Stage"]) -> Any:
         """Return what the method `step` of another stage returned for this batch."""
         return self._steps[stage]
 
@@ -53,18 +53,18 @@ class RunContext:
     inputs: Inputs
     results: Store
     planned: tuple[type["Stage"], ...]
-    asked: frozenset[str]  # variables that were requested by name, or that a stage reads
+    requested: frozenset[str]  # variables that were requested by name, or that a stage reads
     stages: Mapping[type["Stage"], "Stage"]  # stages of this and earlier passes
 
-    def stage(self, kind: type[S]) -> S:
+    def stage(self, stage_class: type[S]) -> S:
         """Return the instance of a stage class in this run."""
-        found = self.stages[kind]
-        assert isinstance(found, kind)
-        return found
+        stage = self.stages[stage_class]
+        assert isinstance(stage, stage_class)
+        return stage
 
     def stores(self, variable: Variable) -> bool:
         """Return whether this run stores a variable of a planned stage: an optional one only where it is asked for."""
-        return variable.unasked or variable.name in self.asked
+        return variable.unasked or variable.name in self.requested
 
     def __len__(self) -> int:
         return len(self.inputs.times)
@@ -83,7 +83,7 @@ class Stage:
         gives: variables that it computes.
         reads: optional variables of other stages that it reads; the plan then computes them.
         needs: keys that the scene must have (`Scene.has`).
-        beside: stages of the same pass whose step of the same frames comes before its own.
+        same_pass: stages of the same pass whose step of the same frames comes before its own.
         after: stages that must be finished before it begins.
         reads_frames: True if `step` reads pictures.
         views: names of the views whose images `step` gives to the engine (`Batch.images`).
@@ -98,7 +98,7 @@ class Stage:
     gives: ClassVar[tuple[Variable, ...]]
     reads: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
-    beside: ClassVar[tuple[type["Stage"], ...]] = ()
+    same_pass: ClassVar[tuple[type["Stage"], ...]] = ()
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
     views: ClassVar[tuple[str, ...]] = ()
@@ -135,7 +135,7 @@ class Stage:
         """Prepare the stage before the first frame. Raises FingerflowError for errors that the user can correct."""
 
     def step(self, batch: Batch) -> Any:
-        """Compute the results of a batch of frames; later stages of the pass get the returned value from `Batch.of`."""
+        """Compute the results of a batch of frames; later stages of the pass get what it returns (`Batch.result`)."""
 
     def finish(self) -> None:
         """Compute the results that need all frames, and add warnings, after the last batch."""
@@ -146,16 +146,17 @@ class Stage:
             if variable.name in earlier and self.trial.stores(variable):
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
-                given = {str(name): one for name, one in values.attrs.items() if not str(name).startswith("flag_")}
-                stored = self.results.create(variable.name, given, **sizes)
+                attributes = {str(name): value for name, value in values.attrs.items()}
+                stated = {name: value for name, value in attributes.items() if not name.startswith("flag_")}
+                stored = self.results.create(variable.name, stated, **sizes)
                 for first in range(0, stored.shape[0], _COPIED):
                     stored[first : first + _COPIED] = values[first : first + _COPIED].values
 
     def derive(self) -> None:
         """Compute, after `finish`, the variables that are defined by formulas of other variables."""
         for variable in self.gives:
-            known = self.trial.stores(variable) and all(name in self.results for name in variable.of)
-            if variable.formula is not None and known:
+            defined = self.trial.stores(variable) and all(name in self.results for name in variable.of)
+            if variable.formula is not None and defined:
                 # A quotient with the divisor 0 is NaN or infinite, without a warning.
                 with np.errstate(divide="ignore", invalid="ignore"):
                     values = variable.formula(*(self.results[name][:] for name in variable.of))

@@ -1,7 +1,5 @@
 """Output of live values to a Python function of the user's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

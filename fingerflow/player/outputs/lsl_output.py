@@ -1,7 +1,5 @@
 """Output of live values as a stream of the Lab Streaming Layer; needs the package pylsl."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 

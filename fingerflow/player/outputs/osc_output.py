@@ -1,7 +1,5 @@
 """Output of live values by Open Sound Control 1.0 over UDP, for Max, Pure Data, SuperCollider or TouchDesigner."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 

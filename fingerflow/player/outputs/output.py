@@ -1,7 +1,5 @@
 """Define the interface of outputs, and the stamp of a frame that every message carries."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

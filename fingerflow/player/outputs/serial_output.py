@@ -1,7 +1,5 @@
 """Output to a serial line: a fixed text, as a trigger sends, or a line of JSON per frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from fingerflow.player.outputs.output import FrameStamp, Output, as_json

@@ -1,7 +1,5 @@
 """Output of live values as UDP datagrams, each one JSON object."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable, Mapping
 

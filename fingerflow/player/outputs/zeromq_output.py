@@ -1,11 +1,9 @@
 """Output of live values by ZeroMQ, each message one JSON object; needs the package pyzmq."""
 
-from __future__ import annotations
-
-import importlib
 from collections.abc import Mapping
 
 from fingerflow.errors import PlayerError
+from fingerflow.player.named_objects import load_library
 from fingerflow.player.outputs.output import FrameStamp, as_json
 
 ADDRESS = "zeromq:tcp://HOST:PORT"
@@ -23,10 +21,7 @@ class ZeroMq:
     """
 
     def __init__(self, address: str, units: Mapping[str, str]) -> None:
-        try:
-            self._zmq = importlib.import_module("zmq")
-        except ImportError:
-            raise ImportError(name="pyzmq") from None
+        self._zmq = load_library("zmq", "pyzmq")
         if "://" not in address:
             raise PlayerError(f"{address!r} is no tcp://HOST:PORT")
         self._context = self._zmq.Context()

@@ -8,13 +8,13 @@ let range = LEAST_RANGE, inPercent = false, over = false;
 
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
-  const live = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  let place = 4 + length + (-length & 3);
+  const live = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, length)));
+  let place = 8 + length + (-length & 7);
   live.data = {};
   for (const { name, type, shape } of live.arrays) {
     const values = new TYPES[type](buffer, place, shape.reduce((a, b) => a * b, 1));
     live.data[name] = { values, shape };
-    place += values.byteLength + (-values.byteLength & 3);
+    place += values.byteLength + (-values.byteLength & 7);
   }
   return live;
 }

@@ -1,7 +1,5 @@
 """Force sensor that is a function of the user's own."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

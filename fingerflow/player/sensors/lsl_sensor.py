@@ -1,7 +1,5 @@
 """Force sensor that is a stream of the Lab Streaming Layer; needs the package pylsl."""
 
-from __future__ import annotations
-
 from fingerflow.errors import PlayerError
 from fingerflow.player.lsl_clock import load_lsl
 from fingerflow.player.sensors.sensor import ForceSample, sample_of

@@ -1,7 +1,5 @@
 """Define the interface of live force sensors."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, Protocol
 

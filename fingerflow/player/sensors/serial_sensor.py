@@ -1,7 +1,5 @@
 """Force sensor on a serial line: one line of text per sample, its forces in N separated by commas or spaces."""
 
-from __future__ import annotations
-
 import time
 
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of

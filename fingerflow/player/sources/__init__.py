@@ -1,7 +1,5 @@
 """Frame sources of a stream: files and folders of frames here, a module of its own for each kind of camera."""
 
-from __future__ import annotations
-
 import importlib
 import logging
 import math

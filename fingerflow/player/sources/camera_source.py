@@ -1,7 +1,5 @@
 """Source of frames from a camera: of a kind that a module of this folder opens, or any callable that returns frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,14 +1,12 @@
 """Source of frames from a GenICam camera by its maker's GenTL producer; needs the package harvesters."""
 
-from __future__ import annotations
-
-import importlib
 import math
 from pathlib import Path
 from typing import Any
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
+from fingerflow.player.named_objects import load_library
 from fingerflow.player.sources.source import Source
 
 ADDRESS = "genicam:PRODUCER.cti[,serial=NUMBER][,FEATURE=VALUE]..."
@@ -25,10 +23,7 @@ class GenICamCamera:
     live = True
 
     def __init__(self, producer: str, serial: str | None, features: dict[str, str]) -> None:
-        try:
-            self._harvester = importlib.import_module("harvesters.core").Harvester()
-        except ImportError:
-            raise ImportError(name="harvesters") from None
+        self._harvester = load_library("harvesters.core", "harvesters").Harvester()
         if not Path(producer).is_file():
             raise PlayerError(f"{producer}: is no file; give the .cti file of the camera's maker")
         self.stamp = math.nan

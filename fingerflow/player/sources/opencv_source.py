@@ -1,13 +1,10 @@
 """Source of frames from a camera that OpenCV captures, such as a webcam or a network stream."""
 
-from __future__ import annotations
-
-import importlib
 import math
-from typing import Any
 
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
+from fingerflow.player.named_objects import load_library
 
 ADDRESS = "opencv:INDEX"
 
@@ -22,10 +19,7 @@ class OpenCvCamera:
     live = True
 
     def __init__(self, index: str) -> None:
-        try:
-            self._cv2: Any = importlib.import_module("cv2")
-        except ImportError:
-            raise ImportError(name="opencv-python-headless") from None
+        self._cv2 = load_library("cv2", "opencv-python-headless")
         self._capture = self._cv2.VideoCapture(int(index) if index.isdigit() else index)
         self.stamp = math.nan
         if not self._capture.isOpened():

@@ -1,7 +1,5 @@
 """Define the interface of frame sources."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

@@ -1,7 +1,5 @@
 """Reader of forces in delimited text files (CSV and similar), with units in the heading."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Table of all columns in a force file, as every reader of force files returns it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

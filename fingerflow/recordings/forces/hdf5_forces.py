@@ -1,7 +1,5 @@
 """Reader of forces in HDF5 files, in which every vector is a column; units and sample rate come from attributes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

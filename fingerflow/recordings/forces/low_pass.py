@@ -12,14 +12,13 @@ samples only approximates:
 Averaging over the exposure, the obvious alternative, passes 400 Hz with a gain of 21 % into frames of 300 Hz.
 """
 
-from __future__ import annotations
+from functools import cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
-from scipy.special import i0
 
 STOP_BAND_DB = 66.0
 PASS_BAND, STOP_BAND = 0.5, 1.0
@@ -61,7 +60,7 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
         place = begin[one, None] + np.arange(width)
         near, sine, cosine, stretches = around_frames[:, begin[one]]
         offset = near - wanted[one, None]
-        window = polyval(1 - (offset / half_width) ** 2, _WINDOW)
+        window = polyval(1 - (offset / half_width) ** 2, _window_polynomial())
         window *= (place >= first[one, None]) & (place < last[one, None])
         # Compute sin(a - b) from the sines and cosines of samples and frames, not from those of each pair.
         angle = rate * (wanted[one, None] - middle)
@@ -120,18 +119,18 @@ def kernel_half_width(nyquist: float) -> float:
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
+@cache
 def _window_polynomial() -> Samples:
     """Return the coefficients, constant first, of a polynomial in 1 - p^2 that approximates the Kaiser window at
     position p, which runs from -1 to 1 along the window.
 
     The window is an entire function of that variable; evaluating I0 itself costs ten times as much.
     """
+    from scipy.special import i0  # a deployment bundle loads this module without SciPy
+
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
     interpolant = Chebyshev.interpolate(lambda square: i0(beta * np.sqrt(square)) / i0(beta), _WINDOW_DEGREE, (0, 1))
     return np.asarray(interpolant.convert(kind=Polynomial).coef)
-
-
-_WINDOW = _window_polynomial()
 
 
 def _sinc(sine: Samples, angle: Samples) -> Samples:

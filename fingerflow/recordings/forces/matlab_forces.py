@@ -1,7 +1,5 @@
 """Reader of forces in MATLAB files, v5 to v7.3, in which every numeric vector is a column."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

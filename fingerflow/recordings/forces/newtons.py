@@ -1,7 +1,5 @@
 """Conversion of force sensor readings to newtons by unit, zero, sensitivity and sign."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

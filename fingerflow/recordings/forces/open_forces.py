@@ -1,7 +1,5 @@
 """Opening of force files: selection of the reader, the time column, the force channels and the units."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Removal of preambles before the table in a text file, such as the header of a LabVIEW measurement file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from itertools import islice

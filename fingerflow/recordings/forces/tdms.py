@@ -1,7 +1,5 @@
 """Reader of forces in LabVIEW TDMS files; the properties of channels give names, units and sample rate."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

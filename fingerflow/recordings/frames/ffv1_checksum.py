@@ -7,8 +7,6 @@ each with a footer of its size in 3 bytes, a byte of status and a CRC that makes
 polynomial is that of CRC-32 with the highest bit first: zlib's, with the bits of its input and result reversed.
 """
 
-from __future__ import annotations
-
 import zlib
 
 _FOOTER = 8

@@ -1,7 +1,5 @@
 """Reader of frames in HDF5 files: one data set (N, H, W), with frame rate and bit depth as attributes."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from functools import partial
 from itertools import product

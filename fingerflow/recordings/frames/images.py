@@ -1,7 +1,5 @@
 """Reader of a folder of images, ordered by number, or of a single image, as a recording."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Source: the headers that Photron FASTCAM Viewer writes; keys are quoted as they stand there.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Reader of frames in a memory-mapped NumPy file: an array (N, H, W), or (H, W) for a single frame."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Opening of recordings, with a separate reader for each file format."""
 
-from __future__ import annotations
-
 import os
 from importlib import import_module
 from os import PathLike

@@ -1,7 +1,5 @@
 """Unpacking of grey values stored in 10 or 12 bits without gaps, as Phantom and Photron cameras do."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -169,13 +169,6 @@ class Recording(ABC):
         frames = self._memory_map()
         return self.read() if frames is None else frames
 
-    def batches(self, size: int) -> Iterator[Frames]:
-        """Yield all frames in consecutive arrays (n, H, W) of n = `size` frames; the last array may be shorter."""
-        if size < 1:
-            raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
-        for start in range(0, len(self), size):
-            yield self[start : start + size].read()
-
     def _memory_map(self) -> Frames | None:
         """Return the memory map (N, H, W) of all frames; None if frames must be decoded."""
         return None

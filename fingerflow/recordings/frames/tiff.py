@@ -1,7 +1,5 @@
 """Reader of TIFF stacks with one page per frame, including ImageJ stacks and BigTIFF."""
 
-from __future__ import annotations
-
 import logging
 import math
 import struct

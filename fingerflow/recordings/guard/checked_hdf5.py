@@ -1,7 +1,5 @@
 """Opening of HDF5 files only after a child process has traversed the file without a crash."""
 
-from __future__ import annotations
-
 import os
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Child process that reads each file first, so that a damaged file crashes the child and not the caller."""
 
-from __future__ import annotations
-
 import atexit
 import base64
 import io

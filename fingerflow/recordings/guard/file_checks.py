@@ -1,7 +1,5 @@
 """Check that files are readable and plausible in size, and convert library exceptions to error messages."""
 
-from __future__ import annotations
-
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Time limit for a process that makes no progress, not counting time during which the machine is busy."""
 
-from __future__ import annotations
-
 import threading
 from types import TracebackType
 from typing import Self

@@ -89,7 +89,7 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
             f"a step of {step_mm:g} mm makes maps of {len(y)} x {len(x)} pixels; give a larger one, such as 0.1"
         )
     places = np.stack(np.meshgrid(x, y), axis=-1)
-    reach = _gauge_mm(result) / 2
+    reach = float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"]) / 2
     components = tuple(map(str, result[parts[0]].values)) if parts else ()
     values = np.full((len(position), max(1, len(components)), len(y), len(x)), np.nan, np.float32)
     corners = result["triangles"].values if "triangle" in dims else None
@@ -112,10 +112,6 @@ def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     first, last = np.floor(values.min() / step), np.ceil(values.max() / step)
     result: NDArray[np.float64] = np.arange(first, last + 1) * step
     return result
-
-
-def _gauge_mm(result: xr.Dataset) -> float:
-    return float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"])
 
 
 def _interpolate_points(

@@ -76,7 +76,7 @@ def measured(
     counts = np.ones((1, points), dtype=bool)
     variance = np.full((1, points), std_mm**2)
     moved = 0.1 * displacement if since_growth is None else since_growth
-    return whole.of_frames(
+    return whole.estimate(
         contact.position[None], displacement[None], variance, counts, contact.border, lambda frames: moved[None]
     )
 
@@ -164,9 +164,9 @@ def test_point_at_its_onset_leaves_the_energy_unchanged(std_mm: float) -> None:
     whole = ContactEnergy(Solid("green_lagrange", 1.0, 0.4), np.zeros((0, 2), int), np.zeros(0), len(contact.position))
     counts = np.ones((1, len(contact.position)), dtype=bool)
     moved, variance = contact.displacement[None].copy(), np.full(counts.shape, 7e-4**2)
-    known = whole.of_frames(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)
+    known = whole.estimate(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)
     last = int(contact.border.inside(contact.position[None])[0].argmin())
     moved[0, last], variance[0, last] = 0, std_mm**2
-    found = whole.of_frames(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)
+    found = whole.estimate(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)
     assert abs(found.energy[0] - known.energy[0]) < known.deviation[0]
     assert found.deviation[0] == pytest.approx(known.deviation[0], rel=0.2)

@@ -31,7 +31,7 @@ def test_parts_of_a_uniform_gradient() -> None:
     }
     trial = trial_of(inputs_of(FRAMES, SCALE, "infinitesimal"), contact, FRAMES, **given)
     names = ("divergence", "curl", "shear", "strain", "principal_strains", "principal_angle", "rigid_residual")
-    trial.asked = frozenset(names)
+    trial.requested = frozenset(names)
     run(trial, DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
     found = {name: values_of(trial, name)[-1] for name in names}
     ux, uy, vx, vy = 3 * GRADIENT.ravel()

@@ -34,7 +34,7 @@ def test_what_stays_in_memory_does_not_grow_with_the_frames(
     monkeypatch.setattr(Recording, "mapped", Recording.read)  # as from a file that must be decoded
     file = tmp_path / "result.h5"
     process(scene_of(9, changed, frames, tmp_path), to=file).close()  # fills caches
-    bytes_of: dict[Path | None, list[int]] = {file: [], None: []}
+    count_bytes: dict[Path | None, list[int]] = {file: [], None: []}
     # More than the 64 frames that are computed at a time, and so many that one chunk of 64 frames more or less at
     # the peak, which depends on the time of writing, has little effect.
     few, many = 80, 720
@@ -42,7 +42,7 @@ def test_what_stays_in_memory_does_not_grow_with_the_frames(
     gc.freeze()  # cycles of earlier tests do not delay the collection of new ones
     for count in (few, many):
         scene = scene_of(count, changed, frames, tmp_path)
-        for to, found in bytes_of.items():
+        for to, found in count_bytes.items():
             gc.collect()
             tracemalloc.start()
             made = process(scene, to=to)
@@ -50,7 +50,7 @@ def test_what_stays_in_memory_does_not_grow_with_the_frames(
             found.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     gc.unfreeze()
-    a_frame = {to: (last - first) / (many - few) for to, (first, last) in bytes_of.items()}
+    a_frame = {to: (last - first) / (many - few) for to, (first, last) in count_bytes.items()}
     assert a_frame[file] < 1000  # of 23,040 bytes: some forty numbers, and offsets of chunks in the file
     assert a_frame[file] < a_frame[None] / 5
     xr.testing.assert_identical(load_result(file).drop_attrs(deep=False), made.drop_attrs(deep=False).drop_encoding())

@@ -20,25 +20,25 @@ def test_what_is_plausible_says_nothing() -> None:
     """Forces with an offset or none, the slowest growth of a real contact, and a slide are plausible."""
     areas = np.array([0.0, 1, 2, np.nan, 3])
     force, gross, nothing = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40), np.full(40, np.nan)
-    messages = [plausibility.of_areas(areas, 2 * areas, 100.0, 8, 0), plausibility.of_growth(force, force**0.1)]
-    messages += [plausibility.of_areas(nothing, nothing, 100.0, 8, 0), plausibility.of_onset(force, nothing, 0)]
-    messages += [plausibility.of_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
+    messages = [plausibility.check_areas(areas, 2 * areas, 100.0, 8, 0), plausibility.check_growth(force, force**0.1)]
+    messages += [plausibility.check_areas(nothing, nothing, 100.0, 8, 0), plausibility.check_onset(force, nothing, 0)]
+    messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     for normal in (force, force + 0.02, 0.1 * force, nothing):
-        messages += [plausibility.of_force(normal), plausibility.of_pressure(normal, gross)]
-        messages += [plausibility.of_onset(normal, gross, 0), plausibility.of_growth(normal, gross)]
-        messages += [plausibility.of_missing_frames(gross, normal, 0)]
+        messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
+        messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
+        messages += [plausibility.check_missing_frames(gross, normal, 0)]
     assert not any(messages)
 
 
 def test_sentences_name_the_frames_and_the_numbers() -> None:
     real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
-    (more,) = plausibility.of_areas(real, gross, 100.0, 1, 10)
+    (more,) = plausibility.check_areas(real, gross, 100.0, 1, 10)
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more
     # An unusable frame between two frames does not hide a jump.
-    (jump,) = plausibility.of_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
+    (jump,) = plausibility.check_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump
-    (lost,) = plausibility.of_tracking(np.array([1, 0.4, 0.1]), 5)
+    (lost,) = plausibility.check_tracking(np.array([1, 0.4, 0.1]), 5)
     assert "in 2 frames, the first is 6 (40%)" in lost
 
 
@@ -46,22 +46,22 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     """Warnings name forces in wrong units, forces out of step with the frames, and missing frames."""
     force, gross = np.linspace(0, 5, 40) ** 2 / 5, np.linspace(0, 80, 40)
     for normal, value in ((1000 * force, "6.25e+04 kPa"), (102 * force, "6.38e+03 kPa"), (force / 1000, "0.0625 kPa")):
-        (said,) = plausibility.of_pressure(normal, gross)
+        (said,) = plausibility.check_pressure(normal, gross)
         assert value in said
-    assert "reaches 510 N" in plausibility.of_force(102 * force)[0]
+    assert "reaches 510 N" in plausibility.check_force(102 * force)[0]
     late, early = np.concatenate([np.zeros(9), force[:-9]]), np.concatenate([force[9:], np.full(9, 5.0)])
-    (said,) = plausibility.of_onset(late, gross, 100)
+    (said,) = plausibility.check_onset(late, gross, 100)
     assert "the contact has 21 of its 80 mm² in frame 110, where the normal force is 0.0033 of 3 N" in said
-    (said,) = plausibility.of_onset(early, gross, 100)
+    (said,) = plausibility.check_onset(early, gross, 100)
     assert "the normal force is 0.27 N in frame 100, where nothing touches (in 1 frames)" in said
-    (said,) = plausibility.of_growth(force, np.minimum(gross, 60))
+    (said,) = plausibility.check_growth(force, np.minimum(gross, 60))
     assert "and the contact no longer grows (60 mm²)" in said
     cut = np.delete(np.linspace(0, 80, 80), np.s_[30:50])
-    (said,) = plausibility.of_missing_frames(cut, None, 5)
+    (said,) = plausibility.check_missing_frames(cut, None, 5)
     assert "steps from 29.4 to 50.6 mm² between frames 34 and 35, 21 times as far" in said
     # If the force has the same step, the step is real.
-    assert plausibility.of_missing_frames(cut, cut / 16, 5) == []
-    (said,) = plausibility.of_beginning(gross[10:], 10)
+    assert plausibility.check_missing_frames(cut, cut / 16, 5) == []
+    (said,) = plausibility.check_beginning(gross[10:], 10)
     assert "20.5 of 80 mm² touch in frame 10" in said
 
 

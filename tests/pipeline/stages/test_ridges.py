@@ -23,7 +23,7 @@ def _patch(press: Press) -> tuple[ridges.SkinPatch, np.ndarray, np.ndarray]:
     y, x = (torch.from_numpy(one * press.mm_per_px) for one in np.mgrid[:rows, :columns])
     ellipse = press.truth.ellipse(299)
     assert ellipse is not None
-    skin = ridges.skin_in(
+    skin = ridges.skin_patch(
         contact.crop(frame[None])[0], contact.crop(empty[None])[0], ellipse.distance(x, y).numpy() > 0
     )
     assert skin is not None

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.engines import contact_view
 from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
@@ -75,33 +76,37 @@ class ContactStage(Stage):
 
     def begin(self) -> None:
         self._usable = self.trial.stage(FrameCheckStage).usable
-        glass, dark = self.inputs.reference(self._view)[0, 0].cpu().numpy(), self.inputs.dark(self._view)
-        black = None if dark is None else dark[0, 0].cpu().numpy()
+        reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
+        glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
+        # Empty glass and darkness, as NumPy arrays of counts and as tensors.
+        self._black = np.float32(0) if black is None else black
+        self._glass, self._glass_light = glass - self._black, glass_light(reference, dark)
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
-        self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
+        self._light = contact_view.glass_light(glass, black, region_mask(self.inputs.scene, "contact"))
         first = int(np.argmax(self._usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
-        self.warnings.extend(plausibility.of_background(self._changed(first, glass, black)[0], first + first_frame))
+        self.warnings.extend(plausibility.check_background(self._changed(first)[0], first + first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
-        changed = self._changed(self.reference_frame, glass, black)
-        reversed_contrast = plausibility.of_contrast(*changed, appears, self.largest_load())
+        changed = self._changed(self.reference_frame)
+        reversed_contrast = plausibility.check_contrast(*changed, appears, self.largest_load())
         self.warnings.extend(reversed_contrast)
         self._threshold = self._fixed_threshold(reversed_contrast)
-        self._largest = self._region_of(self.reference_frame)
-        self.skin = self._skin(glass, black)
+        self._largest = self._gross_region(self.reference_frame)
+        skin = self._counts(self.reference_frame)[0] - self._black
+        self.skin = ridges.skin_patch(skin, self._glass, self._largest[0, 0].numpy())
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
-        self.warnings.extend(plausibility.of_ridges(self._period_px, self.inputs.mm_per_px))
-        self._check_view(glass, black)
-        if "gross_contact_region" in self.trial.asked:
+        self.warnings.extend(plausibility.check_ridges(self._period_px, self.inputs.mm_per_px))
+        self._check_view()
+        if "gross_contact_region" in self.trial.requested:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
-        contact, threshold = self._contact_in(batch.images(self.inputs, self._view))
+        contact = self._measure(batch.images(self.inputs, self._view))
         size, indices = self.inputs.mm_per_px, batch.indices
         for name, values in {
-            "contact_threshold": threshold,
+            "contact_threshold": contact.threshold,
             "real_contact_area": contact.real_area_px.astype(np.float64) * size**2,
             "gross_contact_area": contact.gross_area_px.astype(np.float64) * size**2,
             "ellipse_center": contact.center.astype(np.float64) * size,
@@ -122,8 +127,8 @@ class ContactStage(Stage):
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
         self._blind &= self._usable
-        known = self._gain[np.isfinite(self._gain)]
-        if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
+        gains = self._gain[np.isfinite(self._gain)]
+        if self._blind.any() and (not len(gains) or np.abs(gains - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
             self.warnings.append(
                 f"brightness differs from the empty picture; areas in {int(self._blind.sum())} frames, the first is "
@@ -133,15 +138,15 @@ class ContactStage(Stage):
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
-        self.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
+        self.warnings.extend(plausibility.check_areas(real, gross, area, radius, first_frame))
         normal = self.trial.stage(LoadingStage).normal
         if self.inputs.scene.kind != "slip":
-            self.warnings.extend(plausibility.of_missing_frames(gross, normal, first_frame))
-        self.warnings.extend(view_faults.of_strip(self.series["ellipse_semi_axes"], gross, first_frame))
+            self.warnings.extend(plausibility.check_missing_frames(gross, normal, first_frame))
+        self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, first_frame))
         if normal is not None:
-            self.warnings.extend(plausibility.of_pressure(normal, gross))
-            self.warnings.extend(plausibility.of_onset(normal, gross, first_frame))
-            self.warnings.extend(plausibility.of_growth(normal, gross))
+            self.warnings.extend(plausibility.check_pressure(normal, gross))
+            self.warnings.extend(plausibility.check_onset(normal, gross, first_frame))
+            self.warnings.extend(plausibility.check_growth(normal, gross))
         for name, values in self.series.items():
             about = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} if name == "gross_contact_area" else {}
             self.results.put(name, values, about)
@@ -164,12 +169,12 @@ class ContactStage(Stage):
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
         other. That contact has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._largest, self._region_of(int(np.argmax(self._usable)))
+        largest, first = self._largest, self._gross_region(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self) -> Tensor:
         """Return the union (1, 1, h, w) of the gross contact masks in frames sampled from the whole recording."""
-        regions = [self._region_of(int(frame)) for frame in self._sampled_frames()]
+        regions = [self._gross_region(int(frame)) for frame in self._sampled_frames()]
         return torch.stack(regions).any(0)
 
     def _sampled_frames(self) -> NDArray[np.intp]:
@@ -186,38 +191,36 @@ class ContactStage(Stage):
         border.
         """
         first = int(np.argmax(self._usable))
-        return dilate(self._region_of(first) | self._largest, margin_px)
+        return dilate(self._gross_region(first) | self._largest, margin_px)
 
-    def _check_view(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> None:
+    def _check_view(self) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
         sweat), and of glass that has moved in that, the first or the last usable frame.
         """
-        dark, region = np.float32(0) if black is None else black, self._largest[0, 0].numpy()
-        light = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))[0][0, 0].cpu().numpy()
-        self.warnings.extend(view_faults.of_background_lines(light))
+        region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0].cpu().numpy()
+        self.warnings.extend(view_faults.check_background_lines(light))
         if region.any():
-            contact, _ = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
+            contact = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
             period = self._period_px
-            self.warnings.extend(view_faults.of_unlit_glass(region, light, self.inputs.scene.contact.gross_radius_px))
+            radius_px = self.inputs.scene.contact.gross_radius_px
+            self.warnings.extend(view_faults.check_unlit_glass(region, light, radius_px))
             if np.isfinite(period):
-                picture = self._counts(self.reference_frame)[0] - dark
+                picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                self.warnings.extend(view_faults.of_shadow(picture / lit, region, period))
+                self.warnings.extend(view_faults.check_shadow(picture / lit, region, period))
                 if contact.real_contact_mask is not None:
-                    self.warnings.extend(view_faults.of_sweat(contact.real_contact_mask[0, 0], period))
+                    self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
         usable = np.flatnonzero(self._usable)
+        first_frame = self.inputs.scene.recording.first_frame
         pictures = (
-            (
-                frame + self.inputs.scene.recording.first_frame,
-                self._counts(frame)[0] - dark,
-            )
+            (frame + first_frame, self._counts(frame)[0] - self._black)
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
-        self.warnings.extend(view_faults.of_moved_glass(pictures, light, region))
+        self.warnings.extend(view_faults.check_moved_glass(pictures, light, region))
 
-    def _region_of(self, frame: int) -> Tensor:
-        contact, _ = self._contact(read_frames(self.inputs.recording[[frame]]))
+    def _gross_region(self, frame: int) -> Tensor:
+        contact = self._contact(read_frames(self.inputs.recording[[frame]]))
         if not (contact.density_margin > 0).any():
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
@@ -226,49 +229,32 @@ class ContactStage(Stage):
         """Return the picture (1, h, w) of the contact view in a frame, in which contact is dark."""
         return self.inputs.counts(read_frames(self.inputs.recording[[frame]]), self._view)
 
-    def _skin(self, glass: NDArray[np.floating], black: NDArray[np.floating] | None) -> ridges.SkinPatch | None:
-        """Return the image of the skin in contact in the frame with most contact, for the analysis of ridges, given the
-        counts of the empty `glass` and the `black` level; None if too small.
-        """
-        frame = self._counts(self.reference_frame)[0]
-        dark = np.float32(0) if black is None else black
-        return ridges.skin_in(frame - dark, glass - dark, self._largest[0, 0].numpy())
-
-    def _changed(
-        self, frame: int, glass: NDArray[np.floating], black: NDArray[np.floating] | None
-    ) -> tuple[float, float]:
+    def _changed(self, frame: int) -> tuple[float, float]:
         """Return the shares of the lit pixels that are clearly brighter, and clearly darker, in a frame than on the
-        empty `glass`, both above the `black` level and under the same illumination.
+        empty glass, both above the black level and under the same illumination.
         """
         frames = self._counts(frame)
-        images, unknown = self._engine.images(frames), np.full(1, np.nan, np.float32)
-        gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
-        dark = np.float32(0) if black is None else black
-        light = glass - dark
-        size = light.shape[1] // _STEP, light.shape[0] // _STEP
-        seen, given = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (frames[0] - dark, light))
-        lit = given > _LEAST_LIGHT * given.max()
-        share = seen[lit] / (given[lit] * (gain if np.isfinite(gain) else 1))
+        size, pictures = [side // _STEP for side in self._view.shape[::-1]], (frames[0] - self._black, self._glass)
+        seen, empty = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures)
+        lit = empty > _LEAST_LIGHT * empty.max()
+        share = seen[lit] / (empty[lit] * self._light_gain(frames))
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
-    def _contact(self, frames: NDArray[np.generic]) -> tuple[FrameContact, NDArray[np.floating]]:
-        return self._contact_in(self._engine.images(self.inputs.counts(frames, self._view)))
+    def _contact(self, frames: NDArray[np.generic]) -> FrameContact:
+        return self._measure(self._engine.images(self.inputs.counts(frames, self._view)))
 
-    def _contact_in(self, images: Images) -> tuple[FrameContact, NDArray[np.floating]]:
-        if self._threshold is None:
-            threshold = self._engine.threshold(images, self._light)
-        else:
-            threshold = np.full(len(images), self._threshold, np.float32)
-        return self._engine.contact(images, self._light, threshold), threshold
+    def _measure(self, images: Images) -> FrameContact:
+        threshold = None if self._threshold is None else np.full(len(images), self._threshold, np.float32)
+        return self._engine.contact(images, self._light, threshold)
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None:
-            known = np.where(self._usable, normal_force, np.nan)
-            if np.isfinite(known).any():
-                return int(np.nanargmax(known))
+            force = np.where(self._usable, normal_force, np.nan)
+            if np.isfinite(force).any():
+                return int(np.nanargmax(force))
         usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
-        light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
+        light, black = self._glass_light
         if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
             light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
         shares = [self._brightness(read_frames(self.inputs.recording[[int(i)]]), light, black) for i in looks]
@@ -281,12 +267,15 @@ class ContactStage(Stage):
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
         view = self.inputs.contact_view(frame)
-        some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
-        seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
+        picture, empty, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
+        seen = float(((picture - dark) / empty.clamp_min(1)).clamp(0, 1)[empty > 0].mean())
+        return seen / self._light_gain(self.inputs.counts(frame, self._view)) if seen > _LEAST_LIGHT else np.nan
+
+    def _light_gain(self, counts: NDArray[Any]) -> float:
+        """Return the illumination gain of a picture (1, h, w) relative to the empty glass; 1 where it is unknown."""
         unknown = np.full(1, np.nan, np.float32)  # a NaN threshold detects no contact
-        images = self._engine.images(self.inputs.counts(frame, self._view))
-        gain = float(self._engine.contact(images, self._light, unknown).illumination_gain[0])
-        return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
+        gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
+        return gain if np.isfinite(gain) else 1
 
     def _fixed_threshold(self, reversed_contrast: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
@@ -300,15 +289,12 @@ class ContactStage(Stage):
         if not isinstance(setting, str):
             return float(setting)
         frame = self._counts(self.reference_frame)
-        threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
+        threshold = float(self._engine.contact(self._engine.images(frame), self._light).threshold[0])
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
             if reversed_contrast:
                 raise FingerflowError(f"{path}: no contact: {reversed_contrast[0]}")
-            light, black = (
-                one[0, 0].cpu().numpy()
-                for one in glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
-            )
+            light, black = (image[0, 0].cpu().numpy() for image in self._glass_light)
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
             raise FingerflowError(

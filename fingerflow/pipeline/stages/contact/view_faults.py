@@ -27,7 +27,7 @@ _SIDE = 16  # px, side of the blocks over which light is averaged
 _UNEVEN = 0.05  # least relative change of light that is reported
 
 
-def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
+def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
     """Return a warning if the contact region reaches glass without light, where its border is not that of the skin."""
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
     if not around.any():
@@ -41,7 +41,7 @@ def of_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
     ]
 
 
-def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
+def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
     """Return a warning if the region detected as contact is far longer than wide in some frame, as it is where a cable
     lies in the view.
 
@@ -50,10 +50,10 @@ def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
     """
     major, minor = semi_axes.T
     with np.errstate(invalid="ignore"):
-        found = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
-    if not len(found):
+        frames = np.flatnonzero((gross > 0) & (2 * major > _STRIP_MM) & (major > _STRIP * minor))
+    if not len(frames):
         return []
-    frame = found[0]
+    frame = frames[0]
     return [
         f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide in "
         f"frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
@@ -61,7 +61,7 @@ def of_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[str]:
     ]
 
 
-def of_sweat(touching: Mask, period_px: float) -> list[str]:
+def check_sweat(touching: Mask, period_px: float) -> list[str]:
     """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
     between the ridges.
 
@@ -85,7 +85,7 @@ def solid_share(touching: Mask, period_px: float) -> float:
     return float(solid.sum() / touching.sum())
 
 
-def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
+def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
     """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
     shadow of the finger.
 
@@ -93,16 +93,16 @@ def of_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
     """
     away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
-    kept = float(np.median(around)) if len(around) else 1.0
-    if kept >= 1 - _SHADOW:
+    left = float(np.median(around)) if len(around) else 1.0
+    if left >= 1 - _SHADOW:
         return []
     return [
-        f"the glass around the contact has lost {1 - kept:.0%} of its light: a shadow or halo of the finger lies "
+        f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
         f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
     ]
 
 
-def of_background_lines(light: Picture) -> list[str]:
+def check_background_lines(light: Picture) -> list[str]:
     """Return a warning if rows of the background image `light` differ in brightness from the rows beside them, as in a
     torn picture.
     """
@@ -124,7 +124,7 @@ def of_background_lines(light: Picture) -> list[str]:
     ]
 
 
-def of_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
+def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
     """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
     bump that moved camera or glass.
 
@@ -151,39 +151,39 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     or moved glass; "" if nothing is found.
     """
     for known_cause in (
-        of_background_lines(light),
-        of_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
+        check_background_lines(light),
+        check_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
     ):
         if known_cause:
             return known_cause[0]
     share = np.where(light > 0, frame / np.where(light > 0, light, 1), np.nan)
     rows, columns = (side // _SIDE for side in share.shape)
     cut = share[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)
-    known = np.isfinite(cut).all(axis=(1, 3))
-    blocks = np.where(known, np.nan_to_num(cut).mean((1, 3)), np.nan)
+    finite = np.isfinite(cut).all(axis=(1, 3))
+    blocks = np.where(finite, np.nan_to_num(cut).mean((1, 3)), np.nan)
     y, x = np.mgrid[:rows, :columns]
-    terms = np.stack([np.ones(known.sum()), x[known] / columns - 0.5, y[known] / rows - 0.5], 1)
-    values, keep = blocks[known], np.ones(known.sum(), dtype=bool)
+    terms = np.stack([np.ones(finite.sum()), x[finite] / columns - 0.5, y[finite] / rows - 0.5], 1)
+    values, keep = blocks[finite], np.ones(finite.sum(), dtype=bool)
     if len(values) < 16:
         return ""
     for _ in range(4):  # refit without dark objects, which are outliers of the plane
         plane = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
         rest = values - terms @ plane
         keep = np.abs(rest) < max(3 * float(np.std(rest[keep])), 0.01)
-    said = []
+    causes = []
     across = float(np.hypot(plane[1], plane[2]))
     fall = across / (float(plane[0]) + across / 2)
     if fall > _UNEVEN:
-        said.append(
+        causes.append(
             f"the light falls by {fall:.0%} across the view against the background: the lamp was moved or warms up, so "
             f"record the empty glass again"
         )
     elif abs(plane[0] - 1) > _UNEVEN:
-        said.append(f"the whole view has {plane[0]:.0%} of the background's light")
+        causes.append(f"the whole view has {plane[0]:.0%} of the background's light")
     dark = float((rest < -_UNEVEN).mean())
     if dark > 0.002:
-        said.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
-    return "; ".join(said)
+        causes.append(f"{dark:.1%} of it is darker than the rest, as by a cable or dirt")
+    return "; ".join(causes)
 
 
 def _edges_of_glass(smooth: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -215,9 +215,9 @@ def _shift_of_glass(
     for k in range(side):
         # Collect the background pixels of a line around each edge pixel; the last one is that of the largest shift to
         # the left.
-        given = lines[(y + _REACH_PX - k) * light.shape[1] + x - _REACH_PX]
-        gain = seen @ given / np.maximum(np.einsum("nk,nk->k", given, given), 1e-9)
-        residual[k] = (even @ np.abs(seen[:, None] - gain * given))[::-1]
+        shifted = lines[(y + _REACH_PX - k) * light.shape[1] + x - _REACH_PX]
+        gain = seen @ shifted / np.maximum(np.einsum("nk,nk->k", shifted, shifted), 1e-9)
+        residual[k] = (even @ np.abs(seen[:, None] - gain * shifted))[::-1]
     down, right = np.unravel_index(int(residual.argmin()), residual.shape)
     least = residual[down, right] / max(residual[_REACH_PX, _REACH_PX], 1e-9)
     return (int(right) - _REACH_PX, int(down) - _REACH_PX), float(least)

@@ -1,7 +1,5 @@
 """Common reference configuration of the skin for points that were seeded in different frames."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -14,50 +12,37 @@ _FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
 
-class CommonFrame(NamedTuple):
-    """Positions of all points in the frame of the first seeding, extrapolated for points that were seeded later.
+def common_frame(position: Values, status: Values, first: int, backward: bool) -> tuple[Points, NDArray[np.intp]]:
+    """Return the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
+    later, and the frames (N,) in which they were seeded, from `position` (F, N, 2) mm and track `status` (F, N).
 
-    Attributes:
-        places: (N, 2) mm. For a point seeded later: its position then, less the displacement of the points around it
-            since the first seeding. These are coordinates of the skin extrapolated beyond the region that was seen.
-            Gradients between two later frames, F(t) F(s)^-1, do not depend on them.
-        seeded: (N,) frame in which each point was seeded.
-        later: (N,) bool, True for points seeded after the first seeding.
-    """
-
-    places: Points
-    seeded: NDArray[np.intp]
-    later: NDArray[np.bool_]
-
-
-def common_frame(position: Values, status: Values, first: int, backward: bool) -> CommonFrame:
-    """Compute the positions (N, 2) mm of all points in the frame of the first seeding, extrapolated for points seeded
-    later, from `position` (F, N, 2) mm and track `status` (F, N).
-
-    They were first seeded in frame `first` and tracked from there, forward or `backward`.
+    They were first seeded in frame `first` and tracked from there, forward or `backward`. The position of a point
+    seeded later is that in its first frame, less the displacement of the points around it since the first seeding.
+    These are coordinates of the skin extrapolated beyond the region that was seen. Gradients between two later frames,
+    F(t) F(s)^-1, do not depend on them.
 
     The displacement of the surroundings is the mean over the eight nearest known points, with weights 1 / distance^2.
     It differs little between neighbouring points, so that the skin does not fold, and it stays bounded far away, unlike
     an extrapolated plane.
     """
-    places = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
+    positions = np.array(position[slice(first, first + 1)][0], dtype=np.float64)
     later = status[slice(first, first + 1)][0] == TrackStatus.NOT_SEEDED_YET
-    seeded = np.full(len(places), first)
+    seeded = np.full(len(positions), first)
     if not later.any():
-        return CommonFrame(places, seeded, later)
+        return positions, seeded
     seeded[later] = _seedings(status, np.flatnonzero(later), backward)
     for frame in sorted(set(seeded[later].tolist()), reverse=backward):
         now, new = position[slice(frame, frame + 1)][0], np.flatnonzero(later & (seeded == frame))
-        earlier = np.flatnonzero(np.isfinite(places + now).all(1) & (seeded != frame))
+        earlier = np.flatnonzero(np.isfinite(positions + now).all(1) & (seeded != frame))
         # All points were lost, as when a finger is lifted: new points then start without a displacement.
         if not len(earlier):
-            places[new] = now[new]
+            positions[new] = now[new]
             continue
         distance, near = cKDTree(now[earlier]).query(now[new], k=np.arange(1, min(_NEIGHBOURS, len(earlier)) + 1))
         weight = 1 / np.maximum(distance, 1e-6) ** 2
-        moved = ((now - places)[earlier][near] * weight[..., None]).sum(1) / weight.sum(1, keepdims=True)
-        places[new] = now[new] - moved
-    return CommonFrame(places, seeded, later)
+        moved = ((now - positions)[earlier][near] * weight[..., None]).sum(1) / weight.sum(1, keepdims=True)
+        positions[new] = now[new] - moved
+    return positions, seeded
 
 
 def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArray[np.intp]:

@@ -1,6 +1,6 @@
 """Displacement of each point, counted from the point's onset of contact or from one frame common to all points."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.reference import Reference, reference_of
+from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
@@ -59,7 +59,7 @@ class DisplacementStage(Stage):
         since: the reference.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
-        places: (N, 2) mm, `CommonFrame.places`; only set by onsets.
+        common_position: (N, 2) mm, of `common_frame`; only set by onsets.
         last: the last usable frame.
         some_later: True if points were seeded later, where skin came into contact; only set by onsets.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
@@ -88,7 +88,7 @@ class DisplacementStage(Stage):
     since: Reference
     entered: NDArray[np.intp]
     by_onsets: bool
-    places: Points
+    common_position: Points
     last: int
     some_later: bool
     begins: NDArray[np.int32]
@@ -110,21 +110,24 @@ class DisplacementStage(Stage):
     def begin(self) -> None:
         self._usable = self.trial.stage(FrameCheckStage).usable
         inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
-        self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
+        self.since = resolve_reference(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
         self._attributes = self.since.attributes(first_frame)
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        self._common = common_frame(self.results["position"], self.results["status"], first, backward)
+        common, self._seeded = common_frame(self.results["position"], self.results["status"], first, backward)
+        self._later = self._seeded != first
         if self.since.frame is not None:
-            self._fixed = _Fixed(
-                *(self._in_reference(name) for name in ("position", "position_px", "position_noise_px"))
+            then, names = (
+                slice(self.since.frame, self.since.frame + 1),
+                ("position", "position_px", "position_noise_px"),
             )
-        self._border = Border.of(self.trial.stage(ContactStage).series)
+            self._fixed = _Fixed(*(self.results[name][then][0] for name in names))
+        self._border = Border.from_series(self.trial.stage(ContactStage).series)
         begin = int(usable[0])
         here = self.results["position"][begin : begin + 1]
-        depth = self._border.at(slice(begin, begin + 1)).inside(here)[0]
+        depth = self._border.select(slice(begin, begin + 1)).inside(here)[0]
         self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
@@ -136,10 +139,10 @@ class DisplacementStage(Stage):
         if self.by_onsets:
             if inputs.scene.kind in ("press", "single_view"):
                 gross = self.trial.stage(ContactStage).series["gross_contact_area"]
-                self.warnings.extend(plausibility.of_beginning(gross, first_frame))
+                self.warnings.extend(plausibility.check_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
-            self.places, self.some_later = self._common.places, bool(self._common.later.any())
-            moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
+            moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._border)
+            self.common_position, self.some_later = common, bool(self._later.any())
             self._find_errors_of_onset(moves_in)
         else:
             self.of_onset = np.zeros((points, 2, 2))
@@ -204,18 +207,18 @@ class DisplacementStage(Stage):
         count, total = np.zeros((2, touch.points))
         for indices in _runs(len(self.trial)):
             variance = self._since_touch(touch, indices).variance
-            known = np.isfinite(variance)
-            count += known.sum(0)
-            total += np.where(known, variance, 0).sum(0, dtype=np.float64)
+            finite = np.isfinite(variance)
+            count += finite.sum(0)
+            total += np.where(finite, variance, 0).sum(0, dtype=np.float64)
         self.noise = total / np.maximum(count, 1)
         # A touch in the last frame counts as lasting, as later frames are unknown.
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
-        self._inside = self._common.later & (touch.first == self._common.seeded)
+        self._inside = self._later & (touch.first == self._seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
-        self.reference = np.where(stays[:, None], touch.place, touch.first_place)
+        self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
         self.reference_px = self.inputs.on_topography(self.reference)
@@ -224,14 +227,8 @@ class DisplacementStage(Stage):
         if self._fixed is not None:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
             self.begins = np.full_like(self.onset, self.since.frame)
-            self.reference = np.where(touched[:, None], self._fixed.place, np.nan)
-            self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
-
-    def _in_reference(self, name: str) -> NDArray[Any]:
-        """Return the values (N, ...) of the result variable `name` for N points in the displacement reference frame."""
-        assert self.since.frame is not None
-        values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
-        return values
+            self.reference = np.where(touched[:, None], self._fixed.position, np.nan)
+            self.reference_px = np.where(touched[:, None], self._fixed.position_px, np.nan)
 
     def _warn_of_unknown(self) -> None:
         touching = self.onset >= 0
@@ -249,25 +246,25 @@ class DisplacementStage(Stage):
         """
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_noise_px"][indices] ** 2
-        some = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
-        if len(some) == len(indices):
-            touching = touch.add_frames(indices, covered, position, variance, self._border.at(indices))
+        usable = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
+        if len(usable) == len(indices):
+            touching = touch.add_frames(indices, covered, position, variance, self._border.select(indices))
         else:
             unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
             touching = Touching(np.full_like(position, np.nan), *unknown, *none)
-            if len(some):
-                frames = indices[some]
+            if len(usable):
+                frames = indices[usable]
                 gone_on = touch.add_frames(
-                    frames, covered[some], position[some], variance[some], self._border.at(frames)
+                    frames, covered[usable], position[usable], variance[usable], self._border.select(frames)
                 )
                 for whole, part in zip(touching, gone_on, strict=True):
-                    whole[some] = part
+                    whole[usable] = part
         if self._fixed is not None:
-            place = np.where(touching.touching[..., None], self._fixed.place, np.nan)
+            reference = np.where(touching.touching[..., None], self._fixed.position, np.nan)
             exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
             begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
-            touching = Touching(place, np.ones_like(variance), exact, exact, touching.touching, begins)
-        moved = np.subtract(position, touching.place, out=touching.place)
+            touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
+        moved = np.subtract(position, touching.position, out=touching.position)
         noise = self._noise(variance, touching)
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
@@ -285,7 +282,7 @@ class DisplacementStage(Stage):
         position = self.results["position"][indices][:, self._doubtful]
         displacement = moved[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
-        depth = self._border.at(indices).inside(position)
+        depth = self._border.select(indices).inside(position)
         inwards = np.maximum(np.nan_to_num(depth - then), 0) + _ELLIPSE_MM
         later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
         share = np.minimum(1, BORDER_MM / inwards)
@@ -324,34 +321,36 @@ class DisplacementStage(Stage):
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)
         after_first = onset > usable[0]
-        known = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
+        touched = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
         slope = local_gradients(
-            known,
+            touched,
             torch.from_numpy(onset.astype(np.float64))[None, :, None],
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
         frames_per_mm = np.where(moves_in, 0.0, slope.norm(dim=-1).nan_to_num(0.0).numpy())
         reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST_ONSET).astype(int)
         reach[moves_in] = _LONGEST_ONSET
-        # Both sides at once: each call of `_positions_in` reads all frames.
-        every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
-        place = self._positions_in(every)
-        unknown = ~np.isfinite(place).all(-1)
-        every = np.where(unknown, onset, every)
+        # Both sides at once: each call of `_select_positions` reads all frames.
+        pair = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
+        position = self._select_positions(pair)
+        unknown = ~np.isfinite(position).all(-1)
+        pair = np.where(unknown, onset, pair)
         if unknown.any():
-            place[unknown] = np.broadcast_to(self._positions_in(onset), place.shape)[unknown]
-        before, after = every
-        step = place[1] - place[0]
+            position[unknown] = np.broadcast_to(self._select_positions(onset), position.shape)[unknown]
+        before, after = pair
+        step = position[1] - position[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
         # The square of a measured speed is too large by the variance of the speed, which follows from those of both
         # positions.
-        errors = self.mm_per_px * at_frames(self.results["position_noise_px"], every % frames)
+        errors = self.mm_per_px * select_frames(self.results["position_noise_px"], pair % frames)
         noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
         if moves_in.any():
-            approach = np.diff(self._depths(every, place), axis=0)[0] / np.maximum(after - before, 1)
+            border = self._border.select(pair.flatten().astype(np.intp) % frames)
+            depth = border.inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
+            approach = np.diff(depth, axis=0)[0] / np.maximum(after - before, 1)
             # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
             chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
             least = np.linalg.norm(speed, axis=1) * chord
@@ -359,16 +358,11 @@ class DisplacementStage(Stage):
         variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
-    def _depths(self, frames: NDArray[np.integer], places: Points) -> Points:
-        """Return the distances (k, N), mm, of positions (k, N, 2) in frames (k, N) from the ellipse of the contact."""
-        border = self._border.at(frames.flatten().astype(np.intp) % len(self.trial))
-        return border.inside(places.reshape(-1, 1, 2)).reshape(frames.shape)
-
-    def _positions_in(self, frames: NDArray[np.integer]) -> Points:
+    def _select_positions(self, frames: NDArray[np.integer]) -> Points:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
         it; -1 is the last frame.
         """
-        return at_frames(self.results["position"], frames % len(self.trial))
+        return select_frames(self.results["position"], frames % len(self.trial))
 
 
 def _crossing_variance(frames_per_mm: NDArray[np.floating]) -> Points:
@@ -385,8 +379,8 @@ class _Fixed(NamedTuple):
     all points; NaN for points not tracked in it.
     """
 
-    place: Points  # (N, 2) mm, positions
-    place_px: Points
+    position: Points  # (N, 2) mm, positions
+    position_px: Points
     deviation_px: NDArray[np.float32]  # (N,) px, standard deviations of the positions
 
 
@@ -395,14 +389,14 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
     return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
 
 
-def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
+def select_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> Points:
     """Return the values (..., P, ...) of P points, each taken from `values` (F, N, ...) in the frame that `frames`
     (..., P) gives for it; `points` are the indices of the points, by default all.
     """
     points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
-    found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
+    result = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):
         here = np.nonzero((frames >= indices[0]) & (frames <= indices[-1]))
         if len(here[0]):
-            found[here] = values[indices][frames[here] - indices[0], points[here]]
-    return found
+            result[here] = values[indices][frames[here] - indices[0], points[here]]
+    return result

@@ -28,7 +28,7 @@ class OverlapErrors:
 
     Args:
         since: (P,) frame from which the displacement of a point counts.
-        places_px: (P, 2) position then, px of the topographic view; NaN for points without one.
+        positions_px: (P, 2) position then, px of the topographic view; NaN for points without one.
         noise: (P,) mm^2, variance of a displacement component by image noise.
         of_onset: (P, 2, 2) mm^2, covariance of the displacement by the error of the time of onset.
         by_onsets: True if the reference is an onset between two frames.
@@ -36,7 +36,7 @@ class OverlapErrors:
     """
 
     since: Indices
-    places_px: Array
+    positions_px: Array
     noise: Array
     of_onset: Array
     by_onsets: bool
@@ -44,19 +44,19 @@ class OverlapErrors:
 
     def pairs(self) -> Indices:
         """Return the pairs (K, 2) of points whose windows overlap."""
-        known = np.flatnonzero(np.isfinite(self.places_px).all(-1))
-        near = cKDTree(self.places_px[known]).query_pairs(self.window_px, p=np.inf, output_type="ndarray")
-        result: Indices = known[near].astype(np.int64)
+        valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
+        near = cKDTree(self.positions_px[valid]).query_pairs(self.window_px, p=np.inf, output_type="ndarray")
+        result: Indices = valid[near].astype(np.int64)
         return result
 
-    def between(self, one: Indices, other: Indices) -> NDArray[np.float32]:
+    def between(self, first: Indices, second: Indices) -> NDArray[np.float32]:
         """Return the correlations (K,) of the displacement errors of points with those of other points."""
         of_onset = np.trace(self.of_onset, axis1=1, axis2=2) / 2
         share = np.sqrt(self.noise / np.maximum(self.noise + of_onset, 1e-30))
-        apart = np.abs(self.places_px[one] - self.places_px[other]) / self.window_px
-        later = np.minimum(abs(self.since[one] - self.since[other]), 2)
-        common = np.clip(1 - apart, 0, 1).prod(-1) * np.take(_OF_ONSETS if self.by_onsets else _OF_FRAMES, later)
-        result: NDArray[np.float32] = np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
+        distance = np.abs(self.positions_px[first] - self.positions_px[second]) / self.window_px
+        later = np.minimum(abs(self.since[first] - self.since[second]), 2)
+        common = np.clip(1 - distance, 0, 1).prod(-1) * np.take(_OF_ONSETS if self.by_onsets else _OF_FRAMES, later)
+        result: NDArray[np.float32] = np.nan_to_num(common * share[first] * share[second]).astype(np.float32)
         return result
 
     def variance_gain(self, gauge_px: float) -> NDArray[np.float32]:
@@ -67,32 +67,29 @@ class OverlapErrors:
         w_j^2 d_j^2, with r the correlations. It changes slowly over the skin, so that fits to independent errors whose
         variances are larger by it have the variance of fits to correlated errors.
         """
-        known = np.flatnonzero(np.isfinite(self.places_px).all(-1))
-        places, size = self.places_px[known], len(known)
-        near = cKDTree(places).query_pairs(gauge_px / 2, output_type="ndarray")
+        valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
+        positions, size = self.positions_px[valid], len(valid)
+        near = cKDTree(positions).query_pairs(gauge_px / 2, output_type="ndarray")
         first, second = (np.concatenate((near, near[:, ::-1], np.arange(size)[:, None].repeat(2, 1)))).T
-        apart = places[second] - places[first]
-        weight = np.square(1 - np.square(apart).sum(1) / (gauge_px / 2) ** 2)
+        offset = positions[second] - positions[first]
+        weight = np.square(1 - np.square(offset).sum(1) / (gauge_px / 2) ** 2)
 
         def sums(values: Array) -> NDArray[np.float64]:
             result: NDArray[np.float64] = np.bincount(first, values, size).astype(np.float64)
             return result
 
         mass = sums(weight)
-        between = np.full(len(self.places_px), -1)
-        between[known] = np.arange(size)
+        between = np.full(len(self.positions_px), -1)
+        between[valid] = np.arange(size)
         pairs = self.pairs()
-        one, other = between[pairs.T]
-        correlation = self.between(*pairs.T)
-        shared = csr_array(
-            (np.tile(correlation, 2), (np.concatenate((one, other)), np.concatenate((other, one)))), shape=(size, size)
-        )
+        both = between[np.concatenate((pairs, pairs[:, ::-1]))].T
+        shared = csr_array((np.tile(self.between(*pairs.T), 2), both), shape=(size, size))
         alone, together = np.zeros((2, size))
         for axis in range(2):
-            lever = weight * (apart[:, axis] - (sums(weight * apart[:, axis]) / mass)[first])
+            lever = weight * (offset[:, axis] - (sums(weight * offset[:, axis]) / mass)[first])
             levers = coo_array((lever, (first, second)), shape=(size, size)).tocsr()
             alone += sums(lever * lever)
             together += ((levers @ shared) * levers).sum(1)
-        result = np.ones(len(self.places_px), np.float32)
-        result[known] = np.maximum(1 + together / np.maximum(alone, 1e-30), 1)
+        result = np.ones(len(self.positions_px), np.float32)
+        result[valid] = np.maximum(1 + together / np.maximum(alone, 1e-30), 1)
         return result

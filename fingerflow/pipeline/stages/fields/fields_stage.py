@@ -1,10 +1,8 @@
 """Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from fingerflow import graphs
 from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -20,19 +18,13 @@ from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.entry import EntryGradients
 
 
-def _tensors_of(found: FrameFields) -> graphs.Fields:
-    """Convert the deformation fields that the engine computed from NumPy arrays to torch tensors."""
-    known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
-    return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
-
-
 class FieldsStage(Stage):
     """Stage that fits the displacement gradient at every point in every frame, in reference coordinates."""
 
     name = "fields"
     gives = FIELDS
     needs = ("views.topography",)
-    beside = (DisplacementStage,)
+    same_pass = (DisplacementStage,)
     after = (ContactStage,)
     settings = (
         "fields.gauge_length_mm",
@@ -54,91 +46,86 @@ class FieldsStage(Stage):
         moved = self.trial.stage(DisplacementStage)
         self._reference = moved.reference.astype(np.float32)
         self._gauge |= moved.since.attributes(self.inputs.scene.recording.first_frame)
-        self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
+        self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
         for name in self._given:
             self.results.create(name, self._gauge)
-        if "rigid_residual" in self.trial.asked:
+        if "rigid_residual" in self.trial.requested:
             self.results.create("rigid_residual")
         minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
-        self.warnings.extend(plausibility.of_gauge(self._settings.gauge_length_mm, moved.reference, widest))
+        self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, moved.reference, widest))
         self._bias = MedianBias(len(self.trial), self._settings.gauge_length_mm, self._settings.strain, moved)
         # By where points were seeded: places of entry lie on a line.
-        places = moved.places if moved.by_onsets else moved.reference
+        positions = moved.common_position if moved.by_onsets else moved.reference
         plain = moved.reference.copy()
         plain[moved.entered] = np.nan
-        self._smoothing = SmoothingErrors(plain, places, self._settings.gauge_length_mm)
+        self._smoothing = SmoothingErrors(plain, positions, self._settings.gauge_length_mm)
         window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
-        places_px = self.inputs.on_topography(places)
-        errors = OverlapErrors(moved.begins, places_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
+        positions_px = self.inputs.on_topography(positions)
+        errors = OverlapErrors(moved.begins, positions_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
         self._gain = errors.variance_gain(self._settings.gauge_length_mm / scale)
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(
-                *(self._engine, moved.entered, moved.places, moved.onset, self._settings.gauge_length_mm),
+                *(self._engine, moved.entered, moved.common_position, moved.onset, self._settings.gauge_length_mm),
                 moved.onset_variance,
             )
 
     def step(self, batch: Batch) -> None:
-        contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
-        moved: Moved = batch.of(DisplacementStage)
-        ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
+        border = Border.from_series(self.trial.stage(ContactStage).series).select(batch.indices)
+        displacement = self.trial.stage(DisplacementStage)
+        moved: Moved = batch.result(DisplacementStage)
+        ellipse = FrameEllipse(*(values.astype(np.float32) for values in border))
         covariance = displacement.covariance(moved._replace(variance=moved.variance + moved.curvature))
         covariance *= self._gain[:, None, None]
         entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
-        found = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
+        fields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
             if not name.endswith("_std"):
-                self.results[name][batch.indices] = getattr(found, name)
-        self._state_deviations(batch, found, shift)
-        residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
+                self.results[name][batch.indices] = getattr(fields, name)
+        self._state_deviations(batch, fields, shift)
+        positions = self.inputs.tensor(self._reference[None])
+        residual = rigid_residual(positions, self.inputs.tensor(shift)).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
         self._residual[batch.indices] = nanmedian(np.sqrt(across * across + down * down))
-        self._known[batch.indices] = found.known_share
-        self._median[batch.indices] = found.median
-        self._median_std[batch.indices] = found.median_std
-        self._bias.add(
-            batch,
-            _tensors_of(found),
-            torch.from_numpy(shift),
-            graphs.GrossEllipse(*map(torch.from_numpy, ellipse)),
-            None if entered is None else torch.from_numpy(entered.among),
-        )
+        self._known[batch.indices] = fields.known_share
+        self._median[batch.indices] = fields.median
+        self._median_std[batch.indices] = fields.median_std
+        self._bias.add(batch, fields, shift, ellipse, None if entered is None else entered.among)
 
     def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
         """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
         to its position on entry, with covariances; NaN for all other points.
         """
         displacement = self.trial.stage(DisplacementStage)
-        since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
+        since = entry.update(frames, self.results["position"][frames], displacement.tracked_variance(frames))
         among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
         among[:, displacement.entered] = True
-        gradient, covariance = (
-            np.full((*among.shape, *one.shape[2:]), np.nan, np.float32) for one in (since.gradient, since.covariance)
-        )
+        gradient = np.full((*among.shape, 2, 2), np.nan, np.float32)
+        covariance = np.full((*among.shape, 2, 2, 2, 2), np.nan, np.float32)
         gradient[:, displacement.entered] = since.gradient
         covariance[:, displacement.entered] = since.covariance
         return EnteredPoints(among, gradient, covariance)
 
-    def _state_deviations(self, batch: Batch, found: FrameFields, shift: NDArray[np.float32]) -> None:
+    def _state_deviations(self, batch: Batch, fields: FrameFields, shift: NDArray[np.float32]) -> None:
         """Add the errors by the gauge length, which are measured in every eighth frame, and by the times of entry to
         the deviations of divergence and curl at points.
         """
-        some = np.arange(0, len(batch.indices), EVERY)
-        fields, deviation = (
-            np.stack([getattr(found, f"{name}{of}")[some] for name in ("divergence", "curl")], axis=1)
-            for of in ("", "_std")
+        sampled = np.arange(0, len(batch.indices), EVERY)
+        values, deviation = (
+            np.stack([getattr(fields, f"{name}{suffix}")[sampled] for name in ("divergence", "curl")], axis=1)
+            for suffix in ("", "_std")
         )
-        variance = self._smoothing.variance(shift[some], fields, deviation)
+        variance = self._smoothing.variance(shift[sampled], values, deviation)
         variance = variance[np.arange(len(batch.indices)) // EVERY]
         if self._entry is not None:
             (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
             variance[:, :, self.trial.stage(DisplacementStage).entered] += np.square((xx + yy, yx - xy))
         for field, name in enumerate(("divergence_std", "curl_std")):
-            self.results[name][batch.indices] = np.sqrt(getattr(found, name) ** 2 + variance[:, field])
+            self.results[name][batch.indices] = np.sqrt(getattr(fields, name) ** 2 + variance[:, field])
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)
@@ -148,7 +135,7 @@ class FieldsStage(Stage):
         divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.of_unknown_fields(divergence, self._known, gross, gauge, first_frame))
+        self.warnings.extend(plausibility.check_fields(divergence, self._known, gross, gauge, first_frame))
         self.results.put("median_divergence", divergence, self._gauge)
         self.results.put("median_divergence_std", self._median_std[:, 0])
         self.results.put("median_divergence_rate", rate(divergence, times, window))

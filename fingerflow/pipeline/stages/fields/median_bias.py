@@ -4,19 +4,21 @@ It does not fall with the number of points. Tests with known truth: a press, a s
 passes.
 """
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from fingerflow.graphs import GrossEllipse
-from fingerflow.graphs.fields_graph import Fields
+from fingerflow.engines.engine import FrameEllipse, FrameFields
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.median_smoothing import smoothing_variance
+
+Array = NDArray[Any]
 
 EVERY = 8  # frames between two evaluations, interpolated linearly, as skin and contact change slowly
 
@@ -49,43 +51,42 @@ class MedianBias:
         self._square = np.zeros((frames, 5))  # variance due to unknown and advected skin
 
     def add(
-        self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
+        self,
+        batch: Batch,
+        fields: FrameFields,
+        displacement: Array,
+        ellipse: FrameEllipse,
+        entered: Array | None = None,
     ) -> None:
-        """Add n frames to the estimate, given the fields `found` at N points, displacements (n, N, 2) mm and contact
+        """Add n frames to the estimate, given the fields `fields` at N points, displacements (n, N, 2) mm and contact
         ellipses; the mask `entered` (n, N) marks points advected into the contact.
         """
-        assert found.median is not None
-        assert found.median_std is not None
-        count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
-        self._square[batch.indices] = rank_variance(found, count)
-        some = np.flatnonzero(np.isin(batch.indices, self._looks))
-        if not len(some):
+        assert fields.median_std is not None
+        components = _stack_components(fields)
+        count = None if entered is None else (entered & np.isfinite(fields.divergence)).sum(1)
+        self._square[batch.indices] = rank_variance(fields, components, count)
+        rows = np.flatnonzero(np.isin(batch.indices, self._looks))
+        if not len(rows):
             return
-        beside = None if entered is None else Apart(entered[some], _stack_components(found)[some].mT, None)
-        center, semi_axes, angle = (one[some] for one in ellipse)
-        median, variance = found.median[some], found.median_std[some].square()
+        excluded = None
+        if entered is not None:
+            excluded = Apart(torch.from_numpy(entered[rows]), torch.from_numpy(components[rows]).mT, None)
+        center, semi_axes, angle = (torch.from_numpy(values[rows]) for values in ellipse)
+        moved = torch.from_numpy(displacement[rows])
+        variance = np.square(fields.median_std[rows])
         wide, inner = (
             area_medians(
-                self._reference.to(displacement),
-                displacement[some],
-                center,
-                semi_axes - smaller,
-                angle,
+                *(self._reference.to(moved), moved, center, semi_axes - smaller, angle),
                 gauge_length=gauge,
                 measure=self._measure,
-                apart=beside,
-            ).median
-            - median
+                apart=excluded,
+            ).median.numpy()
+            - fields.median[rows]
             for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM))
         )
-        by_gauge = smoothing_variance(
-            wide.cpu().numpy(),
-            variance.cpu().numpy(),
-            _deviations_of_fits(found)[some],
-            _stack_components(found)[some].cpu().numpy(),
-        )
-        by_border = (inner.square() - variance).clamp_min(0).cpu().numpy()
-        self._seen[np.searchsorted(self._looks, batch.indices[some])] = by_gauge + by_border
+        by_gauge = smoothing_variance(wide, variance, _fit_deviations(fields)[rows], components[rows])
+        by_border = np.maximum(np.square(inner) - variance, 0)
+        self._seen[np.searchsorted(self._looks, batch.indices[rows])] = by_gauge + by_border
 
     def variance(self) -> NDArray[np.float64]:
         """Return the variance (T, 5) of the medians of divergence, curl, exx, eyy and exy, without the part due to
@@ -97,13 +98,13 @@ class MedianBias:
         frames = np.arange(len(self._square))
         result = self._square.copy()
         for column in range(5):
-            known = np.isfinite(self._seen[:, column])
-            seen = self._seen[known, column]
-            result[:, column] += np.interp(frames, self._looks[known], seen) if known.any() else np.nan
+            finite = np.isfinite(self._seen[:, column])
+            seen = self._seen[finite, column]
+            result[:, column] += np.interp(frames, self._looks[finite], seen) if finite.any() else np.nan
         return result
 
 
-def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
+def rank_variance(fields: FrameFields, components: Array, entered: Array | None = None) -> NDArray[np.float64]:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
     from parts of the skin in contact whose values are unknown.
 
@@ -112,20 +113,18 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
     Its causes are the unknown share of the contact and the number (n,) of advected points. It is 0 in frames where
     nothing is known and there are no medians.
     """
-    assert found.known_share is not None
-    assert found.median is not None
-    share, result = found.known_share.cpu().numpy().astype(np.float64), np.zeros((len(found.known_share), 5))
+    share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
     came = np.zeros(len(share)) if entered is None else np.asarray(entered, dtype=np.float64)
-    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
-    if not len(some):
+    rows = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
+    if not len(rows):
         return result
-    fields = _stack_components(found).cpu().numpy()[some]
-    whole = np.isfinite(fields.sum(1, keepdims=True))
+    values = components[rows]
+    whole = np.isfinite(values.sum(1, keepdims=True))
     # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
-    ordered = np.where(whole, fields, np.float32(np.nan))
+    ordered = np.where(whole, values, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
-    count, frame, field = whole.sum(2), np.arange(len(some))[:, None], np.arange(5)
-    ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
+    count, frame, field = whole.sum(2), np.arange(len(rows))[:, None], np.arange(5)
+    ranks = (ordered < fields.median[rows, :, None]).sum(2)
 
     def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
@@ -138,24 +137,24 @@ def rank_variance(found: Fields, entered: NDArray[np.integer] | None = None) -> 
         spread = np.asarray((high - low) / 2, dtype=np.float64)
         return np.where(count > 0, spread**2, 0.0)
 
-    share = share[some, None]
-    result[some] = squared_half_range(count * (1 - share) / (2 * share)) / 3
+    share = share[rows, None]
+    result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
     if entered is not None:
-        result[some] += squared_half_range(np.sqrt(came[some, None]))
+        result[rows] += squared_half_range(np.sqrt(came[rows, None]))
     return result
 
 
-def _deviations_of_fits(found: Fields) -> NDArray[np.float64]:
+def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
     """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
     those of gradients whose four elements err alike.
     """
-    assert found.divergence_std is not None
-    assert found.curl_std is not None
-    divergence, curl = (nanmedian(one.cpu().numpy()) for one in (found.divergence_std, found.curl_std))
+    assert fields.divergence_std is not None
+    assert fields.curl_std is not None
+    divergence, curl = (nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
     of_element = np.sqrt((divergence**2 + curl**2) / 4)
     return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
 
 
-def _stack_components(found: Fields) -> Tensor:
-    """Stack divergence, curl, exx, eyy and exy of N points in n frames to a tensor (n, 5, N)."""
-    return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1)
+def _stack_components(fields: FrameFields) -> Array:
+    """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
+    return np.stack((fields.divergence, fields.curl, *np.moveaxis(fields.strain, -1, 0)), axis=1)

@@ -30,18 +30,18 @@ class SmoothingErrors:
 
     Args:
         reference: (N, 2) mm, positions from which displacement counts; NaN for points that are not fitted.
-        places: (N, 2) mm, positions by which points are neighbours.
+        positions: (N, 2) mm, positions by which points are neighbours.
         gauge_mm: gauge length.
     """
 
-    def __init__(self, reference: Array, places: Array, gauge_mm: float) -> None:
+    def __init__(self, reference: Array, positions: Array, gauge_mm: float) -> None:
         self._reference, self._gauge = torch.from_numpy(reference.astype(np.float64))[None], gauge_mm
-        known = np.flatnonzero(np.isfinite(places).all(1))
-        near = cKDTree(places[known]).query_pairs(gauge_mm / 2, output_type="ndarray")
-        pairs = known[np.concatenate((near, near[:, ::-1], np.arange(len(known))[:, None].repeat(2, 1)))]
-        apart = np.square(places[pairs[:, 0]] - places[pairs[:, 1]]).sum(1) / (gauge_mm / 2) ** 2
-        size = len(places)
-        self._weights = coo_array((np.square(1 - apart), pairs.T), shape=(size, size)).tocsr()
+        valid = np.flatnonzero(np.isfinite(positions).all(1))
+        near = cKDTree(positions[valid]).query_pairs(gauge_mm / 2, output_type="ndarray")
+        pairs = valid[np.concatenate((near, near[:, ::-1], np.arange(len(valid))[:, None].repeat(2, 1)))]
+        distance = np.square(positions[pairs[:, 0]] - positions[pairs[:, 1]]).sum(1) / (gauge_mm / 2) ** 2
+        size = len(positions)
+        self._weights = coo_array((np.square(1 - distance), pairs.T), shape=(size, size)).tocsr()
 
     def variance(self, displacement: Array, fields: Array, deviation: Array) -> NDArray[np.float64]:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
@@ -53,19 +53,20 @@ class SmoothingErrors:
             deviation: (n, 2, N) their standard deviations by the errors of points.
         """
         moved = torch.from_numpy(displacement.astype(np.float64))
-        own, wide = (
+        fit, wide = (
             local_gradients(self._reference, moved, gauge_length=length) for length in (self._gauge, 2 * self._gauge)
         )
         difference = fields - torch.stack((divergence(wide.gradient), curl(wide.gradient)), dim=1).numpy()
-        offset = own.centroid_offset.numpy()[:, None] / (_AT_BORDER * self._gauge)
+        offset = fit.centroid_offset.numpy()[:, None] / (_AT_BORDER * self._gauge)
         share = (1 + np.clip(offset, 0, 1)) / 2
         square = share**2 * (difference**2 - deviation.astype(np.float64) ** 2)
-        known = np.isfinite(square)
-        total, weight = (self._sums_of(one) for one in (np.where(known, square, 0.0), known.astype(np.float64)))
+        finite = np.isfinite(square)
+        total = self._sum_neighbours(np.where(finite, square, 0.0))
+        weight = self._sum_neighbours(finite.astype(np.float64))
         result: NDArray[np.float64] = np.maximum(total, 0) / np.maximum(weight, 1e-12)
         return result
 
-    def _sums_of(self, values: Array) -> Array:
+    def _sum_neighbours(self, values: Array) -> Array:
         """Return the weighted sums (n, 2, N) of values (n, 2, N) over the neighbours of each point."""
         frames, fields, points = values.shape
         sums: Array = (self._weights @ values.reshape(frames * fields, points).T).T.reshape(values.shape)

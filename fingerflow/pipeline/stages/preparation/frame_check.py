@@ -10,9 +10,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, key_of
+from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_returns import jumps_and_returns
+from fingerflow.tracker.frame_jumps import jumps_and_returns
 
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
@@ -67,7 +67,7 @@ class FrameCheckStage(Stage):
     def step(self, batch: Batch) -> None:
         assert batch.frames is not None
         indices = batch.indices
-        every = []
+        view_blocks = []
         for k, view in enumerate(self._views):
             frames = self.inputs.counts(batch.frames, view)
             blocks = _blocks(frames)
@@ -77,11 +77,11 @@ class FrameCheckStage(Stage):
             if k == 0:
                 self._light[indices] = blocks.mean((1, 2)) - self._black
                 self._saturated[indices] = (blocks > self._top).mean((1, 2))
-            every.append(blocks)
-            samples = PixelSamples.of(frames)
+            view_blocks.append(blocks)
+            samples = PixelSamples.sample(frames)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
             self._before[k] = samples.last(LONGEST + 1, self._before[k])
-        self._keys += map(key_of, zip(*every, strict=True))
+        self._keys += map(frame_key, zip(*view_blocks, strict=True))
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -99,7 +99,7 @@ class FrameCheckStage(Stage):
         status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
         if self._glass_saturated < SATURATED_SHARE:
             status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
-        distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
+        distances = np.concatenate([np.concatenate(batches) for batches in self._distances], axis=2)
         twice = copies(self._keys, distances, status == _USABLE)
         # Free the memory: these lists are larger than the results of a frame without points.
         self._distances, self._keys, self._before = [], [], []
@@ -114,13 +114,13 @@ class FrameCheckStage(Stage):
         status[jumps_and_returns(distances, status == _USABLE)] = _RETURNS
         self.usable = status == _USABLE
         self.results.put("frame_status", status)
-        for value, said in _SAID.items():
-            found = np.flatnonzero(status == value)
-            if len(found):
-                numbers = found + self.inputs.scene.recording.first_frame
-                why = f" ({reasons[int(found[0])]})" if value == _UNREADABLE else ""
+        for value, meaning in _SAID.items():
+            frames = np.flatnonzero(status == value)
+            if len(frames):
+                numbers = frames + self.inputs.scene.recording.first_frame
+                why = f" ({reasons[int(frames[0])]})" if value == _UNREADABLE else ""
                 self.warnings.append(
-                    f"{said}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
+                    f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
                 )
         doubtful = self.inputs.recording.doubtful
         if doubtful:
@@ -131,7 +131,7 @@ class FrameCheckStage(Stage):
             )
         if not self.usable.any():
             counts = ", ".join(
-                f"{int((status == value).sum())} {said}" for value, said in _SAID.items() if value in status
+                f"{int((status == value).sum())} {meaning}" for value, meaning in _SAID.items() if value in status
             )
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "

@@ -13,7 +13,7 @@ from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.torch import images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
-from fingerflow.pipeline.stages.preparation.reference import frame_asked
+from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene
@@ -44,7 +44,7 @@ class Inputs:
     # Mean background frames, read once for each file and view.
     _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)
 
-    def with_scene(self, scene: Scene) -> "Inputs":
+    def replace_scene(self, scene: Scene) -> "Inputs":
         """Return a copy of the inputs with the settings of another scene and engine "auto", but the same recording."""
         return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
 
@@ -63,10 +63,10 @@ class Inputs:
         result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
         return result
 
-    def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_topography(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
         matrix = self.topography_to_contact
-        result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        result: NDArray[np.float64] = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
         return result
 
     @property
@@ -82,10 +82,10 @@ class Inputs:
         """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
         so that contact is dark in every picture from which contact is measured.
         """
-        result: NDArray[Any] = self._with_dark_contact(view.crop(frames), view)
+        result: NDArray[Any] = self._darken_contact(view.crop(frames), view)
         return result
 
-    def _with_dark_contact(self, counts: Any, view: View) -> Any:
+    def _darken_contact(self, counts: Any, view: View) -> Any:
         return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
 
     def _is_bright(self, view: View) -> bool:
@@ -106,7 +106,7 @@ class Inputs:
         """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
         `counts`.
         """
-        picture: Tensor = self._with_dark_contact(self._still(self.scene.background.frames, view), view)
+        picture: Tensor = self._darken_contact(self._still(self.scene.background.frames, view), view)
         return picture
 
     def dark(self, view: View) -> Tensor | None:
@@ -139,7 +139,7 @@ class Inputs:
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
-            whole = [place for place in range(len(part)) if place not in part.unreadable]
+            whole = [index for index in range(len(part)) if index not in part.unreadable]
             if not whole:
                 raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
             mean = (pictures if len(whole) == len(part) else pictures[whole]).mean(axis=0, dtype=np.float64)
@@ -193,7 +193,8 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
     times = np.asarray(recording.times, dtype=np.float64)
     if settings.trigger_frame is not None:
         times = times - times[settings.trigger_frame]
-    frame_asked(scene, times[settings.first_frame : end])  # raises for a wrong reference before anything is computed
+    times = times[settings.first_frame : end]
+    requested_frame(scene, times)  # raises for a wrong reference before anything is computed
     recording = recording[settings.first_frame : end]
     for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:
@@ -201,9 +202,9 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
                 view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
-    warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
-    warnings += plausibility.of_frames(len(recording))
-    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, _engine(engine, scene, chosen))
+    warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
+    warnings += plausibility.check_frames(len(recording))
+    return Inputs(scene, recording, times, chosen, warnings, _engine(engine, scene, chosen))
 
 
 def _engine(name: str, scene: Scene, device: torch.device) -> Engine:

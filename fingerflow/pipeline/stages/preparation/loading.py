@@ -92,7 +92,7 @@ class LoadingStage(Stage):
 
     def _check_frames(self, file: Path, normal: Series, recorded: Series) -> None:
         """Warn of implausibly large forces, and of recordings that begin when the finger already presses."""
-        self.warnings.extend(plausibility.of_force(normal))
+        self.warnings.extend(plausibility.check_force(normal))
         if self.inputs.scene.kind == "slip" or not np.isfinite(normal).any():
             return
         lowest, highest = np.nanquantile(recorded, (0.01, 0.99))
@@ -106,22 +106,22 @@ class LoadingStage(Stage):
 
     def finish(self) -> None:
         ratio = self.ratio
-        given = {
+        series = {
             "normal_force": self.normal,
             "tangential_force": self.tangential,
             "tangential_direction": self.direction,
             "load_ratio": ratio,
             "force_angle": None if ratio is None else np.arctan(ratio),
         }
-        for name, values in given.items():
+        for name, values in series.items():
             if values is not None:
                 self.results.put(name, values)
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
         names = ("normal_force", "tangential_force", "tangential_direction")
-        found = {name: earlier[name].values for name in names if name in earlier}
-        self.normal, self.tangential, self.direction = map(found.get, names)
+        series = {name: earlier[name].values for name in names if name in earlier}
+        self.normal, self.tangential, self.direction = map(series.get, names)
 
     @property
     def ratio(self) -> Series | None:
@@ -142,11 +142,11 @@ def _channels(settings: ForceSettings) -> dict[str, str | int]:
 def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
     """Return the calibration of each force channel: gain, sign, offset and tare."""
 
-    def of(given: float | tuple[float, ...] | None, number: int) -> float | None:
-        return given[number] if isinstance(given, tuple) else given
+    def pick(setting: float | tuple[float, ...] | None, number: int) -> float | None:
+        return setting[number] if isinstance(setting, tuple) else setting
 
     return {
-        name: Sensor(of(settings.gain, k), of(settings.sign, k) or 1.0, of(settings.offset, k), settings.tare)
+        name: Sensor(pick(settings.gain, k), pick(settings.sign, k) or 1.0, pick(settings.offset, k), settings.tare)
         for k, name in enumerate(forces)
     }
 

@@ -37,7 +37,7 @@ _BRIGHTER_SHARE = 0.005
 Series = NDArray[np.float64]
 
 
-def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
+def check_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
     """Return a warning if the image scale makes a contact view of (rows, columns) px implausibly wide."""
     wide = mm_per_px * shape[1]
     if _NARROWEST_MM <= wide <= _WIDEST_MM:
@@ -48,7 +48,7 @@ def of_scale(mm_per_px: float, shape: tuple[int, int]) -> list[str]:
     ]
 
 
-def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
+def check_ridges(period_px: float, mm_per_px: float) -> list[str]:
     """Return a warning if the ridge period (px) at the calibrated image scale is not that of a finger; none for NaN."""
     period, (least, most) = period_px * mm_per_px, _RIDGE_MM
     if not np.isfinite(period) or least <= period <= most:
@@ -60,7 +60,7 @@ def of_ridges(period_px: float, mm_per_px: float) -> list[str]:
     ]
 
 
-def of_views(offset_px: float, mm_per_px: float) -> list[str]:
+def check_views(offset_px: float, mm_per_px: float) -> list[str]:
     """Return a warning if the calibration maps the ridges of the topography view `offset_px` px beside the same ridges
     in the contact view; none for 0.
     """
@@ -73,7 +73,7 @@ def of_views(offset_px: float, mm_per_px: float) -> list[str]:
     ]
 
 
-def of_contrast(brighter: float, darker: float, appears: str, moment: str) -> list[str]:
+def check_contrast(brighter: float, darker: float, appears: str, moment: str) -> list[str]:
     """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
     other way round.
 
@@ -82,15 +82,15 @@ def of_contrast(brighter: float, darker: float, appears: str, moment: str) -> li
     """
     if not (brighter > _BRIGHTER_SHARE and brighter > darker):
         return []
-    other, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
+    opposite, lighter = ("bright", "brighter") if appears == "dark" else ("dark", "darker")
     return [
         f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} changed as "
         f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
-        f'contact.appears = "{other}" if the finger is there'
+        f'contact.appears = "{opposite}" if the finger is there'
     ]
 
 
-def of_background(brighter: float, frame: int) -> list[str]:
+def check_background(brighter: float, frame: int) -> list[str]:
     """Return a warning if a large share `brighter` of the pixels in a frame is brighter than without a finger."""
     if not brighter > _BRIGHTER_SHARE:
         return []
@@ -100,7 +100,7 @@ def of_background(brighter: float, frame: int) -> list[str]:
     ]
 
 
-def of_young_modulus(modulus_mpa: float) -> list[str]:
+def check_young_modulus(modulus_mpa: float) -> list[str]:
     """Return a warning if a Young's modulus is implausible for skin."""
     least, most = _YOUNG_MPA
     if least <= modulus_mpa <= most:
@@ -111,7 +111,7 @@ def of_young_modulus(modulus_mpa: float) -> list[str]:
     ]
 
 
-def of_force(normal: Series) -> list[str]:
+def check_force(normal: Series) -> list[str]:
     """Return a warning if a normal force (frames,) N exceeds what a finger can exert."""
     peak = float(np.nanmax(normal, initial=0.0))
     if peak <= _MOST_FORCE:
@@ -122,7 +122,7 @@ def of_force(normal: Series) -> list[str]:
     ]
 
 
-def of_pressure(normal: Series, gross: Series) -> list[str]:
+def check_pressure(normal: Series, gross: Series) -> list[str]:
     """Return a warning if the mean pressure, from forces (N) and gross areas (mm^2), is implausible for a fingertip."""
     touching = np.isfinite(normal) & (gross > 0)
     if not touching.any():
@@ -139,18 +139,18 @@ def of_pressure(normal: Series, gross: Series) -> list[str]:
     ]
 
 
-def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
+def check_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
     """Return a warning if contact (gross areas in mm^2) and normal force (N) do not begin in the same frame.
 
     Force without contact counts everywhere; contact without force only until the force is largest, as skin that lets go
     adheres. The area that needs no measurable force follows from A ~ F^(1/3).
     """
-    known = np.isfinite(normal) & np.isfinite(gross)
-    if not known.any() or not (gross[known] > 0).any():
+    measured = np.isfinite(normal) & np.isfinite(gross)
+    if not measured.any() or not (gross[measured] > 0).any():
         return []
-    force, area = np.where(known, normal, 0.0), np.where(known, gross, 0.0)
+    force, area = np.where(measured, normal, 0.0), np.where(measured, gross, 0.0)
     peak, largest = float(force.max()), float(area.max())
-    nothing = known & (area == 0)
+    nothing = measured & (area == 0)
     least, share = _FORCE_OF_NOTHING
     pressing = nothing & (np.abs(force) > max(least, share * peak))
     cause = (
@@ -164,7 +164,7 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
             f"{int(pressing.sum())} frames): {cause}"
         ]
     noise = max(_NOISE, 5 * float(force[nothing].std())) if nothing.sum() > 2 else _NOISE
-    light = known & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
+    light = measured & (force < noise) & (np.arange(len(force)) <= int(np.argmax(force)))
     unloaded = np.where(light, area, 0.0)
     frame = int(np.argmax(unloaded))
     if peak < 10 * noise or unloaded[frame] <= _SAFE * largest * (noise / peak) ** _AREA_BY_FORCE:
@@ -175,14 +175,14 @@ def of_onset(normal: Series, gross: Series, first_frame: int) -> list[str]:
     ]
 
 
-def of_growth(normal: Series, gross: Series) -> list[str]:
+def check_growth(normal: Series, gross: Series) -> list[str]:
     """Return a warning if the contact area (mm^2) stops growing at the end of a recording while the force (N) rises."""
-    known = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
-    last = known[-(len(known) // 10) :]
+    measured = np.flatnonzero(np.isfinite(normal) & np.isfinite(gross))
+    last = measured[-(len(measured) // 10) :]
     if len(last) < _BESIDE:
         return []
     parts = np.array_split(last, 3)
-    (force, more), (area, larger) = ([float(one[part].mean()) for part in parts[::2]] for one in (normal, gross))
+    (force, more), (area, larger) = ([float(series[part].mean()) for part in parts[::2]] for series in (normal, gross))
     if force <= _NOISE or area <= 0 or more < _RISES * force or larger > area * (more / force) ** _FOLLOWS:
         return []
     return [
@@ -192,22 +192,22 @@ def of_growth(normal: Series, gross: Series) -> list[str]:
     ]
 
 
-def of_beginning(gross: Series, first_frame: int) -> list[str]:
+def check_beginning(gross: Series, first_frame: int) -> list[str]:
     """Return a warning if a recording begins when the finger already touches the glass, from gross areas in mm^2."""
-    known = np.flatnonzero(np.isfinite(gross))
-    if not len(known):
+    measured = np.flatnonzero(np.isfinite(gross))
+    if not len(measured):
         return []
-    first, largest = float(gross[known[0]]), float(gross[known].max())
+    first, largest = float(gross[measured[0]]), float(gross[measured].max())
     if first <= _STARTS * largest or largest <= _GROWS * first:
         return []
     return [
-        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame {known[0] + first_frame}. "
-        f"Skin there has no onset, and its displacement and strain lack what came before: lower recording.first_frame, "
-        f"record earlier, or give fields.reference"
+        f"the recording begins in contact: {first:.3g} of {largest:.3g} mm² touch in frame "
+        f"{measured[0] + first_frame}. Skin there has no onset, and its displacement and strain lack what came before: "
+        f"lower recording.first_frame, record earlier, or give fields.reference"
     ]
 
 
-def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> list[str]:
+def check_missing_frames(gross: Series, normal: Series | None, first_frame: int) -> list[str]:
     """Return a warning if the gross area (mm^2) jumps between two successive frames, as if frames were missing.
 
     A step of the force (N) by as large a share is a real one.
@@ -216,17 +216,17 @@ def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) ->
     if len(step) <= 2 * _BESIDE or not largest > 0:
         return []
     around = np.lib.stride_tricks.sliding_window_view(step, 2 * _BESIDE + 1)
-    usual = np.max([np.median(one, axis=1) for one in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
+    usual = np.max([np.median(steps, axis=1) for steps in (around[:, :_BESIDE], around[:, _BESIDE + 1 :])], axis=0)
     touching = np.lib.stride_tricks.sliding_window_view(gross, 2 * _BESIDE + 2).min(1) > 0
     steps = step[_BESIDE:-_BESIDE]
     jumps = touching & (steps > _MISSING * usual) & (steps > _LEAST_STEP * largest)
     if normal is not None:
         by_force = np.abs(np.diff(normal))[_BESIDE:-_BESIDE] / max(float(np.nanmax(normal, initial=0.0)), 1e-9)
         jumps &= ~(by_force > steps / largest / 2)
-    found = np.flatnonzero(jumps) + _BESIDE
-    if not len(found):
+    frames = np.flatnonzero(jumps) + _BESIDE
+    if not len(frames):
         return []
-    frame = found[0]
+    frame = frames[0]
     return [
         f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
         f"{frame + first_frame} and {frame + 1 + first_frame}, {step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} "
@@ -235,48 +235,48 @@ def of_missing_frames(gross: Series, normal: Series | None, first_frame: int) ->
     ]
 
 
-def of_frames(frames: int) -> list[str]:
+def check_frames(frames: int) -> list[str]:
     """Return a warning if a recording has only one selected frame."""
     if frames > 1:
         return []
     return ["one frame: nothing has moved since, displacement, divergence and strain are 0 by definition"]
 
 
-def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
+def check_areas(real: Series, gross: Series, view_area: float, radius_px: int, first_frame: int) -> list[str]:
     """Return warnings if the real contact area exceeds the gross area, or if the gross area jumps; areas in mm^2.
 
     `view_area` is the area of the view, mm^2. Of a contact that has less than a few ridges, the deviation of the gross
     area says so.
     """
-    said = []
+    warnings = []
     more = np.flatnonzero((real > gross) & (gross > _FEW_RIDGES_MM2))
     if len(more):
         frame = more[0]
-        said.append(
+        warnings.append(
             f"in {len(more)} frames, the first is {frame + first_frame}, the real contact area is larger than the "
             f"gross one ({real[frame]:.3g} and {gross[frame]:.3g} mm²), of which it is a part: "
             f"contact.gross_radius_px = {radius_px} is less than half the distance between ridges"
         )
-    known = np.flatnonzero(np.isfinite(gross))
-    jumps = np.flatnonzero(np.abs(np.diff(gross[known])) > _JUMP * view_area)
+    measured = np.flatnonzero(np.isfinite(gross))
+    jumps = np.flatnonzero(np.abs(np.diff(gross[measured])) > _JUMP * view_area)
     if len(jumps):
-        before, after = known[jumps[0]], known[jumps[0] + 1]
-        said.append(
+        before, after = measured[jumps[0]], measured[jumps[0] + 1]
+        warnings.append(
             f"the gross contact area jumps from {gross[before]:.3g} to {gross[after]:.3g} mm² between frames "
             f"{before + first_frame} and {after + first_frame}: more likely the light has changed by more than can be "
             f"told from contact. Look at these frames; record the empty glass at that light, or leave them out by "
             f"recording.first_frame and last_frame"
         )
-    return said
+    return warnings
 
 
-def of_points(found: int, asked: int, min_distance_px: float, region_px: int) -> list[str]:
+def check_points(seeded: int, requested: int, min_distance_px: float, region_px: int) -> list[str]:
     """Return a warning if far fewer points were seeded than requested, in a region of `region_px` pixels."""
-    if found >= _FEW_FOUND * asked:
+    if seeded >= _FEW_FOUND * requested:
         return []
     # Upper bound of the number of points: one for each square of side `min_distance_px`.
     room = round(region_px / min_distance_px**2)
-    if room < asked:
+    if room < requested:
         why = (
             f"the region of {region_px} px has room for some {room} that lie {min_distance_px:g} px apart. Lower "
             f"tracking.min_distance_px, ask for fewer in tracking.points, or make the region larger"
@@ -286,10 +286,10 @@ def of_points(found: int, asked: int, min_distance_px: float, region_px: int) ->
             f"the region of {region_px} px has room for {room}, but no more corners stand out of the noise. Check "
             f"focus and light, or ask for fewer in tracking.points"
         )
-    return [f"{found} of {asked} points were found: {why}"]
+    return [f"{seeded} of {requested} points were found: {why}"]
 
 
-def of_tracking(share: Series, first_frame: int) -> list[str]:
+def check_tracking(share: Series, first_frame: int) -> list[str]:
     """Return a warning if the share (frames,) of tracked points is low in some frames; NaN without points."""
     few = np.flatnonzero(share < _FEW_TRACKED)
     if not len(few):
@@ -300,23 +300,23 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
     ]
 
 
-def of_windows(share: Series, first_frame: int) -> list[str]:
+def check_windows(share: Series, first_frame: int) -> list[str]:
     """Return a warning if the image windows around some points no longer resemble the windows in the frame in which
     these points were seeded.
 
     `share` (frames,) is their share of the points, NaN without points.
     """
-    some = np.flatnonzero(share > 0)
-    if not len(some):
+    frames = np.flatnonzero(share > 0)
+    if not len(frames):
         return []
     return [
-        f"points were followed to where their window differs from that in which they were seeded, in {len(some)} "
-        f"frames, the first is {some[0] + first_frame}, up to {np.max(share[some]):.1%} of them: their positions are "
-        f"NaN there (status window_differs)"
+        f"points were followed to where their window differs from that in which they were seeded, in {len(frames)} "
+        f"frames, the first is {frames[0] + first_frame}, up to {np.max(share[frames]):.1%} of them: their positions "
+        f"are NaN there (status window_differs)"
     ]
 
 
-def of_impulses(share: float) -> list[str]:
+def check_impulses(share: float) -> list[str]:
     """Return a warning if a large fraction `share` of the pixels of the topography view differs from all pixels around
     (salt-and-pepper noise).
     """
@@ -328,32 +328,32 @@ def of_impulses(share: float) -> list[str]:
     ]
 
 
-def of_dust(share: Series, first_frame: int) -> list[str]:
+def check_dust(share: Series, first_frame: int) -> list[str]:
     """Return a warning if tracked points are held back by something that rests on the glass, such as dust; `share`
     (frames,) is the fraction of points held back in each frame.
     """
-    some = np.flatnonzero(share > 0)
-    if not len(some):
+    frames = np.flatnonzero(share > 0)
+    if not len(frames):
         return []
     return [
         f"something rests on the glass while the skin moves, as dust does, or the motion jumps inside windows: up to "
-        f"{np.max(share[some]):.1%} of the points were held back, in {len(some)} frames, the first is "
-        f"{some[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
+        f"{np.max(share[frames]):.1%} of the points were held back, in {len(frames)} frames, the first is "
+        f"{frames[0] + first_frame}. Their positions are NaN there (status dust_in_window). Clean the glass"
     ]
 
 
-def of_unknown_fields(median: Series, known: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
+def check_fields(median: Series, coverage: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
     """Return a warning if the median of a deformation field over the contact is NaN in frames whose contact is more
     than two gauge lengths wide.
 
-    `median` and `known` (frames,) are a median over the contact, and the share of the contact where fields are known;
-    `gross` is the gross area, mm^2.
+    `median` and `coverage` (frames,) are a median over the contact, and the share of the contact in which fields are
+    known; `gross` is the gross area, mm^2.
     """
     unknown = np.flatnonzero(np.isnan(median) & (gross > np.pi * gauge_mm**2))
     if not len(unknown):
         return []
     frame = unknown[0]
-    share = float(np.nan_to_num(known[frame]))
+    share = float(np.nan_to_num(coverage[frame]))
     return [
         f"medians of divergence, curl and strain are NaN in {len(unknown)} frames with contact, the first is "
         f"{frame + first_frame}: fields are known in {share:.0%} of the contact there, {LEAST_SHARE:.0%} are needed "
@@ -362,7 +362,7 @@ def of_unknown_fields(median: Series, known: Series, gross: Series, gauge_mm: fl
     ]
 
 
-def of_unknown_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
+def check_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: int) -> list[str]:
     """Return a warning if the strain energy (frames,) is NaN in frames whose contact is two gauge lengths wide."""
     unknown = np.flatnonzero(np.isnan(energy) & (gross > np.pi * gauge_mm**2))
     if not len(unknown):
@@ -373,23 +373,23 @@ def of_unknown_energy(energy: Series, gross: Series, gauge_mm: float, first_fram
     ]
 
 
-def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
+def check_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
     """Return warnings if the gauge length is too short for the point spacing or longer than the contact is wide.
 
     `points` (N, 2) mm are positions at first contact, NaN for points never in contact; `contact_mm` is the least
     diameter of the largest contact.
     """
-    known = points[np.isfinite(points).all(1)]
+    touching = points[np.isfinite(points).all(1)]
     if not np.isfinite(contact_mm):
         return []
-    if len(known) < 3:
+    if len(touching) < 3:
         return [
-            f"{len(known)} of {len(points)} points come into contact: no gradient can be fitted. Ask for more points"
+            f"{len(touching)} of {len(points)} points come into contact: no gradient can be fitted. Ask for more points"
         ]
-    spread = np.sqrt(np.prod(np.ptp(known, axis=0)) / len(known))
+    spread = np.sqrt(np.prod(np.ptp(touching, axis=0)) / len(touching))
     if gauge_mm < _POINTS_IN_GAUGE * spread:
         return [
-            f"fields.gauge_length_mm = {gauge_mm:g}, and {len(known)} points lie some {spread:.2g} mm apart: a "
+            f"fields.gauge_length_mm = {gauge_mm:g}, and {len(touching)} points lie some {spread:.2g} mm apart: a "
             f"gradient has few neighbours or none. Take {_POINTS_IN_GAUGE * spread:.2g} mm or more, or more points"
         ]
     if gauge_mm > contact_mm:

@@ -37,55 +37,55 @@ class Reference(NamedTuple):
         return {"reference": self.definition, **frame}
 
 
-def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
+def requested_frame(scene: Scene, times: NDArray[np.float64]) -> int | None:
     """Return the frame that the setting `fields.reference` gives as a number or time; None for a word such as "onset".
 
     Frames count from 0 at the first selected frame; `times` (frames,) s. Raises FingerflowError for a frame outside the
     selection.
     """
-    asked, first = scene.fields.reference, scene.recording.first_frame
-    seconds = seconds_of(asked)
+    setting, first = scene.fields.reference, scene.recording.first_frame
+    seconds = seconds_of(setting)
     if seconds is not None:
         step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if not times[0] - step / 2 <= seconds <= times[-1] + step / 2:
             raise FingerflowError(
-                f"{scene.path}: fields.reference is {asked!r}, and the frames that count last from {times[0]:g} to "
+                f"{scene.path}: fields.reference is {setting!r}, and the frames that count last from {times[0]:g} to "
                 f"{times[-1]:g} s from the trigger; give a time between"
             )
         return int(np.argmin(np.abs(times - seconds)))
-    if isinstance(asked, int):
-        if not 0 <= asked - first < len(times):
+    if isinstance(setting, int):
+        if not 0 <= setting - first < len(times):
             raise FingerflowError(
-                f"{scene.path}: fields.reference is {asked}, and the frames that count are {first} to "
+                f"{scene.path}: fields.reference is {setting}, and the frames that count are {first} to "
                 f"{first + len(times) - 1}; give one of them"
             )
-        return asked - first
+        return setting - first
     return None
 
 
-def reference_of(
+def resolve_reference(
     scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
 ) -> Reference:
     """Return the reference frame of displacement for a scene, given times (s) and status of all frames.
 
     Raises FingerflowError for a frame outside the selection or an unusable one.
     """
-    asked, first = scene.fields.reference, scene.recording.first_frame
-    if asked == "onset":
+    setting, first = scene.fields.reference, scene.recording.first_frame
+    if setting == "onset":
         return Reference(None, _ONSET)
     usable = np.flatnonzero(status == FRAME_STATUS.index("usable"))
-    frame = frame_asked(scene, times)
+    frame = requested_frame(scene, times)
     if frame is None:
         frame = int(usable[0])
         if frame:
             warnings.append(
-                f"fields.reference is {asked!r}: frame {first} is {FRAME_STATUS[status[0]]}, so displacement counts "
+                f"fields.reference is {setting!r}: frame {first} is {FRAME_STATUS[status[0]]}, so displacement counts "
                 f"from frame {frame + first}, the first that can be measured"
             )
     if frame not in usable:
         near = int(usable[np.argmin(np.abs(usable - frame))]) + first
         raise FingerflowError(
-            f"{scene.path}: fields.reference is {asked!r}, which is frame {frame + first}: it is "
+            f"{scene.path}: fields.reference is {setting!r}, which is frame {frame + first}: it is "
             f"{FRAME_STATUS[status[frame]]}, so no point is known there; take frame {near}"
         )
     return Reference(

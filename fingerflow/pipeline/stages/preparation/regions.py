@@ -20,7 +20,7 @@ def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
     view = scene.views[name]
     if view.region is None:
         return None
-    place = f"{scene.path}: views.{name}.region"
+    key = f"{scene.path}: views.{name}.region"
     mask = np.zeros(view.shape, dtype=bool)
     if view.region.mask is None:
         for row, first, end in region_runs(asdict(view.region), *view.shape):
@@ -29,16 +29,16 @@ def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
         path = view.region.mask
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.stat().st_size else None
         if picture is None:
-            raise FingerflowError(f"{place}: {path} is no picture that can be read; save it as PNG")
+            raise FingerflowError(f"{key}: {path} is no picture that can be read; save it as PNG")
         if picture.shape != view.shape:
             raise FingerflowError(
-                f"{place}: {path} has {picture.shape[0]} x {picture.shape[1]} px, the view {view.shape[0]} x "
+                f"{key}: {path} has {picture.shape[0]} x {picture.shape[1]} px, the view {view.shape[0]} x "
                 f"{view.shape[1]}; draw it on the view, pixel by pixel"
             )
         mask = picture > 0
     if not mask.any():
         raise FingerflowError(
-            f"{place} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px; its px are counted from the "
+            f"{key} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px; its px are counted from the "
             f"view's own corner"
         )
     return mask

@@ -31,7 +31,7 @@ class SkinPatch(NamedTuple):
     scale: float
 
 
-def skin_in(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
+def skin_patch(contact: NDArray[np.number], light: NDArray[np.floating], inside: NDArray[np.bool_]) -> SkinPatch | None:
     """Return the patch of skin within the mask `inside` (h, w) of a contact view; None if the patch is too small.
 
     Single pixels, hot or dead, are removed by a median.
@@ -77,15 +77,16 @@ def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_con
     matrix = topography_to_contact - [[0, 0, columns.start], [0, 0, rows.start]]
     size = columns.stop - columns.start, rows.stop - rows.start
     picture = np.asarray(cv2.warpAffine(topography.astype(np.float32), matrix, size), np.float32)
-    other = _flat(_reduced(picture, skin.scale), np.ones_like(skin.inside))
-    other /= np.sqrt(np.maximum(_mean(other * other), np.float32(1e-12)))
-    product = np.conj(np.fft.rfft2(skin.ridges)) * np.fft.rfft2(other)
-    reach = min(_REACH_PX, *(side // 4 for side in other.shape))
-    found = np.roll(np.fft.irfft2(product, other.shape), (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-    found = np.abs(found) / max(np.linalg.norm(skin.ridges) * np.linalg.norm(other[skin.inside]), 1e-30)
-    down, across = np.unravel_index(np.argmax(found), found.shape)
-    best = found[down, across]
-    if not best >= _LEAST_CORRELATION or found[reach, reach] > _WEAKER * best:
+    pattern = _flat(_reduced(picture, skin.scale), np.ones_like(skin.inside))
+    pattern /= np.sqrt(np.maximum(_mean(pattern * pattern), np.float32(1e-12)))
+    product = np.conj(np.fft.rfft2(skin.ridges)) * np.fft.rfft2(pattern)
+    reach = min(_REACH_PX, *(side // 4 for side in pattern.shape))
+    correlation = np.roll(np.fft.irfft2(product, pattern.shape), (reach, reach), (0, 1))
+    norm = max(np.linalg.norm(skin.ridges) * np.linalg.norm(pattern[skin.inside]), 1e-30)
+    correlation = np.abs(correlation[: 2 * reach + 1, : 2 * reach + 1]) / norm
+    down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
+    best = correlation[down, across]
+    if not best >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * best:
         return 0.0
     return float(np.hypot(down - reach, across - reach)) / skin.scale
 

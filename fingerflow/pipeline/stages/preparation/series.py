@@ -11,11 +11,11 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     # Make the sorted axis contiguous: sorting and counting are then twice as fast.
     ordered = np.array(np.moveaxis(values, 1, -1), order="C")
     ordered.sort(axis=-1)  # NaN last
-    known = (~np.isnan(ordered)).sum(-1)
-    first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(known.shape), ordered.ravel()
+    count = (~np.isnan(ordered)).sum(-1)
+    first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(count.shape), ordered.ravel()
     last = len(flat) - 1  # upper bound of the index, which may lie beyond the end where all values are NaN
-    low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
-    result: NDArray[np.float64] = np.where(known > 0, (low + high) / 2, np.nan).astype(np.float64)
+    low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(count - 1, 0) // 2, count // 2))
+    result: NDArray[np.float64] = np.where(count > 0, (low + high) / 2, np.nan).astype(np.float64)
     return result
 
 
@@ -47,6 +47,6 @@ def _slopes(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
     at = np.arange(-half, half + 1.0)
     bend = at**2 - (at**2).mean()  # orthogonal to the line and to the constant
     middle = np.correlate(values, at, mode="valid") / (at**2).sum()
-    first, last = (some @ bend / (bend**2).sum() for some in (values[: len(at)], values[-len(at) :]))
+    first, last = (samples @ bend / (bend**2).sum() for samples in (values[: len(at)], values[-len(at) :]))
     before, after = middle[0] + 2 * first * at[:half], middle[-1] + 2 * last * at[half + 1 :]
     return np.concatenate((before, middle, after))

@@ -90,12 +90,12 @@ class DenseFlowSlipStage(SlipStage):
                 f"in {len(self._lost)} frames, the first is {self._lost[0] + first}, dense flow and light explain less "
                 f"than half of the skin: it is left out there"
             )
-        apart = np.flatnonzero(self._apart > _DISAGREE)
-        if len(apart):
+        disagreeing = np.flatnonzero(self._apart > _DISAGREE)
+        if len(disagreeing):
             worst = int(np.nanargmax(self._apart))
             self.warnings.append(
-                f"in {len(apart)} frames dense flow and tracked points differ by more than {_DISAGREE:.0f} of their "
-                f"standard deviations in the median, most in frame {worst + first} "
+                f"in {len(disagreeing)} frames dense flow and tracked points differ by more than {_DISAGREE:.0f} of "
+                f"their standard deviations in the median, most in frame {worst + first} "
                 f"({1000 * self._median[worst]:.1f} µm): one of them is wrong. Look at the video, and take [slip] "
                 f'displacement = "points" where the flow departs'
             )
@@ -105,7 +105,7 @@ class DenseFlowSlipStage(SlipStage):
         border.
         """
         image = self._topography(self.inputs.recording[[0]].read())
-        mask = self._pixels_of(grid, (image.shape[-2], image.shape[-1]))
+        mask = self._pixel_mask(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
         self._flow = SkinFlow(image, mask, quarter / self.inputs.topography_mm_per_px)
         return FlowResponse(self._flow.template, image, mask, self.inputs.topography_mm_per_px)
@@ -123,15 +123,15 @@ class DenseFlowSlipStage(SlipStage):
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
-        places = self._pixels_at(grid.points)
-        found = flow.follow(
+        pixels = self.inputs.on_topography(grid.points).astype(np.float32)
+        motion = flow.follow(
             image,
-            places,
+            pixels,
             (moved @ back).astype(np.float32),
             lambda: self._spread((grid.displacement(moved) @ back).astype(np.float32), grid, shape),
         )
-        both = np.dstack((found.displacement, found.variance))
-        cells = _sampled(both, self._pixels_at(grid.places))
+        both = np.dstack((motion.displacement, motion.variance))
+        cells = _sampled(both, self.inputs.on_topography(grid.centers).astype(np.float32))
         if not np.isfinite(cells[grid.known, 2]).mean() >= _LEAST:
             self._lost.append(frame)
             return
@@ -139,7 +139,7 @@ class DenseFlowSlipStage(SlipStage):
         in_mm[~grid.known] = np.nan
         self.results["skin_displacement"][[frame]] = in_mm[None]
         self._flow_deviation[frame] = math.sqrt(float(np.nanmedian(cells[grid.known, 2])))
-        self._compare(frame, moved, _sampled(both, places))
+        self._compare(frame, moved, _sampled(both, pixels))
 
     def _compare(self, frame: int, moved: NDArray[np.float64], flow: Field) -> None:
         """Store by how much the dense flow differs from the displacements `moved` (N, 2) mm of points in a frame:
@@ -147,21 +147,16 @@ class DenseFlowSlipStage(SlipStage):
 
         `flow` (N, 3) is sampled at the points: displacement, px, and its variance, px^2.
         """
-        apart = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
-        known = np.isfinite(apart)
-        if not known.any():
+        difference = np.linalg.norm(flow[:, :2] @ self._of_px.T - moved, axis=-1)
+        valid = np.isfinite(difference)
+        if not valid.any():
             return
-        self._median[frame], self._most[frame] = np.quantile(apart[known], (0.5, 0.95))
-        variance = flow[known, 2] + self._variance_of_points(frame)[known]
-        length = apart[known] / (np.sqrt(variance) * self.inputs.topography_mm_per_px)
+        self._median[frame], self._most[frame] = np.quantile(difference[valid], (0.5, 0.95))
+        deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known].astype(np.float64)
+        variance = flow[valid, 2] + np.square(deviation[valid])
+        length = difference[valid] / (np.sqrt(variance) * self.inputs.topography_mm_per_px)
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
-
-    def _variance_of_points(self, frame: int) -> NDArray[np.float64]:
-        if "position_std_px" not in self.results:
-            return np.zeros(int(self._known.sum()))
-        deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known]
-        return np.asarray(deviation, dtype=np.float64) ** 2
 
     def _motion(self, frames: Any) -> NDArray[Any]:
         return np.asarray(self.results["skin_displacement"][frames])
@@ -169,33 +164,28 @@ class DenseFlowSlipStage(SlipStage):
     def _measured(self, frames: Any) -> NDArray[Any]:
         return self._motion(frames)
 
-    def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        return np.asarray(grid.at_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
+    def _point_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+        return np.asarray(grid.sample_points(grid.fine(motion.astype(np.float32, copy=False))), dtype=np.float64)
 
-    def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
+    def _cell_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
         """Return the dense-flow displacement (rows, columns, 2) mm at the contact cells of one frame, with gaps filled.
 
         Cells that are not known by points (`SlipGrid.known`) are 0; all are NaN where no cell is known.
         """
-        known = np.isfinite(motion).all(-1)
-        if not known.any():
+        valid = np.isfinite(motion).all(-1)
+        if not valid.any():
             return np.full(motion.shape, np.nan, np.float32)
-        row, column = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        row, column = distance_transform_edt(~valid, return_distances=False, return_indices=True)
         filled = motion[row, column].astype(np.float32)
         filled[~grid.known] = 0
         return np.asarray(filled)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
-        places = grid.places + motion
-        return np.asarray(places[np.isfinite(places).all(-1)])
+        positions = grid.centers + motion
+        return np.asarray(positions[np.isfinite(positions).all(-1)])
 
-    def _deviation_of(self, frame: int) -> float:
+    def _noise_level(self, frame: int) -> float:
         return float(self._flow_deviation[frame])
-
-    def _pixels_at(self, places: NDArray[np.float64]) -> Field:
-        """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
-        origin = self.inputs.on_glass(np.zeros(2))
-        return np.asarray((places - origin) @ np.linalg.inv(self._of_px).T, dtype=np.float32)
 
     def _columns_and_rows(self, grid: SlipGrid, shape: tuple[int, int]) -> tuple[Field, Field]:
         """Return the position of every pixel of the topographic view in the grid of contact cells, as fractional column
@@ -203,11 +193,11 @@ class DenseFlowSlipStage(SlipStage):
         """
         y, x = np.indices(shape)
         pixels = np.stack((x, y), -1).astype(np.float64)
-        cells = (self.inputs.on_glass(pixels) - grid.places[0, 0]) / (4 * grid.fine_mm)
+        cells = (self.inputs.on_glass(pixels) - grid.centers[0, 0]) / (4 * grid.fine_mm)
         column, row = (np.ascontiguousarray(cells[..., k], dtype=np.float32) for k in (0, 1))
         return column, row
 
-    def _pixels_of(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
+    def _pixel_mask(self, grid: SlipGrid, shape: tuple[int, int]) -> Mask:
         """Return the mask (H, W) of the pixels of the topographic view that lie in contact cells near tracked points,
         dilated by `_BESIDE_PX`.
         """

@@ -41,10 +41,10 @@ class FlowResponse:
         growth = _LARGEST_PX / border
         length = (growth * np.maximum(beyond, 0)).astype(np.float32)
         distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
-        found = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
-        known = np.isfinite(found)
-        blur = found[known] / growth
-        self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px
+        excess = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
+        measured = np.isfinite(excess)
+        blur = excess[measured] / growth
+        self._distances, self._blur = distances[measured] * mm_per_px, blur * mm_per_px
 
     def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the displacement, mm, that the flow measures at signed distances in mm beyond the slip border.
@@ -79,8 +79,8 @@ def _blur(
     moved = np.asarray(cv2.remap(picture, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE))
     start = np.zeros((1, 2, height, width), np.float32)
     start[0, axis] = length
-    given, initial = (torch.from_numpy(one).to(image.device) for one in (moved[None, None], start))
-    found = find_flow(template, given, initial, warps=2).displacement[0, axis].cpu().numpy()
-    counted = mask & np.isfinite(found)
+    displaced, initial = (torch.from_numpy(array).to(image.device) for array in (moved[None, None], start))
+    flow = find_flow(template, displaced, initial, warps=2).displacement[0, axis].cpu().numpy()
+    counted = mask & np.isfinite(flow)
     near = [counted & (np.abs(beyond - at) < 1) for at in distances]
-    return np.array([(found - length)[here].mean() if here.any() else np.nan for here in near])
+    return np.array([(flow - length)[here].mean() if here.any() else np.nan for here in near])

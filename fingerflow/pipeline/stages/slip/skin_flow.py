@@ -73,27 +73,27 @@ class SkinFlow:
         self._known = FlowMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
         self._picture: Tensor | None = None  # last explained picture, None right after a reference update
 
-    def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
+    def follow(self, image: Tensor, positions: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
         """Return the displacement of the skin from the first frame to `image`, the next frame of the recording.
 
         Args:
             image: (1, 1, H, W).
-            places: (P, 2) px of tracked points in the first picture.
+            positions: (P, 2) px of tracked points in the first picture.
             moved: (P, 2) px, their displacement in this one, NaN where lost.
             expected: returns an initial displacement (H, W, 2) px where the flow is lost.
         """
         seen = np.isfinite(moved).all(-1)
-        beside = _of_nearest(places[seen], moved[seen], self._mask.shape)
+        nearest = _nearest_displacement(positions[seen], moved[seen], self._mask.shape)
         start = self._last + self._speed
         if self._unsure:
             start = torch.where(start.isfinite(), start, _planes(expected(), start))
-        motion = self._found(image, start, 1, beside)
+        motion = self._match(image, start, 1, nearest)
         if motion.explained < _FEWEST:
             start = _planes(expected(), start)
-            motion = _better(motion, self._found(image, start, 2, beside))
+            motion = _better(motion, self._match(image, start, 2, nearest))
             if motion.explained < _FEWEST and self._picture is not None:
                 self._renew(self._picture)
-                motion = _better(motion, self._found(image, start, 2, beside))
+                motion = _better(motion, self._match(image, start, 2, nearest))
         here = _planes(motion.displacement, start)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
         # The speed is set to 0 after a jump.
@@ -109,17 +109,18 @@ class SkinFlow:
         self.template = prepare_flow(image, inside, roughness=ROUGHNESS, noise=self._noise)
         value = self.template.value[0, 0].cpu().numpy()
         size = (_TEXTURE_PX, _TEXTURE_PX)
-        mean, squares = (cv2.blur(one, size, borderType=cv2.BORDER_REFLECT) for one in (value, value * value))
+        mean, squares = (cv2.blur(picture, size, borderType=cv2.BORDER_REFLECT) for picture in (value, value * value))
         self._texture = np.sqrt(np.maximum(squares - mean * mean, 0))
         self._compared = mask
 
-    def _found(self, image: Tensor, start: Tensor, warps: int, beside: Field) -> FlowMotion:
+    def _match(self, image: Tensor, start: Tensor, warps: int, nearest: Field) -> FlowMotion:
         flow = find_flow(self.template, image, start, warps)
-        displacement, residual = (one[0].permute(1, 2, 0).cpu().numpy() for one in (flow.displacement, flow.residual))
+        displacement = flow.displacement[0].permute(1, 2, 0).cpu().numpy()
+        residual = flow.residual[0, 0].cpu().numpy()
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
         of_noise = LEFT_BY_NOISE["brightness"] ** 2 * float(self.template.variance)
-        left = np.sqrt(np.maximum(residual[..., 0] ** 2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
-        contradicted = np.linalg.norm(displacement - beside, axis=-1) > self._apart  # False where no point is tracked
+        left = np.sqrt(np.maximum(residual**2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
+        contradicted = np.linalg.norm(displacement - nearest, axis=-1) > self._apart  # False where no point is tracked
         believed = np.isfinite(variance) & (left < 1) & ~contradicted
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
@@ -129,18 +130,18 @@ class SkinFlow:
         """Replace the reference image of the flow by a later frame `picture` (1, 1, H, W), warped back to the first
         frame by the displacement found for it.
         """
-        known = np.isfinite(self._known.variance)
-        y, x = np.indices(known.shape, dtype=np.float32)
+        valid = np.isfinite(self._known.variance)
+        y, x = np.indices(valid.shape, dtype=np.float32)
         went = np.nan_to_num(self._known.displacement)
         pixels = picture[0, 0].cpu().numpy().astype(np.float32)
         back = cv2.remap(pixels, x + went[..., 0], y + went[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
         self._walked = np.nan_to_num(self._known.variance)
-        self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), known)
+        self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), valid)
         self.renewed, self._picture = self.renewed + 1, None
 
 
-def _better(one: FlowMotion, other: FlowMotion) -> FlowMotion:
-    return max(one, other, key=lambda motion: motion.explained)
+def _better(first: FlowMotion, second: FlowMotion) -> FlowMotion:
+    return max(first, second, key=lambda motion: motion.explained)
 
 
 def _planes(field: Field, like: Tensor) -> Tensor:
@@ -148,14 +149,14 @@ def _planes(field: Field, like: Tensor) -> Tensor:
     return torch.from_numpy(field.transpose(2, 0, 1)[None]).to(like)
 
 
-def _of_nearest(places: Field, moved: Field, shape: tuple[int, ...]) -> Field:
-    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point, given positions `places` (P, 2) px
-    and displacements `moved` (P, 2); NaN without points.
+def _nearest_displacement(positions: Field, moved: Field, shape: tuple[int, ...]) -> Field:
+    """Return for each pixel the displacement (H, W, 2) of the nearest tracked point, from `positions` (P, 2) px and
+    displacements `moved` (P, 2); NaN without points.
     """
-    if not len(places):
+    if not len(positions):
         return np.full((*shape, 2), np.nan, np.float32)
     empty = np.ones(shape, np.uint8)
-    column, row = np.clip(np.rint(places).astype(int), 0, np.array(shape)[::-1] - 1).T
+    column, row = np.clip(np.rint(positions).astype(int), 0, np.array(shape)[::-1] - 1).T
     empty[row, column] = 0
     # Zero pixels are labelled row by row; where points share a pixel, the last one is used.
     _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)

@@ -18,33 +18,33 @@ class SkinSurface:
 
     Args:
         points: (N, 2) mm, finite and not all on a line.
-        places: (Q, 2) mm.
+        positions: (Q, 2) mm.
 
     Raises:
         ValueError: the points do not span an area.
     """
 
-    def __init__(self, points: Points, places: Points) -> None:
+    def __init__(self, points: Points, positions: Points) -> None:
         if len(points) < _FEWEST:
             raise ValueError(f"{len(points)} points do not span an area: a displacement between them is not known")
         centre = points.mean(0)
         # Divide by the spread of the points, so that the matrices are well conditioned.
         scale = float(np.abs(points - centre).max()) or 1.0
-        own, asked = (points - centre) / scale, (places - centre) / scale
-        plane = np.concatenate((np.ones((len(own), 1)), own), 1)
+        scaled, queries = (points - centre) / scale, (positions - centre) / scale
+        plane = np.concatenate((np.ones((len(scaled), 1)), scaled), 1)
         free = null_space(plane.T, rcond=1e-9)
-        if free.shape[1] != len(own) - _FEWEST:
-            raise ValueError(f"{len(own)} points do not span an area: a displacement between them is not known")
-        bending = _kernel(cdist(own, own, "sqeuclidean"))
+        if free.shape[1] != len(scaled) - _FEWEST:
+            raise ValueError(f"{len(scaled)} points do not span an area: a displacement between them is not known")
+        bending = _kernel(cdist(scaled, scaled, "sqeuclidean"))
         # The bending energy is positive definite on coefficients orthogonal to planes (Wahba 1990).
         self._bend = np.zeros_like(bending)
         if free.shape[1]:
             factor = cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1]))
             self._bend = free @ cho_solve(factor, free.T)
         flat = np.linalg.pinv(plane)
-        level = flat @ (np.eye(len(own)) - bending @ self._bend)
-        between = _kernel(cdist(asked, own, "sqeuclidean"))
-        lying = np.concatenate((np.ones((len(asked), 1)), asked), 1)
+        level = flat @ (np.eye(len(scaled)) - bending @ self._bend)
+        between = _kernel(cdist(queries, scaled, "sqeuclidean"))
+        lying = np.concatenate((np.ones((len(queries), 1)), queries), 1)
         self._weights = (between @ self._bend + lying @ level).astype(np.float32)
 
     def __call__(self, moved: Points) -> NDArray[np.float32]:

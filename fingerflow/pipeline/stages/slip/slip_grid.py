@@ -41,14 +41,14 @@ class SlipGrid:
         self, points: Array, shape: tuple[int, int], cell_mm: float, first_cell_mm: float, reach_mm: float
     ) -> None:
         y, x = (np.arange(size) * cell_mm + first_cell_mm for size in shape)
-        self.places = np.stack(np.meshgrid(x, y), axis=-1)
+        self.centers = np.stack(np.meshgrid(x, y), axis=-1)
         self.points = points
         self.fine_mm = cell_mm / _FINE
         self.known: Mask = np.zeros(shape, dtype=bool)
         if len(points):
-            distance, _ = cKDTree(points).query(self.places.reshape(-1, 2))
+            distance, _ = cKDTree(points).query(self.centers.reshape(-1, 2))
             self.known = (distance <= reach_mm).reshape(shape)
-        self._surface = SkinSurface(points, self.places[self.known])
+        self._surface = SkinSurface(points, self.centers[self.known])
         at = ((points - first_cell_mm) / cell_mm + 0.5) * _FINE - 0.5
         self._column, self._row = (
             np.clip(np.rint(at[:, k]).astype(int), 0, _FINE * size - 1) for k, size in enumerate(shape[::-1])
@@ -80,14 +80,14 @@ class SlipGrid:
         """Return the area of a mask on the fine grid divided by the area of the mask `region` on the grid of cells."""
         return float(fine.sum()) / (_FINE**2 * int(region.sum()))
 
-    def covered(self, places: Array, region: Mask) -> Mask:
+    def covered(self, positions: Array, region: Mask) -> Mask:
         """Return a mask (N,) that is True for positions (N, 2) mm inside a region of cells, and False for NaN."""
-        finite = np.isfinite(places).all(-1)
-        at = np.rint((np.nan_to_num(places) - self.places[0, 0]) / (self.fine_mm * _FINE)).astype(int)
+        finite = np.isfinite(positions).all(-1)
+        at = np.rint((np.nan_to_num(positions) - self.centers[0, 0]) / (self.fine_mm * _FINE)).astype(int)
         inside = finite & (at >= 0).all(-1) & (at < np.array(region.shape[::-1])).all(-1)
         row, column = (np.clip(at[:, k], 0, region.shape[1 - k] - 1) for k in (1, 0))
         return np.asarray(inside & region[row, column])
 
-    def at_points(self, fine: NDArray[Any]) -> NDArray[Any]:
+    def sample_points(self, fine: NDArray[Any]) -> NDArray[Any]:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""
         return np.asarray(fine[self._row, self._column])

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -32,6 +32,7 @@ from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import SLIP
 
@@ -100,7 +101,8 @@ class SlipStage(Stage):
 
     @classmethod
     def variant(cls, scene: Scene) -> type[Stage]:
-        return next((kind for kind in cls.__subclasses__() if kind.displacement == scene.slip.displacement), cls)
+        by_displacement = {subclass.displacement: subclass for subclass in cls.__subclasses__()}
+        return by_displacement.get(scene.slip.displacement, cls)
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
@@ -148,13 +150,13 @@ class SlipStage(Stage):
             if not region.any() or not np.isfinite(self._area[frame]):
                 continue
             self._edge[frame] = self._is_cut(region)
-            self._deviation[frame] = self._deviation_of(frame)
+            self._deviation[frame] = self._noise_level(frame)
             seen = self._seen(motion[k], self._grid)
             if len(seen):
-                distance, _ = cKDTree(seen).query(self._grid.places[region])
+                distance, _ = cKDTree(seen).query(self._grid.centers[region])
                 self._coverage[frame] = (distance <= self._reach).mean()
             if border is not None:
-                border.gather(*self._at_points_and_cells(measured[k], self._grid), region)
+                border.gather(*self._points_and_cells(measured[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> RampResponse:
         """Return the function that predicts the displacement which tracking, averaging over a window, measures at
@@ -179,31 +181,29 @@ class SlipStage(Stage):
         """Return the correction (n, N, 2) mm for the deformation of the skin, which the tracker has subtracted."""
         return np.asarray(self.results["deformation_correction_px"][frames][:, self._known] @ self._of_px.T)
 
-    def _at_points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
+    def _points_and_cells(self, motion: NDArray[Any], grid: SlipGrid) -> tuple[NDArray[np.float64], Field]:
         """Return the displacement of the skin in one frame, (N, 2) mm at the points and (rows, columns, 2) mm over the
         contact cells.
         """
-        return self._at_points(motion, grid), self._over_cells(motion, grid)
+        return self._point_displacement(motion, grid), self._cell_displacement(motion, grid)
 
-    def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+    def _point_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         """Return the displacement (N, 2) mm, in one frame, of the skin at the first-frame positions of the points."""
         return motion
 
-    def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
+    def _cell_displacement(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
         """Return the displacement (rows, columns, 2) mm of the skin at the grid cells of the contact in one frame."""
         return grid.displacement(motion)
 
     def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
         """Return the positions (K, 2) mm, in one frame, of all points whose displacement `motion` is known."""
-        places = grid.points + motion
-        return np.asarray(places[np.isfinite(places).all(-1)])
+        positions = grid.points + motion
+        return np.asarray(positions[np.isfinite(positions).all(-1)])
 
-    def _deviation_of(self, frame: int) -> float:
+    def _noise_level(self, frame: int) -> float:
         """Return the median over all points of the standard deviation, px, of a displacement component by image noise
-        in one frame; NaN if it is unknown.
+        in one frame.
         """
-        if "position_noise_px" not in self.results:
-            return math.nan
         return float(nanmedian(self.results["position_noise_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
@@ -235,10 +235,10 @@ class SlipStage(Stage):
             slow = verdict.loading()
             parts["friction_fit"] = _consistent(fit_friction(self._ratio[slow], forces[slow]), verdict)
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
-        judged = {name: json.dumps(_plain(asdict(part)), ensure_ascii=False) for name, part in parts.items()}
+        judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
-        found = self._border.fit if self._border is not None and self._settings.criterion == "border" else None
-        power = {} if found is None else {"power": found.power, "power_std": found.power_std}
+        fit = self._border.fit if self._border is not None and self._settings.criterion == "border" else None
+        power = {} if fit is None else {"power": fit.power, "power_std": fit.power_std}
         self.results.put("stuck_area", self._ratio * self._area, limit)
         self.results.put("stuck_ratio", self._ratio, limit | power | judged)
         self.results.put("stuck_ratio_std", deviation)
@@ -272,19 +272,19 @@ class SlipStage(Stage):
             if not self._coverage[frame] >= LEAST_COVERAGE or self._edge[frame]:
                 continue
             # Take as many frames on either side, so that the median has no lag.
-            beside = min(self._beside, frame, len(self.trial) - 1 - frame)
-            around = slice(frame - beside - start, frame + beside + 1 - start)
-            moved, displacement = self._at_points_and_cells(_settled(motion[around]), grid)
+            side = min(self._beside, frame, len(self.trial) - 1 - frame)
+            around = slice(frame - side - start, frame + side + 1 - start)
+            moved, displacement = self._points_and_cells(_settled(motion[around]), grid)
             if not np.isfinite(displacement[grid.known]).all():
                 continue
             shown = (moved, displacement)
             if measured is not None:
-                shown = self._at_points_and_cells(_settled(measured[around]), grid)
+                shown = self._points_and_cells(_settled(measured[around]), grid)
             fine = _largest(criterion.stuck(*shown, regions[k]))
             self._ratio[frame] = grid.share(fine, regions[k])
             self._printed[frame] = grid.share(_largest(printed.stuck(moved, displacement, regions[k])), regions[k])
             stuck[k] = grid.cells(fine) & regions[k]
-            self._look_at_slip(frame, motion, start, moved, grid.at_points(fine) > 0, regions[k], grid)
+            self._look_at_slip(frame, motion, start, moved, grid.sample_points(fine) > 0, regions[k], grid)
             self._incipient[:, frame] = _incipient(displacement, regions[k] & grid.known, grid)
         self.results["stuck_region"][slice(first, end)] = stuck
 
@@ -308,7 +308,7 @@ class SlipStage(Stage):
         self._direction[frame] = math.atan2(y, x)
         before, after = max(0, frame - self._speed_step), min(len(self.trial) - 1, frame + self._speed_step)
         if after > before:
-            ends = (self._at_points(motion[at - start], grid)[slips] for at in (before, after))
+            ends = (self._point_displacement(motion[at - start], grid)[slips] for at in (before, after))
             way = np.diff(np.stack(list(ends)), axis=0)[0]
             way = way[np.isfinite(way).all(-1)]
             if len(way) >= _FEWEST_POINTS:
@@ -319,10 +319,10 @@ class SlipStage(Stage):
         """Return the standard deviation (F,) of d², the stick area over the contact area, due to the error of the stick
         border's position, the border being taken as a circle.
         """
-        place = (
-            self._border.place_std if self._settings.criterion == "border" and self._border is not None else math.nan
+        position_std = (
+            self._border.position_std if self._settings.criterion == "border" and self._border is not None else math.nan
         )
-        return np.asarray(np.sqrt(4 * np.pi * self._ratio / self._area * place**2 + _RATIO_NOISE**2))
+        return np.asarray(np.sqrt(4 * np.pi * self._ratio / self._area * position_std**2 + _RATIO_NOISE**2))
 
     def _judged(self, forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]) -> TrialVerdict:
         reason = ""
@@ -402,13 +402,14 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
     """Return RMS values, mm, over the contact of the displacement that remains without rigid motion: of all of it, and
     of its irrotational and its solenoidal part (Helmholtz-Hodge).
     """
-    places, weights = torch.from_numpy(grid.places).reshape(1, -1, 2), torch.from_numpy(region).reshape(1, -1).double()
+    positions = torch.from_numpy(grid.centers).reshape(1, -1, 2)
+    weights = torch.from_numpy(region).reshape(1, -1).double()
     moved = torch.from_numpy(displacement).double().reshape(1, -1, 2)
-    left = rigid_residual(places, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
+    left = rigid_residual(positions, moved, weights).reshape(1, *region.shape, 2).permute(0, 3, 1, 2)
     parts = helmholtz_hodge(left, torch.from_numpy(region)[None, None])
     return tuple(
-        float(one.square().sum(1)[0][torch.from_numpy(region)].nanmean().sqrt())
-        for one in (left, parts.irrotational, parts.solenoidal)
+        float(field.square().sum(1)[0][torch.from_numpy(region)].nanmean().sqrt())
+        for field in (left, parts.irrotational, parts.solenoidal)
     )
 
 
@@ -426,12 +427,3 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
         f"not that of the model; try a smaller [slip] stuck_mm"
     )
     return replace(fit, identified=False, reason=reason)
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to JSON types, with None in place of NaN."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

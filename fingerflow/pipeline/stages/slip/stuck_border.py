@@ -91,8 +91,8 @@ class StuckBorder:
         if inside.sum() < _LEAST_INSIDE * contact.sum() or not outside.any():
             return
         self._direction += along
-        depth = self._grid.at_points(np.where(inside, _distance(outside), -_distance(inside))) * self._grid.fine_mm
-        to_rim = self._grid.at_points(_distance(~contact)) * self._grid.fine_mm
+        depth = self._grid.sample_points(np.where(inside, _distance(outside), -_distance(inside))) * self._grid.fine_mm
+        to_rim = self._grid.sample_points(_distance(~contact)) * self._grid.fine_mm
         used = np.isfinite(length) & (to_rim - np.maximum(depth, 0) > _APART * self._half)
         component = moved @ direction
         bins = np.digitize(depth[used], self._edges) - 1
@@ -109,15 +109,14 @@ class StuckBorder:
         """Return a displacement component, given on the contact cells, interpolated to the fine grid and smoothed: a
         contour made uneven by noise would lie nearer to the points around it.
         """
-        known, width = (
-            self._grid.fine_mask(self._grid.known).astype(np.float32),
-            _SMOOTHED * self._half / self._grid.fine_mm,
-        )
-        total, share = (cv2.GaussianBlur(one, (0, 0), width) for one in (self._grid.fine(component) * known, known))
+        weight = self._grid.fine_mask(self._grid.known).astype(np.float32)
+        width = _SMOOTHED * self._half / self._grid.fine_mm
+        images = self._grid.fine(component) * weight, weight
+        total, share = (cv2.GaussianBlur(image, (0, 0), width) for image in images)
         return np.asarray(total / np.maximum(share, 1e-6))
 
     @property
-    def place_std(self) -> float:
+    def position_std(self) -> float:
         """Return the standard deviation, mm, of the stick border's position, one value for all frames; NaN if no border
         was found.
 
@@ -228,7 +227,7 @@ class Length:
         contact = self._grid.fine_mask(region & self._grid.known)
         if not self._relative:
             return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
-        held = self._grid.at_points(contact) > 0 if self._held is None else self._held
+        held = self._grid.sample_points(contact) > 0 if self._held is None else self._held
         if np.sum(held & np.isfinite(moved).all(-1)) < _FEWEST_HELD:
             self._held = np.zeros_like(held)
             return np.zeros_like(contact)
@@ -237,11 +236,11 @@ class Length:
         slipped = self._grid.displacement(left[0].numpy())
         length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
         # Leave out skin near the limit: some of it has slipped already and would bias the fitted motion of the glass.
-        self._held = held & (self._grid.at_points(length) < _HELD_SHARE * self._limit)
+        self._held = held & (self._grid.sample_points(length) < _HELD_SHARE * self._limit)
         return np.asarray(contact & (length < self._limit))
 
 
 def _distance(mask: Mask) -> Field:
     """Return the distance to the edge of a mask at each position outside the mask, in spacings of the fine grid."""
-    found = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-    return np.asarray(found - 0.5, dtype=np.float32)
+    distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.asarray(distance - 0.5, dtype=np.float32)

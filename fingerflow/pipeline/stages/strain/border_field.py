@@ -65,12 +65,12 @@ class BorderFunctions:
     def __init__(self) -> None:
         nodes, shares = np.polynomial.legendre.leggauss(_RADII)  # nodes in the square of the radius
         turns = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
-        places = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+        positions = np.sqrt((nodes[:, None] + 1) / 2)[..., None] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
         self.weights = np.repeat(shares / 2 / _ANGLES, _ANGLES)
         i, j = self._powers = np.array([(n - k, k) for n in range(_DEGREE + 1) for k in range(n + 1)]).T
-        x, y = places.reshape(1, -1, 2).transpose(2, 0, 1)
+        x, y = positions.reshape(1, -1, 2).transpose(2, 0, 1)
         inside = (1 - x**2 - y**2)[0, :, None]
-        x_powers, y_powers = (_powers(one, _DEGREE)[0].T for one in (x, y))
+        x_powers, y_powers = (_powers(coordinate, _DEGREE)[0].T for coordinate in (x, y))
         each = x_powers[:, i] * y_powers[:, j]
         # Orthogonalise in the order of the degrees, so that functions of a degree span the same space in every
         # orientation.
@@ -83,22 +83,23 @@ class BorderFunctions:
         self.gradient = np.concatenate((slopes @ self._mixed, np.stack((by_x, by_y)) @ self._harmonics), axis=2)
         self.squares = (self.gradient * self.weights[:, None]).mT @ self.gradient
 
-    def fit(self, places: Array, moved: Array, weight: Array, at_border: Array | None = None) -> BorderFields:
+    def fit(self, positions: Array, moved: Array, weight: Array, at_border: Array | None = None) -> BorderFields:
         """Fit the polynomial coefficients of n displacement fields, each to the displacements of N points, by Bayesian
         least squares.
 
         The noise is as large as stated, or as the residuals if they are larger.
 
         Args:
-            places: (n, 2, N) in the unit disc; finite.
+            positions: (n, 2, N) in the unit disc; finite.
             moved: (n, 2, N) mm; finite.
             weight: (n, N) inverse variance of a displacement component, 1/mm^2; 0 for points that are not known.
             at_border: (n,) mm, prior standard deviation s of the displacement at the border; without it the fields
                 vanish there.
         """
-        parts = [slice(first, first + _TOGETHER) for first in range(0, len(places), _TOGETHER)]
+        parts = [slice(first, first + _TOGETHER) for first in range(0, len(positions), _TOGETHER)]
+        free = at_border is not None
         normal = np.concatenate(
-            [self._normal_equations(places[one], moved[one], weight[one], at_border is not None) for one in parts]
+            [self._normal_equations(positions[part], moved[part], weight[part], free) for part in parts]
         )
         smooth, functions = len(self._mixed), normal.shape[1] - 2
         if at_border is not None:
@@ -116,20 +117,20 @@ class BorderFunctions:
             inverse @ normal[:, :functions, functions:], noise[:, None, None] * inverse, noise, evidence
         )
 
-    def _normal_equations(self, places: Array, moved: Array, weight: Array, harmonic: bool) -> Array:
+    def _normal_equations(self, positions: Array, moved: Array, weight: Array, harmonic: bool) -> Array:
         """Return the normal equations (n, K + 2, K + 2) of the fits: weighted sums over the points of products of the K
         polynomials, with or without the harmonic ones, and the two displacement components.
         """
         i, j = self._powers
-        x, y = (_powers(places[:, k], 2 * _DEGREE) for k in range(2))
+        x, y = (_powers(positions[:, k], 2 * _DEGREE) for k in range(2))
         inside = 1 - x[:, 2] - y[:, 2]
 
-        def of_pairs(weights: Array) -> Array:
+        def sum_pairs(weights: Array) -> Array:
             pairs = (x * weights[:, None]) @ y.mT
             sums: Array = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
             return sums
 
-        def of_moved(weighed: Array) -> Array:
+        def sum_moved(weighed: Array) -> Array:
             # Multiply each component by each power of x, and the result by each power of y.
             low = x[:, None, : _DEGREE + 1] * weighed[:, :, None]
             sums: Array = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
@@ -137,14 +138,14 @@ class BorderFunctions:
 
         weighed = moved * weight[:, None]
         smooth, functions = len(self._mixed), len(self._mixed) + harmonic * self._harmonics.shape[1]
-        result = np.empty((len(places), functions + 2, functions + 2))
-        result[:, :smooth, :smooth] = self._mixed.T @ of_pairs(weight * inside**2) @ self._mixed
-        result[:, functions:, :smooth] = of_moved(weighed * inside[:, None]) @ self._mixed
+        result = np.empty((len(positions), functions + 2, functions + 2))
+        result[:, :smooth, :smooth] = self._mixed.T @ sum_pairs(weight * inside**2) @ self._mixed
+        result[:, functions:, :smooth] = sum_moved(weighed * inside[:, None]) @ self._mixed
         if harmonic:
-            result[:, smooth:functions, smooth:functions] = self._harmonics.T @ of_pairs(weight) @ self._harmonics
-            result[:, smooth:functions, :smooth] = self._harmonics.T @ of_pairs(weight * inside) @ self._mixed
+            result[:, smooth:functions, smooth:functions] = self._harmonics.T @ sum_pairs(weight) @ self._harmonics
+            result[:, smooth:functions, :smooth] = self._harmonics.T @ sum_pairs(weight * inside) @ self._mixed
             result[:, :smooth, smooth:functions] = result[:, smooth:functions, :smooth].mT
-            result[:, functions:, smooth:functions] = of_moved(weighed) @ self._harmonics
+            result[:, functions:, smooth:functions] = sum_moved(weighed) @ self._harmonics
         result[:, :functions, functions:] = result[:, functions:, :functions].mT
         result[:, functions:, functions:] = weighed @ moved.mT
         return result
@@ -193,7 +194,7 @@ def _find_scales(normal: Array, numbers: NDArray[np.integer], smooth: int) -> tu
 
     near, far = _PROBES
     low = np.zeros(len(normal), np.intp)
-    left, right = (likelihood(low + one) for one in (near, far))
+    left, right = (likelihood(low + step) for step in (near, far))
     while far > 2:
         up = right[0] > left[0]
         low = low + near * up

@@ -80,7 +80,7 @@ class ContactEnergy:
         both = np.concatenate((first, second)), np.concatenate((second, first))
         self._shared = csr_array((np.tile(correlation[inside], 2), both), shape=(points, points))
 
-    def of_frames(
+    def estimate(
         self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
         border: Border, since_growth: Callable[[NDArray[np.intp]], Array],
     ) -> FrameEnergies:  # fmt: skip
@@ -105,14 +105,15 @@ class ContactEnergy:
         result = FrameEnergies(energy, deviation, np.zeros(len(counts), bool))
         depth = border.inside(position)
         outer, inner = ((counts & (depth >= low) & (depth < low + _OUTER_MM)).any(1) for low in (0.0, _OUTER_MM))
-        some = np.flatnonzero(outer & inner)
-        if len(some):
-            here = np.flatnonzero(counts[some].any(0))
-            at = np.ix_(some, here)
-            points = _Points.of(position[at], displacement[at], of_point[at], counts[at], border.at(some))
-            found = self._energies(points, since_growth(some)[:, here], depth[at])
-            for values, of_some in zip(result, found, strict=True):
-                values[some] = of_some
+        frames = np.flatnonzero(outer & inner)
+        if len(frames):
+            here = np.flatnonzero(counts[frames].any(0))
+            at = np.ix_(frames, here)
+            data = position[at], displacement[at], of_point[at], counts[at]
+            points = _Points.from_frames(*data, border.select(frames))
+            energies = self._energies(points, since_growth(frames)[:, here], depth[at])
+            for values, of_some in zip(result, energies, strict=True):
+                values[frames] = of_some
         return result
 
     def _energies(self, points: "_Points", since_growth: Array, depth: Array) -> FrameEnergies:
@@ -121,27 +122,28 @@ class ContactEnergy:
         second is likelier, the energy is their mean, and half of their difference is part of the deviation.
         """
         field = self._functions.fit(*points.on_disc())
-        result = FrameEnergies(*self._of_fields(field, points), np.zeros(len(points.axes), bool))
+        result = FrameEnergies(*self._estimate(field, points), np.zeros(len(points.axes), bool))
         noise = field.noise.copy()
-        prior, unresolved = _at_border(points, since_growth, depth)
-        some = np.flatnonzero(prior > 0)
-        if len(some):
-            moving = self._functions.fit(*points.at(some).on_disc(), prior[some])
-            likelier = np.flatnonzero(moving.evidence > field.evidence[some] + _DECISIVE)
-            energy, deviation = (one[likelier] for one in self._of_fields(moving, points.at(some), prior[some]))
-            some = some[likelier]
-            noise[some] = moving.noise[likelier]
-            half = np.where(unresolved[some], (result.energy[some] - energy) / 2, 0)
-            result.energy[some], result.deviation[some] = energy + half, np.hypot(deviation, half)
-            result.moves[some] = ~unresolved[some]
+        prior, unresolved = _border_motion(points, since_growth, depth)
+        frames = np.flatnonzero(prior > 0)
+        if len(frames):
+            doubtful = points.select(frames)
+            moving = self._functions.fit(*doubtful.on_disc(), prior[frames])
+            likelier = np.flatnonzero(moving.evidence > field.evidence[frames] + _DECISIVE)
+            energy, deviation = (values[likelier] for values in self._estimate(moving, doubtful, prior[frames]))
+            frames = frames[likelier]
+            noise[frames] = moving.noise[likelier]
+            half = np.where(unresolved[frames], (result.energy[frames] - energy) / 2, 0)
+            result.energy[frames], result.deviation[frames] = energy + half, np.hypot(deviation, half)
+            result.moves[frames] = ~unresolved[frames]
         number, total = (points.weight > 0).sum(1), points.weight.sum(1)
         # Variance of the residuals, relative to the stated one, up to which they may be those of any smooth field.
         smooth = _MISFIT**2 * (points.moved**2).sum((1, 2)) / 2 / number**2 * total
         result.energy[noise > np.maximum(_UNKNOWN, smooth)] = np.nan
         return result
 
-    def _of_fields(self, field: BorderFields, points: "_Points", at_border: Array | None = None) -> tuple[Array, Array]:
-        energy, forces, left = self._energies_of_fields(field, points)
+    def _estimate(self, field: BorderFields, points: "_Points", at_border: Array | None = None) -> tuple[Array, Array]:
+        energy, forces, left = self._field_energies(field, points)
         mean = energy + np.trace(left, axis1=1, axis2=2)
         # Of a quadratic form of Gaussian numbers, in each of two components.
         by_points = (forces * (field.covariance @ forces)).sum((1, 2)) + (left * left.mT).sum((1, 2))
@@ -157,20 +159,20 @@ class ContactEnergy:
         They are computed in every `_BORDER_FRAMES`-th frame that has a field, and hold until the next.
         """
         moves = at_border is not None
-        some = np.flatnonzero((self._fitted[moves] + np.arange(len(energy))) % _BORDER_FRAMES == 0)
+        refitted = np.flatnonzero((self._fitted[moves] + np.arange(len(energy))) % _BORDER_FRAMES == 0)
         self._fitted[moves] += len(energy)
-        known = np.array([self._by_border[moves]])
-        if len(some):
-            wider = points.at(some)
+        shares = np.array([self._by_border[moves]])
+        if len(refitted):
+            wider = points.select(refitted)
             wider = wider._replace(axes=wider.axes + _RADIUS_MM)
-            field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[some])
-            larger, _, more = self._energies_of_fields(field, wider)
-            known = np.append(known, (larger + np.trace(more, axis1=1, axis2=2)) / energy[some] - 1)
-        self._by_border[moves] = float(known[-1])
-        result: Array = known[np.searchsorted(some, np.arange(len(energy)), side="right")]
+            field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[refitted])
+            larger, _, more = self._field_energies(field, wider)
+            shares = np.append(shares, (larger + np.trace(more, axis1=1, axis2=2)) / energy[refitted] - 1)
+        self._by_border[moves] = float(shares[-1])
+        result: Array = shares[np.searchsorted(refitted, np.arange(len(energy)), side="right")]
         return result
 
-    def _energies_of_fields(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
+    def _field_energies(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
         """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
         and the product (n, K, K) of energy matrix and coefficient covariance, whose trace is the energy that
         uncertainty adds.
@@ -187,7 +189,7 @@ class ContactEnergy:
             (points.turn / points.axes[:, :, None]).transpose(2, 1, 0)
         )  # (2, 2, n) [x or y, direction]
         (ux, vx), (uy, vy) = (
-            [slope[0, ..., k] * one + slope[1, ..., k] * other for k in range(2)] for one, other in onto
+            [slope[0, ..., k] * first + slope[1, ..., k] * second for k in range(2)] for first, second in onto
         )
         # du/dx by the place now; by the place at onset it is F - 1 with F = (1 - du/dx)^-1, and areas were 1 / det F.
         shrunk = (1 - ux) * (1 - vy) - uy * vx
@@ -195,7 +197,7 @@ class ContactEnergy:
         exx, eyy, exy = strain_parts(*since, self._solid.measure)
         weights = torch.from_numpy(functions.weights[:, None] * area)
         energy = (energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid) * shrunk * weights).sum(0).numpy()
-        xx, yy, xy = (weights * one for one in stress_parts(exx, eyy, exy, *solid))
+        xx, yy, xy = (weights * part for part in stress_parts(exx, eyy, exy, *solid))
         stress = [torch.stack((xx * x + xy * y, xy * x + yy * y)) for x, y in onto.transpose(0, 1)]
         forces = np.tensordot(gradient, torch.stack(stress).numpy(), ((0, 1), (0, 2))).transpose(2, 0, 1)
         direct, _, shear = stiffness(*solid)
@@ -216,22 +218,22 @@ class _Points(NamedTuple):
     turn: Array  # (n, 2, 2), from x and y to the axes
 
     @classmethod
-    def of(
+    def from_frames(
         cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: Border
     ) -> "_Points":
         """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
-        `ContactEnergy.of_frames`.
+        `ContactEnergy.estimate`.
         """
         cosine, sine = np.cos(border.angle), np.sin(border.angle)
         turn = np.stack((cosine, sine, -sine, cosine), axis=-1).reshape(-1, 2, 2)
         from_centre, moved = (
-            np.ascontiguousarray(np.where(counts[..., None], one, 0.0).mT)
-            for one in (position - border.center[:, None], displacement)
+            np.ascontiguousarray(np.where(counts[..., None], vectors, 0.0).mT)
+            for vectors in (position - border.center[:, None], displacement)
         )
         weight = np.where(counts, 1 / np.where(counts, variance, 1), 0.0)
         return cls(turn @ from_centre, moved, weight, border.semi_axes, turn)
 
-    def at(self, frames: NDArray[np.intp]) -> "_Points":
+    def select(self, frames: NDArray[np.intp]) -> "_Points":
         return _Points(*(values[frames] for values in self))
 
     def on_disc(self) -> tuple[Array, Array, Array]:
@@ -239,7 +241,7 @@ class _Points(NamedTuple):
         return self.along / self.axes[..., None], self.moved, self.weight
 
 
-def _at_border(points: "_Points", since_growth: Array, depth: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return how far (n,) mm skin at the border may have moved since the border passed, RMS of a component, 0 where the
     border advances, and a mask (n,) of frames in which this cannot be told, as it advanced in the last frame.
 

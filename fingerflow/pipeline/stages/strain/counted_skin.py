@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, at_frames
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, select_frames
 from fingerflow.results.store import Store
 from fingerflow.tracker.entry import LEAST_AREA
 
@@ -25,7 +25,7 @@ class CountedSkin:
         since: (P,) frame from which a point counts.
         reference: (P, 2) mm, position then; NaN for points that are in no triangle by their own reference, as advected
             ones.
-        places_px: (P, 2) the same, px of the topographic view.
+        positions_px: (P, 2) the same, px of the topographic view.
         noise: (P,) mm^2, as `DisplacementStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
         by_onsets: as there.
@@ -34,28 +34,28 @@ class CountedSkin:
     def __init__(self, stage: DisplacementStage, results: Store, frames: int) -> None:
         self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
         onset = np.where(stage.onset < 0, frames, stage.onset)
-        reference, places = stage.reference.copy(), stage.reference_px.copy()
-        reference[stage.entered] = places[stage.entered] = np.nan
+        reference, reference_px = stage.reference.copy(), stage.reference_px.copy()
+        reference[stage.entered] = reference_px[stage.entered] = np.nan
         plain, separate = _triangulate(reference), self._advected_triangles()
         if stage.by_onsets:
-            apart = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
-            plain, separate = plain[~apart], np.concatenate([plain[apart], separate])
+            distorted = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
+            plain, separate = plain[~distorted], np.concatenate([plain[distorted], separate])
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
         # Corners of the separate triangles.
         self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
-        own = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
-        self.corners = np.concatenate([plain, own])
+        separate_corners = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
+        self.corners = np.concatenate([plain, separate_corners])
         self.since = np.concatenate([stage.begins, since])
         self._since = since
 
         def then(name: str) -> NDArray[np.float64]:
-            return at_frames(results[name], since, self._points)
+            return select_frames(results[name], since, self._points)
 
         self._then = then("position")
         self._variance = (then("position_noise_px") * stage.mm_per_px) ** 2
         self.reference = np.concatenate([reference, self._then])
-        self.places_px = np.concatenate([places, then("position_px")])
+        self.positions_px = np.concatenate([reference_px, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
@@ -65,8 +65,8 @@ class CountedSkin:
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
         # Skin that came later may have left again, so the last frame does not show all of it.
-        places = stage.places if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
-        triangles = _triangulate(np.where((stage.onset >= 0)[:, None], places, np.nan))
+        positions = stage.common_position if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
+        triangles = _triangulate(np.where((stage.onset >= 0)[:, None], positions, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
     def _distorted_by_onsets(
@@ -80,13 +80,13 @@ class CountedSkin:
         """
         touched = np.flatnonzero(begins < self._position.shape[0])
         corners = triangles[touched]
-        then = at_frames(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
-        by_onset, of_skin = (one[:, 1:] - one[:, :1] for one in (reference[corners], then))
-        known = np.isfinite(of_skin).all((1, 2)) & (abs(np.linalg.det(np.nan_to_num(of_skin))) > 1e-12)
-        ratio = np.linalg.solve(of_skin[known], by_onset[known])
+        then = select_frames(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
+        by_onset, of_skin = (corners_of[:, 1:] - corners_of[:, :1] for corners_of in (reference[corners], then))
+        regular = np.isfinite(of_skin).all((1, 2)) & (abs(np.linalg.det(np.nan_to_num(of_skin))) > 1e-12)
+        ratio = np.linalg.solve(of_skin[regular], by_onset[regular])
         stretches = np.linalg.svd(ratio, compute_uv=False)
         result = np.zeros(len(triangles), dtype=bool)
-        result[touched[known]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
+        result[touched[regular]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
@@ -99,7 +99,7 @@ class CountedSkin:
         if not len(points):
             return moved.displacement, covariance, moved.curvature
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
-        own = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
+        separate = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
         noise = np.where(
             frames[:, None] == self._since,
@@ -108,18 +108,18 @@ class CountedSkin:
         )
         added = (noise[..., None, None] * np.eye(2)).astype(np.float32)
         return (
-            np.concatenate([moved.displacement, own], axis=1),
+            np.concatenate([moved.displacement, separate], axis=1),
             np.concatenate([covariance, added], axis=1),
             np.concatenate([moved.curvature, moved.curvature[:, points]], axis=1),
         )
 
 
-def _triangulate(places: Points) -> NDArray[np.int32]:
+def _triangulate(positions: Points) -> NDArray[np.int32]:
     """Return Delaunay triangles (M, 3) of all points with finite positions; none if the points span no area."""
-    finite = np.flatnonzero(np.isfinite(places).all(-1)).astype(np.int32)
+    finite = np.flatnonzero(np.isfinite(positions).all(-1)).astype(np.int32)
     if len(finite) < 3:
         return np.zeros((0, 3), dtype=np.int32)
     try:
-        return np.asarray(finite[Delaunay(places[finite]).simplices])
+        return np.asarray(finite[Delaunay(positions[finite]).simplices])
     except QhullError:  # all points lie on one line
         return np.zeros((0, 3), dtype=np.int32)

@@ -29,21 +29,21 @@ class MissingEnergy:
         Densities are NaN where they are unknown.
         """
         result, energies = np.zeros(len(density)), density * self._area
-        known = np.isfinite(energies)
-        seen, lost = in_contact & known, in_contact & ~known
-        some = np.flatnonzero(lost.any(0))  # triangles that are lost in any of these frames
-        if len(some):
+        finite = np.isfinite(energies)
+        seen, lost = in_contact & finite, in_contact & ~finite
+        triangles = np.flatnonzero(lost.any(0))  # triangles that are lost in any of these frames
+        if len(triangles):
             # Row of `energies`, counted from 1, in which the energy of each triangle was known last.
             number = np.arange(1, len(density) + 1)[:, None]
-            when = np.maximum.accumulate(np.where(known[:, some], number, 0), axis=0)
-            last = np.where(when > 0, energies[when - 1, some], self._last[some])
+            when = np.maximum.accumulate(np.where(finite[:, triangles], number, 0), axis=0)
+            last = np.where(when > 0, energies[when - 1, triangles], self._last[triangles])
             for k in np.flatnonzero(seen.any(1) & lost.any(1)):
                 seen_area = self._area[seen[k]]
                 mean = energies[k, seen[k]].sum() / seen_area.sum()
                 gone = self._area[lost[k]]
                 spread = seen_area @ np.square(density[k, seen[k]] - mean) / seen_area.sum()
-                change = last[k, lost[k, some]].sum() - mean * gone.sum()
+                change = last[k, lost[k, triangles]].sum() - mean * gone.sum()
                 result[k] = np.sqrt(change**2 + _OF_A_POINT * spread * np.square(gone).sum())
-        some = np.flatnonzero(known.any(0))
-        self._last[some] = energies[len(energies) - 1 - known[::-1].argmax(0)[some], some]
+        triangles = np.flatnonzero(finite.any(0))
+        self._last[triangles] = energies[len(energies) - 1 - finite[::-1].argmax(0)[triangles], triangles]
         return result

@@ -32,8 +32,8 @@ def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
             (major - minor) * cosine * sine,
         )
     )
-    places = np.column_stack((border.center, np.sqrt(border.semi_axes.prod(1)))) / _NEAR_MM
-    fitted = _fit_over_time(moments, places, times / _SECONDS)
+    positions = np.column_stack((border.center, np.sqrt(border.semi_axes.prod(1)))) / _NEAR_MM
+    fitted = _fit_over_time(moments, positions, times / _SECONDS)
     xx, yy, xy = fitted[:, 2:].T
     middle, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     positive = (middle > half)[:, None]
@@ -43,20 +43,20 @@ def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
 
 
 def _fit_over_time(
-    values: NDArray[np.float64], places: NDArray[np.float64], times: NDArray[np.float64]
+    values: NDArray[np.float64], positions: NDArray[np.float64], times: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return `values` (n, V) smoothed over time: each is fitted by a polynomial to the values at `times` (n,) less than
-    1 away, those with near `places` (n, P) having more weight.
+    1 away, those with near `positions` (n, P) having more weight.
     """
     numbers = np.arange(len(values))
     reach = min(_FRAMES, int(np.max(np.searchsorted(times, times + 1, side="right") - numbers)))
     frames = numbers[:, None] + np.arange(-reach, reach + 1)
     inside = (frames >= 0) & (frames < len(values))
     frames = frames.clip(0, len(values) - 1)
-    apart, since = ((places[frames] - places[:, None]) ** 2).sum(-1), times[frames] - times[:, None]
-    near = inside & np.isfinite(apart) & (abs(since) < 1)
+    distance, since = ((positions[frames] - positions[:, None]) ** 2).sum(-1), times[frames] - times[:, None]
+    near = inside & np.isfinite(distance) & (abs(since) < 1)
     powers = since[..., None] ** np.arange(_DEGREE + 1)
-    weighed = np.where(near, np.exp(-np.nan_to_num(apart) / 2), 0.0)[..., None] * powers
+    weighed = np.where(near, np.exp(-np.nan_to_num(distance) / 2), 0.0)[..., None] * powers
     # With fewer frames than coefficients, the solution of least norm is that of the frame itself.
-    found = np.linalg.pinv(weighed.mT @ powers, hermitian=True) @ (weighed.mT @ np.nan_to_num(values)[frames])
-    return np.where(np.isfinite(values), found[:, 0], np.nan)
+    coefficients = np.linalg.pinv(weighed.mT @ powers, hermitian=True) @ (weighed.mT @ np.nan_to_num(values)[frames])
+    return np.where(np.isfinite(values), coefficients[:, 0], np.nan)

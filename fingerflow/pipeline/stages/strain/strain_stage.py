@@ -17,7 +17,6 @@ from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.strain.border_density import border_density
 from fingerflow.pipeline.stages.strain.contact_energy import GROWTH_MM, ContactEnergy, Solid, perimeter
 from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
@@ -33,6 +32,8 @@ _SMOOTHED = 2.5
 # Energy that windows have taken, as a share of what smoothing again takes: RMS over four slides of other seeds and ways
 # than those of the table in `docs/accuracy.md`.
 _TAKEN = 0.7
+
+Array = NDArray[np.floating]
 
 
 class StrainStage(Stage):
@@ -51,7 +52,7 @@ class StrainStage(Stage):
     name = "strain"
     gives = STRAIN
     needs = ("views.topography",)
-    beside = (DisplacementStage,)
+    same_pass = (DisplacementStage,)
     after = (ContactStage,)
     settings = (
         *("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm"),
@@ -64,7 +65,7 @@ class StrainStage(Stage):
         self._energy, self._energy_std, self._between, self._between_std = np.full((4, len(trial)), np.nan)
 
     def begin(self) -> None:
-        self.warnings.extend(plausibility.of_young_modulus(self._settings.young_modulus_mpa))
+        self.warnings.extend(plausibility.check_young_modulus(self._settings.young_modulus_mpa))
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
@@ -77,7 +78,7 @@ class StrainStage(Stage):
             "strain_energy_density": self._since,
         }.items():
             self.results.create(name, attributes)
-        self._principal = {"principal_strains", "principal_angle"} & self.trial.asked
+        self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
         for name in sorted(self._principal):
             self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
@@ -86,20 +87,20 @@ class StrainStage(Stage):
         self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].nan_to_num(0.0).numpy()
         self._corners = corners.to(device)
         errors = OverlapErrors(
-            *(skin.since, skin.places_px, skin.noise, skin.of_onset, skin.by_onsets),
+            *(skin.since, skin.positions_px, skin.noise, skin.of_onset, skin.by_onsets),
             self.inputs.scene.tracking.window_px,
         )
         pairs = errors.pairs()
         sides = [errors.between(skin.corners[:, k], skin.corners[:, (k + 1) % 3]) for k in range(3)]
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
-        self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
+        self._shared = SharedErrors(*(torch.from_numpy(values).to(device) for values in shared))
         self._missing = MissingEnergy(self._areas)
         solid = Solid(self._settings.strain, self._settings.young_modulus_mpa, self._settings.poisson_ratio)
         self._whole = ContactEnergy(solid, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = steady_border(Border.of(series), self.inputs.times)
+        self._border = steady_border(Border.from_series(series), self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
-        self._grown = _growth(np.sqrt(Border.of(series).semi_axes.prod(1)))
+        self._grown = _growth(np.sqrt(Border.from_series(series).semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -111,30 +112,32 @@ class StrainStage(Stage):
         self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
-        moved, covariance, curvature = self._skin.moved(batch.of(DisplacementStage), batch.indices)
-        touching = self._sum_of_corners(self.results["in_contact"][batch.indices]) >= 2
+        moved, covariance, curvature = self._skin.moved(batch.result(DisplacementStage), batch.indices)
+        touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= batch.indices[:, None] >= self._skin.begins
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
         # counts in the deviations.
         whole = covariance + curvature[..., None, None] * np.eye(2, dtype=np.float32)
-        found, stated = (self._strain_of(self.inputs.tensor(moved), one, touching) for one in (covariance, whole))
+        displacement = self.inputs.tensor(moved)
+        corrected = self._triangle_strain(displacement, covariance, touching)
+        stated = self._triangle_strain(displacement, whole, touching)
         for name, values in (
-            ("strain", found.strain),
+            ("strain", corrected.strain),
             ("strain_std", stated.strain_std),
-            ("strain_energy_density", found.density),
+            ("strain_energy_density", corrected.density),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
         if self._principal:
-            principal = principal_strains(found.strain)
+            principal = principal_strains(corrected.strain)
             both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
         deviation = stated.energy_std.cpu().numpy()
         if not self._begins_free:
             deviation = np.hypot(deviation, _TAKEN * self._lost_by_smoothing(moved, touching))
-        self._sum_up(batch, touching, found.density.cpu().numpy(), found.energy.cpu().numpy(), deviation)
+        self._sum_up(batch, touching, corrected.density.cpu().numpy(), corrected.energy.cpu().numpy(), deviation)
 
-    def _strain_of(
+    def _triangle_strain(
         self, moved: torch.Tensor, covariance: NDArray[np.floating], touching: NDArray[np.bool_]
     ) -> TriangleStrain:
         return triangle_strain(
@@ -157,11 +160,11 @@ class StrainStage(Stage):
         averaging what is left takes away again (`_TAKEN`). It counts where skin touches from the first frame on: the
         energy of a growing contact is that of a field which is not averaged (`contact_energy`).
         """
-        given = self.inputs.tensor(moved)
-        smooth = local_gradients(self._from_start, given, gauge_length=self._smoothed_mm).value
-        again = torch.where(smooth.isfinite(), smooth, given)
+        displacement = self.inputs.tensor(moved)
+        smooth = local_gradients(self._from_start, displacement, gauge_length=self._smoothed_mm).value
+        again = torch.where(smooth.isfinite(), smooth, displacement)
         exact = np.zeros((*moved.shape, 2), np.float32)
-        first, second = (self._strain_of(one, exact, touching).energy for one in (given, again))
+        first, second = (self._triangle_strain(field, exact, touching).energy for field in (displacement, again))
         result: NDArray[np.float64] = (first - second).clamp_min(0).cpu().numpy()
         return result
 
@@ -172,45 +175,45 @@ class StrainStage(Stage):
         """Store the strain energies of a batch of frames and their standard deviations: `between`, the sum over the
         triangles between points, and that of all skin in contact.
         """
-        frames, border = batch.indices, self._border.at(batch.indices)
+        frames, border = batch.indices, self._border.select(batch.indices)
         position = self.results["position"][frames]
-        beside = border_density(
-            *(np.where(touching, density, np.nan), self._areas, self._sum_of_corners(position) / 3, border),
+        border_energy = border_density(
+            *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),
             reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
         )
-        strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * beside)
-        squares = (between_std, self._missing.add_frames(density, touching), strip)
-        deviation = np.sqrt(sum(np.square(one) for one in squares))
+        strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * border_energy)
+        errors = (between_std, self._missing.add_frames(density, touching), strip)
+        deviation = np.sqrt(sum(np.square(error) for error in errors))
         self._between[frames], self._between_std[frames] = between, deviation
-        rim = beside * self._rim_area(position, touching, border)
+        rim = border_energy * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
-        displacement, variance, counts = self._onset_field(batch.of(DisplacementStage), frames)
+        displacement, variance, counts = self._onset_field(batch.result(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
 
-        def since_growth(some: NDArray[np.intp]) -> NDArray[np.float64]:
-            grown, number = np.unique(self._grown[frames[some]], return_inverse=True)
+        def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
+            grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
             then = np.concatenate([self.results["position"][slice(k, k + 1)] for k in grown.tolist()])
-            moved: NDArray[np.float64] = position[some] - then[number]
+            moved: NDArray[np.float64] = position[rows] - then[number]
             return moved
 
-        whole = self._whole.of_frames(position, displacement, variance, counts, border, since_growth)
-        known = np.isfinite(whole.energy)
-        self._energy[frames[known]] = whole.energy[known]
+        whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
+        fitted = np.isfinite(whole.energy)
+        self._energy[frames[fitted]] = whole.energy[fitted]
         # The field resolves strain that rises towards the border, triangles do not: what they lack in all.
-        lacking = whole.energy[known] - (between + rim)[known]
+        lacking = whole.energy[fitted] - (between + rim)[fitted]
         # Skin that has moved at the border leaves its displacement there to be extrapolated: both energies then err.
-        by_border = np.where(whole.moves[known], lacking, 0.0)
-        self._energy_std[frames[known]] = np.hypot(whole.deviation[known], by_border)
+        by_border = np.where(whole.moves[fitted], lacking, 0.0)
+        self._energy_std[frames[fitted]] = np.hypot(whole.deviation[fitted], by_border)
         # Where they have more than the field, single triangles are wrong, as of points whose onset is detected late.
         share = np.where(lacking < 0, 1.0, _INSIDE)
-        self._between_std[frames[known]] = np.hypot(deviation[known], share * lacking)
+        self._between_std[frames[fitted]] = np.hypot(deviation[fitted], share * lacking)
 
     def _onset_field(
         self, moved: Moved, frames: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
-        arguments for `ContactEnergy.of_frames`.
+        arguments for `ContactEnergy.estimate`.
 
         The mask is False for all points if displacements are not relative to the onset of contact.
         """
@@ -226,21 +229,21 @@ class StrainStage(Stage):
     ) -> NDArray[np.float64]:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
         # By components: gathering pairs of numbers takes twice as long.
-        first, second, third = (position.transpose(2, 0, 1).take(one, axis=2) for one in self._skin.triangles.T)
+        first, second, third = (position.transpose(2, 0, 1).take(corner, axis=2) for corner in self._skin.triangles.T)
         (ax, ay), (bx, by) = second - first, third - first
         areas = abs(ax * by - ay * bx) / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
         result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
         return result
 
-    def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _sum_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
 
         Corners are added one by one, as sums over an axis of three take longer.
         """
-        first, *others = self._skin.triangles.T
+        first, *rest = self._skin.triangles.T
         total: NDArray[Any] = values.take(first, axis=1)
-        for corner in others:
+        for corner in rest:
             total += values.take(corner, axis=1)
         return total
 
@@ -250,7 +253,7 @@ class StrainStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         nothing = gross == 0
         gauge, first_frame = self.inputs.scene.fields.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.of_unknown_energy(self._energy, gross, gauge, first_frame))
+        self.warnings.extend(plausibility.check_energy(self._energy, gross, gauge, first_frame))
         for name, values in {
             "strain_energy": self._energy,
             "strain_energy_std": self._energy_std,
@@ -261,6 +264,30 @@ class StrainStage(Stage):
         energy = self.results["strain_energy"][:]
         rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
         self.results.put("strain_energy_rate", rates)
+
+
+def border_density(
+    density: Array, areas: Array, positions: Array, border: Border, reach_mm: float
+) -> NDArray[np.float64]:
+    """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
+    the contact border, weighted by area.
+
+    It is 0 in frames without such triangles. Strain since the onset is largest along the border of a growing contact,
+    where skin that has moved lies beside skin that has just come into contact. A border that is displaced all around
+    changes the onset of the outermost points and the set of triangles that count.
+
+    Args:
+        density: (n, M) mJ/mm^3, NaN for triangles that do not count.
+        areas: (M,) mm^2.
+        positions: (n, M, 2) mm, centroids of the triangles.
+        border: of these n frames.
+        reach_mm: width of the zone that is averaged.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
+        mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
+    result: NDArray[np.float64] = np.nan_to_num(mean)
+    return result
 
 
 def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -21,17 +21,17 @@ Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 
-class Known(NamedTuple):
+class TrackedPoints(NamedTuple):
     """Positions of all tracked points in the current frame, and in the frame in which each was seeded.
 
     Attributes:
-        place: (N, 2) px of the topographic view, measured or expected position.
+        position: (N, 2) px of the topographic view, measured or expected position.
         start: (N, 2) px, position in its key frame.
         tracked: (N,) bool.
         seeding: (N,) indices of the `NewSkin.searched` regions in which the points were seeded.
     """
 
-    place: Points
+    position: Points
     start: Points
     tracked: Mask
     seeding: NDArray[np.integer]
@@ -53,17 +53,17 @@ class NewSkin:
         self.searched: list[Mask] = []  # regions (h, w) of the topographic view in which points were seeded
         self._before: tuple[Points, Points] | None = None  # (N, 2) positions and centre of contact at the last call
 
-    def begin(self, contact: NDArray[np.floating], place: Points) -> None:
-        """Store the positions `place` (N, 2), px of the topographic view, at which the first points were seeded, as
+    def begin(self, contact: NDArray[np.floating], positions: Points) -> None:
+        """Store the `positions` (N, 2), px of the topographic view, at which the first points were seeded, as
         those before the first call of `region`.
 
         `contact` has cells as for `region`. Fast points have moved far by the first call of `region`.
         """
         touching = contact[::_STEP, ::_STEP] > 0
         if touching.any():
-            self._before = self._on_contact(place), self._middle(touching)
+            self._before = self._on_contact(positions), self._middle(touching)
 
-    def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
+    def region(self, contact: NDArray[np.floating], points: TrackedPoints) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
         Where hardly a point is left, as after a finger has been lifted and touches elsewhere, all skin in contact is
@@ -76,36 +76,36 @@ class NewSkin:
 
         Args:
             contact: (h', w') cells, positive in the gross contact.
-            known: all points in this frame.
+            points: all points in this frame.
         """
         touching = contact[::_STEP, ::_STEP] > 0
         if not touching.any():
             return None
-        if known.tracked.sum() < _LEFT * len(known.tracked):
+        if points.tracked.sum() < _LEFT * len(points.tracked):
             self._before = None
-            return self._around(touching) & ~self._near_points(known.place[known.tracked])
-        place = self._on_contact(known.place)  # from here on in px of the contact view
+            return self._around(touching) & ~self._near_points(points.position[points.tracked])
+        position = self._on_contact(points.position)  # from here on in px of the contact view
         middle = self._middle(touching)
-        before, self._before = self._before, (place, middle)
-        way = np.zeros_like(place)  # px, displacement of points relative to the contact
+        before, self._before = self._before, (position, middle)
+        way = np.zeros_like(position)  # px, displacement of points relative to the contact
         if before is not None:
             old = len(before[0])
-            way[:old] = (place[:old] - before[0]) - (middle - before[1])
-        tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
-        some = np.flatnonzero(self._cells_without_points(touching, place[tracked], way[tracked], far))
-        if not len(some):
+            way[:old] = (position[:old] - before[0]) - (middle - before[1])
+        tracked, far = np.flatnonzero(points.tracked), self._window / 2 * self._per_px
+        cells = np.flatnonzero(self._cells_without_points(touching, position[tracked], way[tracked], far))
+        if not len(cells):
             return None
         rows, columns = np.indices(touching.shape)
         at = _cell_centres(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
-        tree = cKDTree(place[tracked])
-        distance, nearest = tree.query(at[some])
-        coming = at[some] + _AHEAD * way[tracked[nearest]]
-        empty = (self._in(touching, at[some]) | self._in(touching, coming)) & (distance > far)
+        tree = cKDTree(position[tracked])
+        distance, nearest = tree.query(at[cells])
+        coming = at[cells] + _AHEAD * way[tracked[nearest]]
+        empty = (self._in(touching, at[cells]) | self._in(touching, coming)) & (distance > far)
         if not empty.any():
             return None
-        some, nearest = some[empty], tracked[nearest[empty]]
-        empty = cKDTree(place).query(at[some])[0] > far
-        empty[empty] = self._is_new(at[some[empty]], nearest[empty], known)
+        cells, nearest = cells[empty], tracked[nearest[empty]]
+        empty = cKDTree(position).query(at[cells])[0] > far
+        empty[empty] = self._is_new(at[cells[empty]], nearest[empty], points)
         if empty.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
             return None
         nearest = tracked[tree.query(at)[1]]
@@ -114,9 +114,9 @@ class NewSkin:
         window = self._window * self._per_px
         reach = np.clip(_AHEAD * length, window, window + self._cell * _STEP * max(touching.shape))
         steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
-        wanted = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
-        wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
-        return self._on_topography(wanted.reshape(touching.shape)) & ~self._near_points(known.place)
+        seeded = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
+        seeded[seeded] = self._is_new(at[seeded], nearest[seeded], points)
+        return self._on_topography(seeded.reshape(touching.shape)) & ~self._near_points(points.position)
 
     def _around(self, touching: Mask) -> Mask:
         """Return the mask (h, w) of the topographic view around a contact that has just begun, as far as the first
@@ -128,9 +128,9 @@ class NewSkin:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(radius) + 1,) * 2)
         return self._on_topography(cv2.dilate(touching.astype(np.uint8), disc) > 0)
 
-    def _cells_without_points(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
+    def _cells_without_points(self, touching: Mask, position: Points, way: Points, far: float) -> Mask:
         """Return the flat mask of coarse grid cells of the contact view, in contact now or soon, without a point within
-        `far` px; `place` (N, 2) px are the points, `way` (N, 2) their last motion relative to the contact.
+        `far` px; `position` (N, 2) px are the points, `way` (N, 2) their last motion relative to the contact.
 
         In a press there are hardly any. Nearest points are searched only for these cells.
         """
@@ -140,10 +140,10 @@ class NewSkin:
         empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
         # Cells around each point whose sampled position may lie within the distance `far` of the point.
         around = np.arange(-int(far / side) - 1, int(far / side) + 2)
-        cell = np.floor((place + 0.5) / side).astype(int)
+        cell = np.floor((position + 0.5) / side).astype(int)
         column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
         across, down = (
-            (_cell_centres(some, self._cell) - place[:, k, None]) ** 2 for k, some in enumerate((column, row))
+            (_cell_centres(index, self._cell) - position[:, k, None]) ** 2 for k, index in enumerate((column, row))
         )
         near = down[:, :, None] + across[:, None] <= far**2
         near &= ((row >= 0) & (row < touching.shape[0]))[:, :, None]
@@ -153,14 +153,14 @@ class NewSkin:
         result[number[near]] = False
         return result
 
-    def _on_contact(self, place: Points) -> Points:
-        result: Points = place @ self._matrix[:, :2].T + self._matrix[:, 2]
+    def _on_contact(self, position: Points) -> Points:
+        result: Points = position @ self._matrix[:, :2].T + self._matrix[:, 2]
         return result
 
     def _middle(self, touching: Mask) -> Points:
         lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
         total = lines[0].sum()
-        result: Points = np.array([one @ np.arange(len(one)) / total for one in lines]) * self._cell * _STEP
+        result: Points = np.array([counts @ np.arange(len(counts)) / total for counts in lines]) * self._cell * _STEP
         return result
 
     def _in(self, touching: Mask, at: Points) -> Mask:
@@ -169,18 +169,18 @@ class NewSkin:
         result: Mask = inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
         return result
 
-    def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
+    def _is_new(self, at: Points, nearest: NDArray[np.integer], points: TrackedPoints) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
         which the nearest point was seeded, at the time of that seeding.
 
         The skin is traced back to the frame in which the nearest point was seeded.
         """
-        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
+        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (points.position - points.start)[nearest]
         column, row = np.rint(was).astype(int).T
         height, width = self.searched[0].shape
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
         regions = np.stack(self.searched)
-        had = regions[known.seeding[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
+        had = regions[points.seeding[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
         result: Mask = ~(inside & had)
         return result
 
@@ -192,19 +192,19 @@ class NewSkin:
         warped = cv2.warpAffine(np.asarray(picture, np.uint8), self._matrix, (width, height), flags=onto)
         return np.asarray(warped > 0)
 
-    def _near_points(self, place: Points) -> Mask:
-        """Return the mask (h, w) of the pixels of the topographic view whose distance from the nearest point of `place`
-        (N, 2) px is less than half the median spacing of the points.
+    def _near_points(self, position: Points) -> Mask:
+        """Return the mask (h, w) of the pixels of the topographic view that lie nearer to a point of `position` (N, 2)
+        px than half the median spacing of the points.
         """
         height, width = self.searched[0].shape
-        column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
+        column, row = np.rint(position[np.isfinite(position).all(1)]).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
-        if len(place) < 2:
+        if len(position) < 2:
             return np.zeros((height, width), dtype=bool)
         away = np.ones((height, width), np.uint8)
         away[row[inside], column[inside]] = 0
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
-        spacing = float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
+        spacing = float(np.median(cKDTree(position).query(position, k=2)[0][:, 1]))
         return np.asarray(distance < spacing / 2)
 
 

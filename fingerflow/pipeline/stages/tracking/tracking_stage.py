@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any, ClassVar
 
 import cv2
@@ -10,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.engines.engine import FoundPoints, Images, nothing_found
+from fingerflow.engines.contact_view import covers
+from fingerflow.engines.engine import FoundPoints, Images, noise_of, nothing_found
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -20,11 +22,11 @@ from fingerflow.pipeline.stages.preparation.inputs import read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
+from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, TrackedPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
-from fingerflow.tracker.points import Points, beside
+from fingerflow.tracker.points import Points, join
 
 _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
@@ -48,7 +50,7 @@ class TrackingStage(Stage):
     name = "tracking"
     gives = TRACKING
     needs = ("views.topography",)
-    beside = (ContactStage,)
+    same_pass = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
     views: ClassVar[tuple[str, ...]] = ("topography",)
@@ -102,19 +104,19 @@ class TrackingStage(Stage):
         if contact.skin is not None and self._view != self.inputs.scene.views.contact:
             frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
             offset = ridges.offset_px(contact.skin, frame, self.inputs.topography_to_contact)
-            self.warnings.extend(plausibility.of_views(offset, self.inputs.mm_per_px))
+            self.warnings.extend(plausibility.check_views(offset, self.inputs.mm_per_px))
 
     def step(self, batch: Batch) -> Any:
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
-        margin = batch.of(ContactStage).density_margin
+        margin = batch.result(ContactStage).density_margin
         images = batch.images(self.inputs, self._view)
         numbers = np.arange(len(images))
-        for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
-            indices = batch.indices[some]
+        for run in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
+            indices = batch.indices[run]
             if self._usable[indices[0]]:
-                self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
+                self._step_through(images[run[0] : run[-1] + 1], indices, margin[run[0] : run[-1] + 1])
             else:
                 self._skip_frames(indices)
 
@@ -128,41 +130,41 @@ class TrackingStage(Stage):
             points.pass_over(len(indices))
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
-        every: list[FoundPoints] = []
+        groups: list[FoundPoints] = []
         curved: list[NDArray[np.float32]] = []
         if not self._seeded:
             first = self._seed(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             rest = [self._seeded[0].follow(images[1:])] if len(images) > 1 else []
-            every.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
-            curved.append(self._seeded[0].curvature_variance(every[0]))
+            groups.append(join([first, *rest], 0))
+            curved.append(self._seeded[0].curvature_variance(groups[0]))
         else:
             for points, numbers in zip(self._seeded, self._around, strict=True):
-                around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
-                every.append(points.follow(images, around))
-                curved.append(points.curvature_variance(every[-1], around))
-        found = beside(every)
-        before, last = found.status.shape[1], len(images) - 1
-        new = self._seed_new(images[last:], margin[last], found.of(slice(last, None)))
+                around = join(groups, 1).of(slice(None), numbers) if groups else nothing_found(len(images))
+                groups.append(points.follow(images, around))
+                curved.append(points.curvature_variance(groups[-1], around))
+        tracked_points = join(groups, 1)
+        before, last = tracked_points.status.shape[1], len(images) - 1
+        new = self._seed_new(images[last:], margin[last], tracked_points.of(slice(last, None)))
         if new is not None:
-            found = beside([found, _extend_to_batch(len(images), new)])
+            tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
-        pixels, error, status = found.points, found.error, found.status
-        covered = self._engine.covered(margin, found.estimate, self._matrix)
+        pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
+        covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
-            "position_std_px": np.sqrt(found.variance + np.concatenate(curved, axis=1)),
-            "position_noise_px": np.sqrt(found.variance),
-            "subset_correlation": np.where(seen, np.concatenate([one.correlation for one in self._seeded]), np.nan),
+            "position_std_px": np.sqrt(tracked_points.variance + np.concatenate(curved, axis=1)),
+            "position_noise_px": np.sqrt(tracked_points.variance),
+            "subset_correlation": np.where(seen, np.concatenate([group.correlation for group in self._seeded]), np.nan),
             "forward_backward_error": error,
             "status": status,
             "in_contact": covered & (status != TrackStatus.NOT_SEEDED_YET),
         }.items():
             self.results[name][indices] = values
-        if _CORRECTION in self.trial.asked:
+        if _CORRECTION in self.trial.requested:
             corrections = self._corrections(len(images))
             self.results[_CORRECTION][indices] = np.where(np.isfinite(pixels), corrections, np.nan)
         tracked = status[:, :before] == TrackStatus.TRACKED
@@ -173,9 +175,9 @@ class TrackingStage(Stage):
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
-        self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
-        self.warnings.extend(plausibility.of_dust(self._held, first_frame))
+        self.warnings.extend(plausibility.check_tracking(self._share, first_frame))
+        self.warnings.extend(plausibility.check_windows(self._differs, first_frame))
+        self.warnings.extend(plausibility.check_dust(self._held, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
@@ -201,23 +203,23 @@ class TrackingStage(Stage):
         """Seed the first points in `image`, the first usable frame, and return their tracking results (1, N); `margin`
         is a grid of cells, positive in the gross contact.
         """
-        where, asked = self._seeding_region(), self._settings.points
-        points = self._engine.detect(self._view_for_seeding(image), where, asked)
+        where, requested = self._seeding_region(), self._settings.points
+        points = self._engine.detect(self._view_for_seeding(image), where, requested)
         if len(points) < _FEWEST:
             # The frame with the largest contact may be later, and show it elsewhere than this frame.
             self._region = self.trial.stage(ContactStage).touched()[0, 0].cpu().numpy()
             where = self._seeding_region()
-            points = self._engine.detect(self._view_for_seeding(image), where, asked)
+            points = self._engine.detect(self._view_for_seeding(image), where, requested)
         if len(points) < _FEWEST:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
                 f"contact region of the topographic view, at least {_FEWEST} are needed. Check [views.topography] and "
                 f"its region, [stream] region, the calibration and the focus."
             )
-        apart = self._settings.min_distance_px
-        self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
-        self.warnings.extend(plausibility.of_impulses(self._impulses(image)))
-        self._create(len(points), self._engine.noise(image))
+        min_distance = self._settings.min_distance_px
+        self.warnings.extend(plausibility.check_points(len(points), requested, min_distance, int(where.sum())))
+        self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
+        self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
         self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
@@ -229,8 +231,8 @@ class TrackingStage(Stage):
         texture or noise can cause (impulse noise).
         """
         pixels = np.asarray(image, dtype=np.float32)[0, 0]
-        apart = np.abs(pixels - cv2.medianBlur(pixels, 3))
-        return float((apart > max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * self._engine.noise(image))).mean())
+        least = max(_IMPULSE * float(np.ptp(pixels)), _BEYOND_NOISE * noise_of(self._engine, image))
+        return float((np.abs(pixels - cv2.medianBlur(pixels, 3)) > least).mean())
 
     def _start_tracking(
         self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
@@ -249,45 +251,45 @@ class TrackingStage(Stage):
     def _view_for_seeding(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
-    def _seed_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
+    def _seed_new(self, image: Images, margin: NDArray[np.floating], tracked_points: FoundPoints) -> FoundPoints | None:
         """Seed points in skin that has none yet, and return their tracking results (1, K); None without such skin.
 
-        `found` (1, N) are the tracking results of the earlier points.
+        `tracked_points` (1, N) are the tracking results of the earlier points.
         """
         if self._full:
             return None
         assert self._new_skin is not None
-        place = np.concatenate([one.expect(0) for one in self._seeded])
-        start = np.concatenate([one.start for one in self._seeded])
-        total, tracked = len(place), found.status[0] == TrackStatus.TRACKED
-        seeding = np.repeat(np.arange(len(self._seeded)), [len(one) for one in self._seeded])
-        region = self._new_skin.region(margin[0], Known(place, start, tracked, seeding))
+        position = np.concatenate([group.expect(0) for group in self._seeded])
+        start = np.concatenate([group.start for group in self._seeded])
+        total, tracked = len(position), tracked_points.status[0] == TrackStatus.TRACKED
+        seeding = np.repeat(np.arange(len(self._seeded)), [len(group) for group in self._seeded])
+        region = self._new_skin.region(margin[0], TrackedPoints(position, start, tracked, seeding))
         if region is None:
             return None
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
             region &= drawn
-        wanted = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
-        if wanted < 1:
+        count = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
+        if count < 1:
             return None
-        points = self._engine.detect(self._view_for_seeding(image), region, wanted)
+        points = self._engine.detect(self._view_for_seeding(image), region, count)
         if not len(points) or not self._make_room(total, len(points)):
             return None
-        apart, _ = cKDTree(points).query(place)
-        near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
+        distance, _ = cKDTree(points).query(position)
+        near = np.flatnonzero(tracked & (distance <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._seeded), strict=True)))
-        return self._start_tracking(image, points, near, found.points[0, near], every.seeded(points))
+        motion = PointMotion(*map(np.concatenate, zip(*(group.motion for group in self._seeded), strict=True)))
+        return self._start_tracking(image, points, near, tracked_points.points[0, near], motion.seeded(points))
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
         room for the results.
         """
-        given = [one for stage in self.trial.planned for one in stage.gives if self.trial.stores(one)]
+        variables = filter(self.trial.stores, chain.from_iterable(stage.gives for stage in self.trial.planned))
         why = ""
         if points + more == MOST_SEEDED * self._settings.points:
             why = f"{points + more} points, {MOST_SEEDED} times tracking.points, have been seeded"
         try:
-            self.results.check_room(size_of_results(given, len(self.trial), more))
+            self.results.check_room(size_of_results(variables, len(self.trial), more))
         except NoRoomError as error:
             why, more = str(error), 0
         if why:
@@ -337,8 +339,8 @@ class TrackingStage(Stage):
 
 def _extend_to_batch(frames: int, seeded: FoundPoints) -> FoundPoints:
     """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
-    before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in seeded))
-    for one in before[:3]:
-        one[:-1] = np.nan
+    before = FoundPoints(*(np.repeat(values, frames, axis=0) for values in seeded))
+    for values in before[:3]:
+        values[:-1] = np.nan
     before.status[:-1] = TrackStatus.NOT_SEEDED_YET
     return before

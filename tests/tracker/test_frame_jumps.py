@@ -11,9 +11,9 @@ from fingerflow.kernels.library import is_present
 from fingerflow.synthetic.waves import add_waves, plane_waves
 from fingerflow.tracker import frame_distances
 from fingerflow.tracker.block_means import block_means
-from fingerflow.tracker.frame_copies import copies, key_of
+from fingerflow.tracker.frame_copies import copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
-from fingerflow.tracker.frame_returns import jumps_and_returns
+from fingerflow.tracker.frame_jumps import jumps_and_returns
 from tests.small_trials import SPOILED
 
 FRAMES, HEIGHT, WIDTH = 80, 96, 120
@@ -38,7 +38,7 @@ def distances(frames: Frames, size: int = 8) -> NDArray[np.float32]:
     """Return the distances of frames from earlier ones, computed for `size` frames at a time as a stage does."""
     before, parts = None, []
     for k in range(0, len(frames), size):
-        samples = PixelSamples.of(frames[k : k + size])
+        samples = PixelSamples.sample(frames[k : k + size])
         parts.append(squared_distances_before(samples, before))
         before = samples.last(LONGEST + 1, before)
     return np.concatenate(parts)
@@ -102,7 +102,7 @@ def test_flickering_light_and_vibrating_skin_are_no_return_of_a_frame(skin: Fram
 
 
 def copied(frames: Frames) -> list[int]:
-    keys = [key_of([one]) for one in block_means(frames).blocks]
+    keys = [frame_key([one]) for one in block_means(frames).blocks]
     return np.flatnonzero(copies(keys, distances(frames), np.ones(len(frames), dtype=bool))).tolist()
 
 

@@ -1,21 +1,43 @@
-"""Test in NumPy whether points lie in the apparent contact, by interpolation between image cells."""
+"""Light of the empty glass, and points in the apparent contact, the same for every engine."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from fingerflow.engines.engine import Array, GlassLight
+from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
+from fingerflow.kernels.library import is_present, run
 
 _NOWHERE = np.float32(-1e4)
 
 
-def covered(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:
+def glass_light(empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
+    """Compute the light of the empty glass and the black level (1, 1, H, W), as `ops.glass_light`, from counts (H, W).
+
+    `dark` is the view without light. Where the mask `inside` (H, W) bool is False, the light is set to 0, so that no
+    contact is found there.
+    """
+    empty = empty.astype(np.float32)
+    black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
+    light = empty - black
+    step = max(1, min(light.shape) // PIXELS_OF_LIGHT)
+    sample = np.sort(light[::step, ::step], axis=None)
+    sample = sample[np.isfinite(sample)]
+    full = sample[max(math.ceil(len(sample) * FULL_LIGHT), 1) - 1] if len(sample) else math.nan
+    lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
+    if inside is not None:
+        lit &= inside
+    levels = np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))
+    return GlassLight(*(level[None, None] for level in levels))
+
+
+def covers(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:
     """Return a mask (K, N) bool of the points that the apparent contact covers.
 
-    It is False outside the view and where a point is NaN.
+    It is False outside the view and where a point is NaN. A point at the border, to rounding, may be covered with the
+    compiled library and not without it.
 
     Args:
         density_margin: (K, 1, h, w) of `FrameContact`, on cells of `cell` px.
@@ -23,7 +45,11 @@ def covered(density_margin: Array, points: Array, topography_to_contact: Array, 
         topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
         cell: px, side of a cell.
     """
-    matrix = np.asarray(topography_to_contact, np.float32)
+    matrix = topography_to_contact.astype(np.float32)
+    if is_present():
+        contact = {"density_margin": density_margin, "side": cell}
+        mask: Array = run("covered", **contact, points=points, transform=matrix)
+        return mask
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
     with np.errstate(invalid="ignore", over="ignore"):  # positions may be infinite
         x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)

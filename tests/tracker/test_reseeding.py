@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fingerflow.tracker.upkeep import CONTACT, ThresholdSearch, Upkeep
+from fingerflow.tracker.reseeding import CONTACT, ReseedingSchedule, ThresholdSearch
 
 
 def test_a_growing_contact_measures_the_threshold_again() -> None:
@@ -23,7 +23,7 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
         if search.wants(index):
             measured.append(index)
         area = max(0.0, index - 5)
-        search.see(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
+        search.update(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
     assert measured[:3] == [0, 4, 8]
     # A threshold applies from frame 10 on, with an area of 5. The area exceeds 6.25 in frame 12: the threshold is
     # measured in frame 14 and applies from frame 16 on.
@@ -35,28 +35,28 @@ def test_single_frames_change_nothing() -> None:
     """Single frames with few points change nothing, nor do frames that are not four in a row. Lost points are seeded
     again after 64 frames at the earliest.
     """
-    upkeep = Upkeep(0.8, math.inf)
+    upkeep = ReseedingSchedule(0.8, math.inf)
     upkeep.restarted(0, 0, 100)
     tracked = [100, 10, 100, 10, 10, 10, 100, 70, 70, 70, 100]
-    assert [upkeep.see(i, i, count) for i, count in enumerate(tracked)] == [""] * len(tracked)
-    assert [upkeep.see(i, i, 70) for i in range(4)] == ["", "", "", "rekey"]
+    assert [upkeep.update(i, i, count) for i, count in enumerate(tracked)] == [""] * len(tracked)
+    assert [upkeep.update(i, i, 70) for i in range(4)] == ["", "", "", "rekey"]
     upkeep.keyed(3, 70)
-    assert [upkeep.see(i, i, 40) for i in range(4, 8)] == ["", "", "", "rekey"]
+    assert [upkeep.update(i, i, 40) for i in range(4, 8)] == ["", "", "", "rekey"]
     upkeep.keyed(7, 40)
-    assert {upkeep.see(i, i, 0) for i in range(8, 64)} == {""}
-    assert upkeep.see(64, 64, 0) == "lost"
-    upkeep.kept(66)
-    assert {upkeep.see(i, i, 0) for i in range(67, 130)} == {""}
-    assert upkeep.see(130, 130, 0) == "lost"
+    assert {upkeep.update(i, i, 0) for i in range(8, 64)} == {""}
+    assert upkeep.update(64, 64, 0) == "lost"
+    upkeep.keep(66)
+    assert {upkeep.update(i, i, 0) for i in range(67, 130)} == {""}
+    assert upkeep.update(130, 130, 0) == "lost"
 
 
 def test_points_are_seeded_where_a_contact_begins_once_a_touch() -> None:
-    upkeep = Upkeep(0.8, math.inf)
+    upkeep = ReseedingSchedule(0.8, math.inf)
     upkeep.restarted(0, 0, 100)
     causes = []
     for index in range(100):
         touches = 10 <= index < 60 or index >= 70
-        upkeep.see_contact(touches, touches and index % 50 > 12)
-        causes.append(upkeep.see(index, index, 100))
+        upkeep.record_contact(touches, touches and index % 50 > 12)
+        causes.append(upkeep.update(index, index, 100))
     assert [index for index, cause in enumerate(causes) if cause] == [14, 71]
     assert {causes[14], causes[71]} == {CONTACT}

@@ -57,7 +57,7 @@ class Ordinary(NamedTuple):
     limit: SquaredDistances
 
     @classmethod
-    def of(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
+    def estimate(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
         """Estimate noise and excess limit of ordinary frames from the squared distances `steps` (n, rows) between
         consecutive frames, and from their relative excesses (m, rows) over usual distances (`excess`).
         """
@@ -66,9 +66,9 @@ class Ordinary(NamedTuple):
         return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
 
 
-def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
+def is_jump(ways: JumpDistances, ordinary: Ordinary) -> bool:
     """Return True if the image jumps away in some frames and returns behind them, in any row of the distances (a band
-    of lines, the whole view or the brightness); `known` says what is ordinary.
+    of lines, the whole view or the brightness); `ordinary` says what is ordinary.
 
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
       jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
@@ -79,28 +79,29 @@ def is_jump(ways: JumpDistances, known: Ordinary) -> bool:
     usual = np.fmax(ways.usual, 1)
     longer = np.maximum(ways.into, ways.out_of) - usual
     most = np.maximum(usual, ways.within)
-    far = excess(ways.into, ways.out_of, most) > _excess_limit(most, known)
-    very_far = excess(ways.into, ways.out_of, usual) > np.maximum(known.limit, _FAR - 1)
+    far = excess(ways.into, ways.out_of, most) > _excess_limit(most, ordinary)
+    very_far = excess(ways.into, ways.out_of, usual) > np.maximum(ordinary.limit, _FAR - 1)
     return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
 
 
-def is_far(step: SquaredDistances, usual: SquaredDistances, known: Ordinary | None = None) -> bool:
+def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary | None = None) -> bool:
     """Return True if a frame differs much more from the frame before than neighbouring frames usually do, so that the
     image may have jumped, in any of the compared parts: bands of image lines, the whole view, or the brightness.
 
-    `step` and `usual` are squared distances (parts,). The limit follows from `known`, the excesses of other frames;
+    `step` and `usual` are squared distances (parts,). The limit follows from `ordinary`, the excesses of other frames;
     without these it is the smallest limit.
     """
     usual = np.fmax(usual, 1)
-    return bool((excess(step, step, usual) > (_LEAST_EXCESS if known is None else _excess_limit(usual, known))).any())
+    limit = _LEAST_EXCESS if ordinary is None else _excess_limit(usual, ordinary)
+    return bool((excess(step, step, usual) > limit).any())
 
 
-def _excess_limit(usual: SquaredDistances, known: Ordinary) -> SquaredDistances:
+def _excess_limit(usual: SquaredDistances, ordinary: Ordinary) -> SquaredDistances:
     """Return the limits (..., rows) above which the relative `excess` of a squared distance over the `usual` ones
     counts as a jump: higher for moving skin, whose usual distances exceed the noise, as it may jerk.
     """
-    moving = 1 - np.clip(known.noise, 1, usual) / usual
-    result: SquaredDistances = (known.limit + _JERK * moving).astype(np.float32)
+    moving = 1 - np.clip(ordinary.noise, 1, usual) / usual
+    result: SquaredDistances = (ordinary.limit + _JERK * moving).astype(np.float32)
     return result
 
 
@@ -112,7 +113,7 @@ def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDista
     return result
 
 
-def ordinary(steps: SquaredDistances, axis: int) -> SquaredDistances:
+def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
     """Return the upper limit of ordinary squared distances between consecutive frames, estimated from `NEARBY` of them
     along an axis of `steps`.
 
@@ -145,28 +146,28 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
         (F,) bool; all False if more than a tenth would be marked, as this is the motion of the skin or the light.
     """
     frames = len(distances)
-    found = np.zeros(frames, dtype=bool)
+    jumps = np.zeros(frames, dtype=bool)
     if frames < 2:
-        return found
+        return jumps
     steps = _steps(distances)
-    known = Ordinary.of(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
-    found |= _far_at_end(distances, usable, steps.before, known)
-    found |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], known)[::-1]
+    ordinary = Ordinary.estimate(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
+    jumps |= _far_at_end(distances, usable, steps.before, ordinary)
+    jumps |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], ordinary)[::-1]
     # Frames that may begin a jump, judged by their distance from the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
-    good = iter(np.flatnonzero(usable & ~found).tolist())
+    good = iter(np.flatnonzero(usable & ~jumps).tolist())
     last = next(good, frames)
     for frame in good:
         if frame <= last:
             continue
         length = 0
         if likely[frame] or last != frame - 1:
-            length = _length_of_jump(distances, steps, last, frame, usable, known)
-            found[frame : frame + length] = True
+            length = _length_of_jump(distances, steps, last, frame, usable, ordinary)
+            jumps[frame : frame + length] = True
         last = frame + length
-    found &= usable
-    return found if found.mean() <= _MOST else np.zeros_like(found)
+    jumps &= usable
+    return jumps if jumps.mean() <= _MOST else np.zeros_like(jumps)
 
 
 class _Steps(NamedTuple):
@@ -188,12 +189,12 @@ def _length_of_jump(
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
-    known: Ordinary,
+    ordinary: Ordinary,
 ) -> int:
     """Return for how many frames the image jumps away, from `frame` on, until the image of `last`, the usable frame
     before, is back; 0 if there is no such jump.
     """
-    latest, within = frame, np.zeros_like(known.noise)  # last frame of the jump; longest step between its frames
+    latest, within = frame, np.zeros_like(ordinary.noise)  # last frame of the jump; longest step between its frames
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
@@ -207,7 +208,7 @@ def _length_of_jump(
             within,
             np.maximum(steps.before[last], steps.after[back]),
         )
-        if is_jump(ways, known):
+        if is_jump(ways, ordinary):
             return length
         latest, within = back, np.fmax(within, ways.out_of)
     return 0
@@ -218,7 +219,7 @@ def _steps(distances: SquaredDistances) -> _Steps:
     rows) of each frame from those that precede it.
 
     A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
-    is the longer of the nearest step and what is `ordinary` for the next eight, or the median over the recording where
+    is the longer of the nearest step and the `ordinary_limit` of the next eight, or the median over the recording where
     nothing is known. A frame that repeats another has no distance from it.
     """
     median = np.median(distances[1:, 0], axis=0)
@@ -227,25 +228,26 @@ def _steps(distances: SquaredDistances) -> _Steps:
     after = np.full_like(before, np.nan)
     after[:-1] = distances[1:, 0]
     after[:-2] = np.fmin(after[:-2], distances[2:, 1])
-    before, after = (np.where(np.isnan(one), median, one) for one in (before, after))
+    before, after = (np.where(np.isnan(steps), median, steps) for steps in (before, after))
     around = np.maximum(before[:-2], after[2:])
-    return _Steps(np.maximum(before, _ordinary(before)), np.maximum(after, _ordinary(after[::-1])[::-1]), around)
+    limits = _ordinary_limits(before), _ordinary_limits(after[::-1])[::-1]
+    return _Steps(np.maximum(before, limits[0]), np.maximum(after, limits[1]), around)
 
 
-def _ordinary(steps: SquaredDistances) -> SquaredDistances:
-    """Return for each frame (F, rows) the upper limit of ordinary squared distances (`ordinary`), estimated from the
-    last `NEARBY` distances between consecutive frames in `steps` (F, rows).
+def _ordinary_limits(steps: SquaredDistances) -> SquaredDistances:
+    """Return for each frame (F, rows) the upper limit of ordinary squared distances (`ordinary_limit`), estimated from
+    the last `NEARBY` distances between consecutive frames in `steps` (F, rows).
 
     The first frames, which have fewer steps before them, have the limit of the first `NEARBY` steps.
     """
     if len(steps) < NEARBY:
         return np.zeros_like(steps)
-    result = ordinary(np.lib.stride_tricks.sliding_window_view(steps, NEARBY, axis=0), axis=-1)
+    result = ordinary_limit(np.lib.stride_tricks.sliding_window_view(steps, NEARBY, axis=0), axis=-1)
     return np.concatenate((np.repeat(result[:1], NEARBY - 1, axis=0), result))
 
 
 def _far_at_end(
-    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, known: Ordinary
+    distances: SquaredDistances, usable: NDArray[np.bool_], usual: SquaredDistances, ordinary: Ordinary
 ) -> NDArray[np.bool_]:
     """Return the mask (F,) of frames at the end of a recording, `LONGEST` at most, from the first on whose squared
     distance from the frame before is far larger than usual.
@@ -258,7 +260,7 @@ def _far_at_end(
     last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
-        limit = Ordinary(known.noise, np.fmax(known.limit, _LEAST_AT_END))
+        limit = Ordinary(ordinary.noise, np.fmax(ordinary.limit, _LEAST_AT_END))
         for k, step in enumerate(steps):
             # Longest of the later steps: a finger that has begun to move moves on.
             behind = steps[k + 1 :].max(0, initial=0)

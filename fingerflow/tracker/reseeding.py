@@ -11,7 +11,7 @@ class ThresholdSearch:
     The first frame and every fourth after it are tried until one shows contact. A threshold measured in a small contact
     is measured again whenever the contact has grown by a fourth.
 
-    Methods are called for one frame after another: `due` and `wants` when it begins, `see` when it has ended.
+    Methods are called for one frame after another: `due` and `wants` when it begins, `update` when it has ended.
 
     Args:
         lag: frames after which a measured threshold applies.
@@ -32,8 +32,8 @@ class ThresholdSearch:
 
     def due(self, index: int) -> float | None:
         """Return the new threshold that applies from frame `index` on; None if the threshold in use stays."""
-        found = self._found
-        return found[1] if found is not None and index >= found[0] + self._lag else None
+        measured = self._found
+        return measured[1] if measured is not None and index >= measured[0] + self._lag else None
 
     def used(self) -> None:
         """Record that the new threshold is now in use, after all earlier frames have finished."""
@@ -50,7 +50,7 @@ class ThresholdSearch:
         if self._asked is not None and self._found is None:
             self._asked = None
 
-    def see(self, index: int, area: float, measured: float | None) -> bool:
+    def update(self, index: int, area: float, measured: float | None) -> bool:
         """Add a frame with its contact area, px; return whether the contact threshold measured in this frame is to be
         used.
 
@@ -71,7 +71,7 @@ REKEY = "rekey"  # cause of a new key frame for the same points
 CONTACT = "contact"  # cause of a reseeding at the place where the contact lies
 
 
-class Upkeep:
+class ReseedingSchedule:
     """Schedule of reseedings and new key frames in a stream, by the number of tracked points and of frames.
 
     Args:
@@ -90,22 +90,22 @@ class Upkeep:
         self.key_frame = 0
         self._found = self._keyed = self._few = self._lost = self._tried = self._sparse = self._looks = 0
 
-    def restarted(self, index: int, key_frame: int, found: int) -> None:
-        """Record that, before frame `index`, new points were seeded: `found` points in the image of frame number
+    def restarted(self, index: int, key_frame: int, points: int) -> None:
+        """Record that, before frame `index`, new points were seeded: `points` points in the image of frame number
         `key_frame`.
         """
-        self.keyed(key_frame, found)
-        self._found, self._tried, self._lost, self._sparse = found, index, 0, 0
+        self.keyed(key_frame, points)
+        self._found, self._tried, self._lost, self._sparse = points, index, 0, 0
 
     def keyed(self, key_frame: int, points: int) -> None:
         """Record a new key frame, and the number of points tracked from this frame."""
         self.key_frame, self._keyed, self._few = key_frame, points, 0
 
-    def kept(self, index: int) -> None:
+    def keep(self, index: int) -> None:
         """Record that the current points were kept at frame `index`: reseeding would not have given more."""
         self._tried = index
 
-    def see_contact(self, touching: bool, sparse: bool) -> None:
+    def record_contact(self, touching: bool, sparse: bool) -> None:
         """Record an evaluation of the contact in one frame: whether there is contact, and whether too few tracked
         points lie in it.
         """
@@ -115,7 +115,7 @@ class Upkeep:
         elif sparse and self._looks <= self._YOUNG:
             self._sparse += 1
 
-    def see(self, index: int, number: int, tracked: int) -> str:
+    def update(self, index: int, number: int, tracked: int) -> str:
         """Record that `tracked` points were tracked in a frame; return the cause of the reseeding or new key frame that
         is now due, "" for none.
 

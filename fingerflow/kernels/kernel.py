@@ -1,0 +1,270 @@
+"""Calls of compiled functions: arguments are checked, and results allocated, by the declarations in interface.h."""
+
+import ctypes
+import functools
+import operator
+import os
+import struct
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import CodeType
+from typing import Any, NoReturn
+
+import numpy as np
+
+from fingerflow.kernels.arrays import (
+    DATA_OFFSET,
+    KINDS,
+    address,
+    copied,
+    empty,
+    in_one_piece,
+    limits_of,
+    rows_in_one_piece,
+)
+from fingerflow.kernels.declarations import FRAME_KINDS, ArrayField, Function, NumberField
+
+_NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
+_NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of interface.h
+
+
+class _ThreadState(threading.local):
+    """State of one thread: whether kernels that the thread calls compute results, or only allocate them."""
+
+    shapes_only = False
+
+
+_here = _ThreadState()
+
+
+class Kernel:
+    """Callable kernel of the compiled library; arguments are named as in interface.h.
+
+    Arrays are NumPy arrays or torch tensors on the CPU, copied only if they are not contiguous; results are newly
+    allocated, as tensors if any of the arrays is one. Sizes, strides and dtypes are taken from the arrays.
+    """
+
+    def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
+        """Look up the function `name` in the library."""
+        self._name, self._fields = name, function.fields
+        arrays = function.arrays
+        self._numbers = [field for field in function.fields if isinstance(field, NumberField)]
+        # Sizes that may be 1 in place of another size are checked last, as that must be known.
+        inputs = sorted(
+            (array for array in arrays if array.role != "result"), key=lambda array: "|" in str(array.shape)
+        )
+        self._inputs = [(array, array.name, [_size(size) for size in array.shape]) for array in inputs]
+        self._names = [array.name for array in arrays]
+        self._indices = [array for array in inputs if array.below]
+        self._results = [array for array in arrays if array.role != "input"]
+        shapes = "".join(f"({', '.join(array.shape)},)," for array in self._results)
+        self._shapes = compile(f"({shapes})", name, "eval")
+        self._arguments = {array.name for array in inputs} | {number.name for number in self._numbers}
+        self._defaults = dict.fromkeys(function.derived, 0)
+        self._needed = {argument.name for argument in function.arguments}
+        self._in_order = operator.itemgetter(*(field.name for field in function.fields))
+        self._pack = struct.Struct(function.format).pack
+        self._enter: Any = library[f"enter_{name}"]
+        self._enter.argtypes = (ctypes.c_char_p,)
+        self._message = library.fingerflow_last_message
+
+    def __call__(self, **values: Any) -> Any:
+        """Call the library function, without holding the global interpreter lock, and return the results in the order
+        of the header: a tuple, or the only one.
+
+        Numbers that the shapes of arrays tell may be left out.
+
+        Raises:
+            TypeError: an argument is missing or unknown, an array has another dtype, or a number is none.
+            ValueError: a tensor is on another device, a shape does not fit, or a number or an index is out of range.
+            MemoryError: the kernel cannot allocate its memory.
+            RuntimeError: any other exception of the kernel, with its name.
+        """
+        if not self._needed <= values.keys() <= self._arguments:
+            raise TypeError(f"kernel {self._name} was called with {sorted(values)}: it has {sorted(self._arguments)}")
+        arrays, like = self._checked_arrays(values)
+        values = {**self._defaults, **values, "threads": threads()}
+        for number in self._numbers:
+            value = values[number.name]
+            if number.least is not None and (
+                isinstance(value, float)
+                or not number.least <= value <= number.most
+                or (number.step > 1 and (value - number.least) % number.step)
+                or (number.among and value not in number.among)
+            ):
+                self._refuse_number(number, value)
+        results: list[Any] = []
+        for field, shape in zip(self._results, eval(self._shapes, _NO_NAMES, values), strict=True):
+            array = arrays.get(field.name)
+            if array is None and (not field.needs or field.needs in arrays):
+                dtype = field.dtypes[0] if field.dtypes else KINDS[arrays[field.like].dtype]
+                array = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
+                if field.role == "updated":
+                    array[...] = 0
+                arrays[field.name] = array
+            results.append(array)
+        if not _here.shapes_only:
+            self._run(values, arrays)
+        return results[0] if len(results) == 1 else tuple(results)
+
+    def _checked_arrays(self, values: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+        """Check the arrays among the arguments, and add their sizes, strides and codes of dtypes to the arguments.
+
+        Return those that are not None, contiguous, and one of them that is a tensor, or None.
+        """
+        arrays: dict[str, Any] = {}
+        like = None
+        for field, name, sizes in self._inputs:
+            array = values[name]
+            if array is None and field.optional:
+                continue
+            dtype = getattr(array, "dtype", None)
+            if KINDS[dtype] not in (field.dtypes or (KINDS[arrays[field.like].dtype],)):
+                self._refuse_array(field, array, values, TypeError)
+            if array.ndim != len(sizes):
+                self._refuse_array(field, array, values)
+            for (letter, size), actual in zip(sizes, array.shape, strict=True):
+                if size is None:
+                    fits = values.setdefault(letter, actual) == actual  # type: ignore[arg-type]
+                else:
+                    needed = eval(size, _NO_NAMES, values) if isinstance(size, CodeType) else size
+                    fits = actual == needed or (letter is not None and actual == 1)
+                    if letter is not None:
+                        values[letter] = actual
+                if not fits:
+                    self._refuse_array(field, array, values)
+            if field.rows:
+                array = in_one_piece(array) if field.whole else array
+                array, values[f"{name}_stride"], values[f"{name}_row_stride"] = rows_in_one_piece(array)
+                values[f"{name}_kind"] = FRAME_KINDS.get(KINDS[dtype], 0)
+            elif field.role == "updated":
+                array = copied(array)
+            elif not (isinstance(array, np.ndarray) and array.flags.c_contiguous and array.flags.aligned):
+                array = in_one_piece(array)
+            if like is None and not isinstance(array, np.ndarray):
+                like = array
+            arrays[name] = array
+        for field in self._indices:
+            if field.name in arrays and not _here.shapes_only:
+                self._check_indices(field, arrays[field.name], values)
+        return arrays, like
+
+    def _run(self, values: dict[str, Any], arrays: dict[str, Any]) -> None:
+        for name in self._names:
+            array = arrays.get(name)
+            if array is None:
+                values[name] = 0
+            elif DATA_OFFSET and isinstance(array, np.ndarray):
+                values[name] = ctypes.c_size_t.from_address(id(array) + DATA_OFFSET).value
+            else:
+                values[name] = address(array)
+        try:
+            packed = self._pack(*self._in_order(values))
+        except (struct.error, OverflowError, TypeError):
+            for number in self._numbers:
+                if not _fits_format(number.code, values[number.name]):
+                    self._refuse_number(number, values[number.name])
+            raise
+        outcome = self._enter(packed)
+        if outcome:
+            message = self._message().decode(errors="replace")
+            if outcome == _NO_MEMORY:
+                raise MemoryError(
+                    f"kernel {self._name}: no memory ({message}); give it smaller batches or fewer threads"
+                )
+            raise RuntimeError(f"kernel {self._name} failed: {message}")
+
+    def _refuse_array(
+        self, field: ArrayField, array: Any, values: dict[str, Any], error: type[Exception] = ValueError
+    ) -> NoReturn:
+        """Raise the error for an array that does not fit its declaration."""
+        actual = "None" if array is None else f"{KINDS[array.dtype]} {tuple(array.shape)}"
+        dtypes = " or ".join(field.dtypes) or f"the dtype of {field.like}"
+        known = ", ".join(f"{name} {value}" for name, value in values.items() if name in " ".join(field.shape).split())
+        shape = f"({', '.join(field.shape)})" + (f" with {known}" if known else "")
+        raise error(f"kernel {self._name}: {field.name} is {actual}: {dtypes} {shape} is needed")
+
+    def _refuse_number(self, number: NumberField, value: Any) -> NoReturn:
+        """Raise the error for a number that does not fit its declaration."""
+        words = "a number, not too large"
+        if number.least is not None:
+            most = f"2^{number.most.bit_length()} - 1" if number.most >= (1 << 31) - 1 else number.most
+            words = f"a whole number from {number.least} to {most}"
+            words += f" in steps of {number.step}" if number.step > 1 else ""
+            words = f"one of {number.among}" if number.among else words
+        whole = hasattr(value, "__index__") or (number.least is None and isinstance(value, float))
+        raise (ValueError if whole else TypeError)(f"kernel {self._name}: {number.name} is {value!r}: give {words}")
+
+    def _check_indices(self, field: ArrayField, array: Any, values: dict[str, Any]) -> None:
+        """Raise ValueError unless the values of an array of indices lie from 0 to the declared limit."""
+        if 0 not in array.shape:
+            lowest, highest = limits_of(array)
+            if not 0 <= lowest <= highest < values[field.below]:
+                raise ValueError(
+                    f"kernel {self._name}: {field.name} goes from {lowest} to {highest}: it must lie from 0 to "
+                    f"{field.below} - 1, which is {values[field.below] - 1}"
+                )
+
+
+def _size(text: str) -> tuple[str | None, int | CodeType | None]:
+    """Return the name that a declared size gives to the size of an axis, if any, and the size that it must have."""
+    letter, _, size = text.rpartition("|")
+    if size.isidentifier() and not letter:
+        return size, None
+    return letter or None, int(size) if size.isdecimal() else compile(size, text, "eval")
+
+
+def _fits_format(code: str, value: Any) -> bool:
+    """Return whether a value fits a format code of `struct`."""
+    try:
+        struct.pack(code, value)
+    except (struct.error, OverflowError, TypeError):
+        return False
+    return True
+
+
+@contextmanager
+def shapes_only() -> Iterator[None]:
+    """Return a context in which the kernels of this thread check arguments and allocate results but compute nothing, so
+    that a compiler can trace shapes.
+    """
+    before, _here.shapes_only = _here.shapes_only, True
+    try:
+        yield
+    finally:
+        _here.shapes_only = before
+
+
+def values_are_known() -> bool:
+    """Return whether the values of arrays may be read; within `shapes_only` they are not computed."""
+    return not _here.shapes_only
+
+
+def threads() -> int:
+    """Return the number of threads that kernels use: the setting of torch if this process has loaded torch.
+
+    Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
+    """
+    of_torch = getattr(sys.modules.get("torch"), "get_num_threads", None)
+    return (_threads or _lent_threads()) if of_torch is None else of_torch()
+
+
+def set_threads(count: int) -> None:
+    """Set the number of threads of the kernels, and of torch if this process has loaded torch."""
+    global _threads
+    _threads = count
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(count)
+
+
+_threads = 0  # number of threads of the kernels, 0 if not set
+
+
+@functools.cache
+def _lent_threads() -> int:
+    requested = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    if requested.isdecimal() and int(requested):
+        return int(requested)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
