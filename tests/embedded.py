@@ -18,9 +18,9 @@ from fingerflow import ops
 from fingerflow.graphs import (
     ContactGraph,
     DetectGraph,
-    Entered,
+    EnteredPoints,
     FieldsGraph,
-    GrossEllipse,
+    FrameEllipse,
     KeyGraph,
     MedianFilter,
     NormalizeIllumination,
@@ -71,13 +71,13 @@ def cases(batch: int = 2) -> dict[str, Case]:
     key = KeyGraph(11)
     templates = key(first, points)
     track = TrackGraph()
-    ellipse = GrossEllipse(
+    ellipse = FrameEllipse(
         torch.tensor([[40.0, 32.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.tensor([[20.0, 16.0]], dtype=torch.float32).repeat(len(first), 1),
         torch.zeros(len(first), dtype=torch.float32),
     )
     straight = torch.eye(2, dtype=torch.float32).expand_as(covariance)
-    entered = Entered(points[..., 0] > 40, gradient / 10, None)
+    entered = EnteredPoints(points[..., 0] > 40, gradient / 10, None)
     return {
         "curl": Case(ops.curl, (gradient,)),
         "dense_flow": Case(ops.dense_flow, (first, second)),

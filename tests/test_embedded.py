@@ -98,7 +98,7 @@ from fingerflow import graphs, ops
 cpu = dict(dtype=torch.float32, device="cpu")
 points = torch.cartesian_prod(torch.arange(8, **cpu), torch.arange(8, **cpu))[None]
 ellipse = torch.full((1, 2), 4.0, **cpu), torch.full((1, 2), 3.0, **cpu), torch.zeros(1, **cpu)
-fields = graphs.FieldsGraph(6.0)(points, points / 10, None, graphs.GrossEllipse(*ellipse))
+fields = graphs.FieldsGraph(6.0)(points, points / 10, None, graphs.FrameEllipse(*ellipse))
 assert fields.median.dtype == torch.float32 and abs(fields.median[0, 0].item() - 0.2) < 0.02, fields.median
 frame = torch.arange(64, dtype=torch.uint8, device="cpu").repeat(64, 1)[None, None]
 print(ops.otsu_threshold(frame).item(), ops.median_filter(frame, 3).sum().item() / 64)

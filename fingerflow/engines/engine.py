@@ -9,6 +9,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.kernels.result_records import EnteredPoints as EnteredPoints
+from fingerflow.kernels.result_records import FrameContact as FrameContact
+from fingerflow.kernels.result_records import FrameEllipse as FrameEllipse
+from fingerflow.kernels.result_records import TrackedPoints as TrackedPoints
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.schema.scene_tables import ContactCells, FieldSettings, GaugeSettings, PointSettings
 
@@ -40,29 +44,6 @@ class GlassLight(NamedTuple):
     black: Array
 
 
-class FrameContact(NamedTuple):
-    """Contact of K frames, in px of the contact view; ellipses are NaN without contact.
-
-    Attributes:
-        real_contact_mask: (K, 1, H, W) bool, the micro-junctions; None if the engine does not return it.
-        real_area_px, gross_area_px: (K,) px, areas of the real and of the apparent (gross) contact.
-        center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
-        density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `ops.contact.cells.covered`.
-        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible.
-        threshold: (K,) relative intensity loss above which a pixel touches; NaN without contact.
-    """
-
-    real_contact_mask: Array | None
-    real_area_px: Array
-    gross_area_px: Array
-    center: Array
-    semi_axes: Array
-    angle: Array
-    density_margin: Array
-    illumination_gain: Array
-    threshold: Array
-
-
 class TemplateBuffers(Protocol):
     """Templates of N points (image windows that tracking finds again in later frames), in buffers of the engine.
 
@@ -82,60 +63,13 @@ class TemplateBuffers(Protocol):
         ...
 
 
-class FoundPoints(NamedTuple):
-    """Results of tracking N points in K frames; positions of lost points are NaN.
-
-    Attributes:
-        points: (K, N, 2) px, NaN where the status is not TRACKED.
-        error: (K, N) px, forward-backward distance.
-        covariance: (K, N, 2, 2) px^2, NaN as the points.
-        status: (K, N) uint8 (`kernels.tracking_limits.TrackStatus`).
-        estimate: (K, N, 2) px, position from which the search continues; that of a tracked point is `points`.
-    """
-
-    points: Array
-    error: Array
-    covariance: Array
-    status: Array
-    estimate: Array
-
-    @property
-    def variance(self) -> Array:
-        """Return the position variance (K, N), px^2: the mean of the variances in x and y."""
-        return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
-
-    def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
-        """Return the tracking results of selected frames and points; all points by default."""
-        return FoundPoints(*(one[frames][:, points] for one in self))
-
-    def rejected(self, which: Array, status: TrackStatus) -> FoundPoints:
-        """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are
-        NaN, their status is `status`.
-        """
-        if not which.any():
-            return self
-        points, covariance = self.points.copy(), self.covariance.copy()
-        points[which] = covariance[which] = np.nan
-        return self._replace(
-            points=points, covariance=covariance, status=np.where(which, np.uint8(status), self.status)
-        )
-
-    def without_outliers(self, off_neighbours: Array, uncertain: Array) -> FoundPoints:
-        """Return the results with the tracked points rejected that two masks (K, N) mark: those that are far more
-        uncertain than their neighbours, and those that deviate from them.
-        """
-        tracked = self.status == TrackStatus.TRACKED
-        certain = self.rejected(tracked & uncertain, TrackStatus.UNCERTAIN)
-        return certain.rejected(tracked & off_neighbours, TrackStatus.OFF_NEIGHBOURS)
-
-
 class Followed(NamedTuple):
     """Points tracked through K frames, and the positions and speeds of the points after the last frame.
 
     Positions are (N, 2) px, speeds (N, 2) px a frame.
     """
 
-    found: FoundPoints
+    found: TrackedPoints
     place: Array
     speed: Array
 
@@ -150,32 +84,10 @@ class Corrected(NamedTuple):
         expected: (K, N, 2) px, position predicted from the neighbours of a point; NaN where too few are known.
     """
 
-    found: FoundPoints
+    found: TrackedPoints
     warp: Array
     shift: Array
     expected: Array
-
-
-class FrameEllipse(NamedTuple):
-    """Ellipses of the apparent contact of K frames, mm: center (K, 2), semi_axes (K, 2), angle (K,) rad."""
-
-    center: Array
-    semi_axes: Array
-    angle: Array
-
-
-class EnteredPoints(NamedTuple):
-    """Points that moved into the contact (advected), with displacement gradients since each point's entry.
-
-    Attributes:
-        among: (K, N) bool, True for the points that were advected.
-        gradient: (K, N, 2, 2), NaN where it is not known.
-        covariance: (K, N, 2, 2, 2, 2) of the gradient, or None.
-    """
-
-    among: Array
-    gradient: Array
-    covariance: Array | None
 
 
 class Fit(NamedTuple):
@@ -261,7 +173,7 @@ class Engine(Protocol):
         """
         ...
 
-    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         """Reject outliers among the tracking results `found`, correct the others for the deformation of the skin since
         the templates were prepared, and return them with that deformation.
 
@@ -335,8 +247,34 @@ class Recent(Generic[_T]):
         return value
 
 
-def nothing_found(frames: int) -> FoundPoints:
+def select(points: TrackedPoints, frames: Any, which: Any = slice(None)) -> TrackedPoints:
+    """Return the tracking results of selected frames and points; all points by default."""
+    return TrackedPoints(*[values[frames][:, which] for values in points])
+
+
+def reject(points: TrackedPoints, which: Array, status: TrackStatus) -> TrackedPoints:
+    """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are NaN,
+    their status is `status`.
+    """
+    if not which.any():
+        return points
+    positions, covariance = points.points.copy(), points.covariance.copy()
+    positions[which] = covariance[which] = np.nan
+    changed = np.where(which, np.uint8(status), points.status)
+    return points._replace(points=positions, covariance=covariance, status=changed)
+
+
+def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Array) -> TrackedPoints:
+    """Return the results with the tracked points rejected that two masks (K, N) mark: those that are far more uncertain
+    than their neighbours, and those that deviate from them.
+    """
+    tracked = points.status == TrackStatus.TRACKED
+    certain = reject(points, tracked & uncertain, TrackStatus.UNCERTAIN)
+    return reject(certain, tracked & off_neighbours, TrackStatus.OFF_NEIGHBOURS)
+
+
+def nothing_found(frames: int) -> TrackedPoints:
     """Return the empty tracking result of `frames` frames without any points."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
-    return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)
+    return TrackedPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

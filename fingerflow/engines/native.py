@@ -15,12 +15,13 @@ from fingerflow.engines.engine import (
     EnteredPoints,
     Fit,
     Followed,
-    FoundPoints,
     FrameContact,
     FrameEllipse,
     FrameFields,
     GlassLight,
     Recent,
+    TrackedPoints,
+    reject_outliers,
 )
 from fingerflow.engines.native_fields import fields_of_frames
 from fingerflow.kernels import tracking
@@ -130,13 +131,13 @@ class NativeEngine:
         arrays = templates.arrays if rows is None else tuple(array[:, rows] for array in templates.arrays)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
-        tracked = tracking.find_templates(arrays, images, place[None], speed[None], None, ROUNDS, *limits)
-        return Followed(FoundPoints(*(values[:, 0] for values in tracked[:5])), tracked.place[0], tracked.speed[0])
+        points, place, speed = tracking.find_templates(arrays, images, place[None], speed[None], None, ROUNDS, *limits)
+        return Followed(TrackedPoints(*[values[:, 0] for values in points]), place[0], speed[0])
 
-    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         if len(start) > 1:  # a single point has no neighbour
             moved, deviation = found.points - start, np.sqrt(found.variance)
-            found = found.without_outliers(*tracking.find_outliers(self._neighbours(start), moved, deviation))
+            found = reject_outliers(found, *tracking.find_outliers(self._neighbours(start), moved, deviation))
         corrected = tracking.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,

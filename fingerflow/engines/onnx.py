@@ -17,13 +17,15 @@ from fingerflow.engines.engine import (
     EnteredPoints,
     Fit,
     Followed,
-    FoundPoints,
     FrameContact,
     FrameEllipse,
     FrameFields,
     GlassLight,
     Images,
     Recent,
+    TrackedPoints,
+    reject_outliers,
+    select,
 )
 from fingerflow.engines.prediction import MotionState
 from fingerflow.errors import FingerflowError
@@ -162,12 +164,12 @@ class OnnxEngine:
                     whole[:, lost] = part
             course = course.see(found)
             frames.append(found)
-        joined = found if len(frames) == 1 else FoundPoints(*map(np.concatenate, zip(*frames, strict=True)))
+        joined = found if len(frames) == 1 else TrackedPoints(*map(np.concatenate, zip(*frames, strict=True)))
         return Followed(joined, course.place, course.speed)
 
     def _track_frame(
         self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
-    ) -> FoundPoints:
+    ) -> TrackedPoints:
         """Track the templates with indices `rows` (L,) in a frame from guessed positions (L, 2) px: all in one run of
         the ONNX graph if they are many or `whole` is true, else a few at a time.
         """
@@ -181,18 +183,18 @@ class OnnxEngine:
                 "prediction": near,
             }
             found = self._sessions["track"](given)
-            return FoundPoints(**found).of(slice(None), slice(0, len(rows)) if whole else rows)
+            return select(TrackedPoints(**found), slice(None), slice(0, len(rows)) if whole else rows)
         held = {name: array[:, rows] for name, array in templates.arrays.items()}
-        return FoundPoints(
+        return TrackedPoints(
             **self._in_pieces("track_few", {**held, "prediction": guess[None]}, {"topography_view": images})
         )
 
-    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
         if count > 1:  # a single point has no neighbour
             inputs = self._pad_points(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
             masks = self._sessions["outliers"]({**self._neighbours(start), **inputs})
-            found = found.without_outliers(masks["off_neighbours"][:, :count], masks["uncertain"][:, :count])
+            found = reject_outliers(found, masks["off_neighbours"][:, :count], masks["uncertain"][:, :count])
         given = self._pad_points(
             start=start[None],
             found=found.points,

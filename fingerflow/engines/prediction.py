@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fingerflow.engines.engine import Array, FoundPoints
+from fingerflow.engines.engine import Array, TrackedPoints
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, TrackStatus
 
 
@@ -27,7 +27,7 @@ class MotionState(NamedTuple):
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
-    def see(self, found: FoundPoints) -> MotionState:
+    def see(self, found: TrackedPoints) -> MotionState:
         """Return the motion after one more frame, given the tracking result `found` (1, N) of that frame.
 
         The latest displacement has half the weight in a speed: the displacement between two positions alone would carry

@@ -14,14 +14,14 @@ from torch import Tensor
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.engine import Array, EngineSettings, Recent
 from fingerflow.engines.prediction import MotionState
-from fingerflow.graphs import ContactGraph, DetectGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, DetectGraph, FieldsGraph, KeyGraph, TrackGraph
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, Templates, further_rounds
+from fingerflow.ops.tracking.templates import Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
 
@@ -79,10 +79,8 @@ class TorchEngine:
         if threshold is None:
             threshold = _array(self._contact.threshold(images, *glass))
         limit = self._tensor(1 - threshold.astype(np.float32))
-        contact = self._contact(images, *glass, limit)
-        return arrays.FrameContact(
-            **{name: _array(value) for name, value in contact._asdict().items()}, threshold=threshold
-        )
+        contact: arrays.FrameContact = self._contact(images, *glass, limit)
+        return contact._make([*_arrays(contact[:-1]), threshold])
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
@@ -108,24 +106,26 @@ class TorchEngine:
         for k in range(len(images)):
             look = partial(self._look, images[k : k + 1])
             first = look(chosen, self._tensor(motion.expect())[None])
-            found = arrays.FoundPoints(*_arrays(first))
+            found = arrays.TrackedPoints(*_arrays(first))
             # This decision on the host costs no extra wait, as the host waits for the first round anyway.
             if (found.status == TrackStatus.NOT_CONVERGED).any():
-                found = arrays.FoundPoints(*_arrays(further_rounds(look, chosen, first, ROUNDS - 1)))
+                found = arrays.TrackedPoints(*_arrays(further_rounds(look, chosen, first, ROUNDS - 1)))
             motion = motion.see(found)
             frames.append(found)
-        joined = arrays.FoundPoints(*map(np.concatenate, zip(*frames, strict=True)))
+        joined = arrays.TrackedPoints(*map(np.concatenate, zip(*frames, strict=True)))
         return arrays.Followed(joined, motion.place, motion.speed)
 
-    def _look(self, image: Tensor, templates: Templates, near: Tensor) -> Found:
-        found: Found = self._track(templates, image, near)
+    def _look(self, image: Tensor, templates: Templates, near: Tensor) -> arrays.TrackedPoints:
+        found: arrays.TrackedPoints = self._track(templates, image, near)
         return found
 
-    def correct(self, start: Array, found: arrays.FoundPoints, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
+    def correct(
+        self, start: Array, found: arrays.TrackedPoints, numbers: Array, inverse_warp: Array
+    ) -> arrays.Corrected:
         if len(start) > 1:  # a single point has no neighbour
             moved = self._tensor(found.points) - self._tensor(start)[None]
             masks = find_outliers(self._neighbours(start), moved, self._tensor(np.sqrt(found.variance)))
-            found = found.without_outliers(*_arrays(masks))
+            found = arrays.reject_outliers(found, *_arrays(masks))
         given = self._tensor(start)[None], self._tensor(found.points), self._tensor(found.covariance)
         of_templates = self._tensor(numbers)[None], self._tensor(inverse_warp)[None]
         corrected = correct_points(*given, *of_templates, self.settings.window_px, WARP_GAUGE_PX)
@@ -167,9 +167,13 @@ class TorchEngine:
         advected = None
         if entered is not None:
             spread = None if entered.covariance is None else single(entered.covariance)
-            advected = Entered(self._tensor(entered.among), single(entered.gradient), spread)
+            advected = arrays.EnteredPoints(self._tensor(entered.among), single(entered.gradient), spread)
         found = self._fields(
-            single(reference)[None], single(displacement), variance, GrossEllipse(*map(single, ellipse)), advected
+            single(reference)[None],
+            single(displacement),
+            variance,
+            arrays.FrameEllipse(*map(single, ellipse)),
+            advected,
         )
         known: dict[str, Any] = {name: None if one is None else _array(one) for name, one in found._asdict().items()}
         return arrays.FrameFields(**known)

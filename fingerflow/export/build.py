@@ -11,15 +11,13 @@ from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import (
-    Contact,
     ContactGraph,
     DetectGraph,
-    Entered,
     FieldsGraph,
-    GrossEllipse,
     KeyGraph,
     TrackGraph,
 )
+from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import query_gradients
@@ -28,12 +26,12 @@ from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.tracking.deformation import Supports, correct_points, fit_supports
 from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
-from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
+from fingerflow.ops.tracking.templates import Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")
-_ELLIPSE = GrossEllipse._fields
+_ELLIPSE = FrameEllipse._fields
 _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
 _SUPPORTS = ("support_weights", "support_within", "inner_weights", "inner_within")
 _CORRECTED = ("points", "covariance", "warp", "shift", "expected")
@@ -125,7 +123,11 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 def _contact_graphs(settings: EngineSettings, real_contact_mask: bool) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of the contact view."""
     graph = ContactGraph(settings.median_px, settings.gross_radius_px, settings.cell_px, settings.stride_px)
-    shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or real_contact_mask)
+    shown = tuple(
+        name
+        for name in FrameContact._fields
+        if (name != "real_contact_mask" or real_contact_mask) and name != "threshold"
+    )
 
     def contact(view: Tensor, light: Tensor, black: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
         frame_contact = graph(view, light, black, 1 - threshold)
@@ -176,7 +178,7 @@ def _point_graphs(settings: EngineSettings) -> _Described:
         flat = sample_windows(view, image, positions, deformed, settings.window_px, STEP)
         return (flat.unflatten(0, points.shape[:2]),)
 
-    followed = (find, (*_TEMPLATES, "topography_view", "prediction"), Found._fields)
+    followed = (find, (*_TEMPLATES, "topography_view", "prediction"), TrackedPoints._fields)
     return {
         "noise": (lambda view: (estimate_noise(view.to(torch.float32)),), ("topography_view",), ("noise",)),
         "spline": (lambda view: (spline_coefficients(view).to(torch.float32),), ("topography_view",), ("spline",)),
@@ -218,8 +220,8 @@ def _field_graphs(settings: EngineSettings, deviations: bool) -> _Described:
         covariance = arguments[5] if deviations else None
         among = None
         if rest := arguments[len(inputs) :]:
-            among = Entered(rest[0], rest[1], rest[2] if deviations else None)
-        frame_fields = graph(reference, displacement, covariance, GrossEllipse(*ellipse), among)
+            among = EnteredPoints(rest[0], rest[1], rest[2] if deviations else None)
+        frame_fields = graph(reference, displacement, covariance, FrameEllipse(*ellipse), among)
         return tuple(getattr(frame_fields, name) for name in outputs)
 
     return {

@@ -1,19 +1,20 @@
 """Torch modules (graphs) composed of tensor ops, for computations on batches of frames on any device."""
 
-from fingerflow.graphs.contact_graph import Contact, ContactGraph
+from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.fields_graph import Entered, Fields, FieldsGraph, GrossEllipse
+from fingerflow.graphs.fields_graph import Fields, FieldsGraph
 from fingerflow.graphs.image_steps import MedianFilter, NormalizeIllumination
 from fingerflow.graphs.track import KeyGraph, TrackGraph
+from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse
 
 __all__ = [
-    "Contact",
     "ContactGraph",
     "DetectGraph",
-    "Entered",
+    "EnteredPoints",
     "Fields",
     "FieldsGraph",
-    "GrossEllipse",
+    "FrameContact",
+    "FrameEllipse",
     "KeyGraph",
     "MedianFilter",
     "NormalizeIllumination",

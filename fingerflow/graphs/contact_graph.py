@@ -1,37 +1,13 @@
 """Contact mask, contact areas and contact ellipse from frames of the contact view."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor, nn
 
+from fingerflow.kernels.result_records import FrameContact
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
-
-
-class Contact(NamedTuple):
-    """Contact mask, areas, ellipse and illumination gain of B frames.
-
-    Attributes:
-        real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
-        real_area_px, gross_area_px: (B,) px, area of the micro-junctions and of the apparent contact that they span.
-        center, semi_axes: (B, 2) px, `angle` (B,) rad: ellipse of the apparent contact, NaN without contact.
-        density_margin: (B, 1, h, w) of the apparent contact on cells; `engines.contact_view.covers` tests with it
-            whether a position lies inside.
-        illumination_gain: (B,) gain of the light relative to the image of the empty glass. NaN where no glass is
-            visible; a gain of 1 is used there.
-    """
-
-    real_contact_mask: Tensor
-    real_area_px: Tensor
-    gross_area_px: Tensor
-    center: Tensor
-    semi_axes: Tensor
-    angle: Tensor
-    density_margin: Tensor
-    illumination_gain: Tensor
 
 
 class ContactGraph(nn.Module):
@@ -59,7 +35,7 @@ class ContactGraph(nn.Module):
         self.cell_px = cell_px or cell_of(gross_radius_px)
         self.stride_px = stride_px
 
-    def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
+    def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> FrameContact:
         """Segment the contact in frames (B, 1, H, W) of the contact view.
 
         `light` and `black` (1 or B, 1, H, W) are those of `ops.filters.illumination.glass_light`; `limit` (B,) is the
@@ -69,7 +45,7 @@ class ContactGraph(nn.Module):
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
         mask = real_contact_mask(frames, light, black, share, self.median_px)
         region = apparent_contact(mask, self.gross_radius_px, self.cell_px, light.dtype)
-        return Contact(
+        return FrameContact(
             mask,
             region.covered_px,
             region.area_px,

@@ -5,41 +5,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.fields.strain import curl, divergence, green_lagrange, shear
 from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
 from fingerflow.ops.tensors import finite, sum_rows
-
-
-class GrossEllipse(NamedTuple):
-    """Ellipse of the apparent (gross) contact of B frames, in the length unit of the points."""
-
-    center: Tensor  # (B, 2) centre of the contact's ellipse, x and y
-    semi_axes: Tensor  # (B, 2) semi-axes of the ellipse
-    angle: Tensor  # (B,) angle of the first semi-axis from x towards y, rad
-
-
-class Entered(NamedTuple):
-    """Points that moved into the contact after its onset (advected), with displacement gradients since each point's own
-    entry.
-
-    A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
-    of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
-    """
-
-    among: Tensor  # (B, N) bool, True for points that entered the contact after its beginning
-    gradient: Tensor  # (B, N, 2, 2) displacement gradient at entry, NaN where it is not known
-    covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
-
-    def apart(self, measure: str) -> Apart:
-        """Return the entered points with their divergence, curl and strain (of the given `measure`), computed from
-        displacement gradients, for medians that do not fit these points again.
-        """
-        first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
-        fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
-        std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)
-        return Apart(self.among, fields, std)
 
 
 class Fields(NamedTuple):
@@ -83,8 +54,8 @@ class FieldsGraph(nn.Module):
         reference: Tensor,
         displacement: Tensor,
         covariance: Tensor | None = None,
-        ellipse: GrossEllipse | None = None,
-        entered: Entered | None = None,
+        ellipse: FrameEllipse | None = None,
+        entered: EnteredPoints | None = None,
     ) -> Fields:
         """Compute divergence, curl, strain and their medians from reference positions and displacements of points.
 
@@ -115,7 +86,7 @@ class FieldsGraph(nn.Module):
                 gauge_length=self.gauge_length,
                 measure=self.measure,
                 covariance=covariance,
-                apart=None if entered is None else entered.apart(self.measure),
+                apart=None if entered is None else _apart(entered, self.measure),
             )
         return Fields(
             divergence(gradient),
@@ -128,3 +99,13 @@ class FieldsGraph(nn.Module):
             median_std,
             known_share,
         )
+
+
+def _apart(entered: EnteredPoints, measure: str) -> Apart:
+    """Return the entered points with their divergence, curl and strain (of the given `measure`), computed from
+    displacement gradients, for medians that do not fit these points again.
+    """
+    first = torch.stack((divergence(entered.gradient), curl(entered.gradient)), dim=-1)
+    fields = torch.cat((first, green_lagrange(entered.gradient, measure)), dim=-1)
+    std = None if entered.covariance is None else field_std(entered.gradient, entered.covariance, measure)
+    return Apart(entered.among, fields, std)

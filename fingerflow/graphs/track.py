@@ -2,7 +2,8 @@
 
 from torch import Tensor, nn
 
-from fingerflow.ops.tracking.templates import Found, Templates, find_templates, prepare_templates
+from fingerflow.kernels.result_records import TrackedPoints
+from fingerflow.ops.tracking.templates import Templates, find_templates, prepare_templates
 
 
 class KeyGraph(nn.Module):
@@ -34,6 +35,6 @@ class TrackGraph(nn.Module):
         super().__init__()
         self.forward_backward_limit = forward_backward_limit
 
-    def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
+    def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> TrackedPoints:
         """Register the templates of (B, N) points in a view (B, 1, H, W), near predicted positions (B, N, 2) px."""
         return find_templates(templates, view, prediction, rounds=1, forward_backward_limit=self.forward_backward_limit)

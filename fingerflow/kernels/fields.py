@@ -4,27 +4,15 @@ What does not fit the declaration in interface.h raises TypeError (wrong dtype) 
 """
 
 from collections.abc import Sequence
-from typing import Generic, NamedTuple
 
 import numpy as np
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import KINDS, Array, with_axes_reversed
 from fingerflow.kernels.library import run
+from fingerflow.kernels.result_records import LocalFit
 
 _LATTICE = limits.lattice().astype(np.float32)
-
-
-class FittedPlanes(NamedTuple, Generic[Array]):
-    """Planes fitted locally to values of scattered points, at Q query positions: value, gradient and its covariance,
-    number of points and distance of their centroid (`ops.fields.local_fit.LocalFit`).
-    """
-
-    value: Array
-    gradient: Array
-    covariance: Array | None
-    point_count: Array
-    centroid_offset: Array
 
 
 def local_gradients(
@@ -36,7 +24,7 @@ def local_gradients(
     radius: float,
     least_spread: float,
     minimum_points: int,
-) -> FittedPlanes[Array]:
+) -> LocalFit:
     """Fit a plane, by weighted least squares, to the values (B, N, C) of the points within `radius` of each query
     position (B, Q, 2), and return value and gradient there, as `ops.fields.local_fit` up to rounding.
 
@@ -54,7 +42,7 @@ def local_gradients(
         least_spread=least_spread,
         wide=KINDS[points.dtype] == "float64",
     )
-    return FittedPlanes(value, gradient, covariance, counts, offset)
+    return LocalFit(value, gradient, covariance, counts, offset)
 
 
 def area_medians(

@@ -109,7 +109,7 @@ class Kernel:
             self._enter_with(values, arrays)
         return results[0] if len(results) == 1 else tuple(results)
 
-    def _checked_arrays(self, values: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    def _checked_arrays(self, values: dict[Any, Any]) -> tuple[dict[str, Any], Any]:
         """Check the arrays among the arguments, and add their sizes, strides and codes of dtypes to the arguments.
 
         Return those that are not None, contiguous, and one of them that is a tensor, or None.
@@ -127,7 +127,7 @@ class Kernel:
                 self._refuse_array(field, array, values)
             for (letter, size), actual in zip(sizes, array.shape, strict=True):
                 if size is None:
-                    fits = values.setdefault(letter, actual) == actual  # type: ignore[arg-type]
+                    fits = values.setdefault(letter, actual) == actual
                 else:
                     needed = eval(size, _NO_NAMES, values) if isinstance(size, CodeType) else values.get(size, size)
                     fits = actual == needed or (letter is not None and actual == 1)

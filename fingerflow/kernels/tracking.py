@@ -6,7 +6,7 @@ fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
 
 import math
 from collections.abc import Sequence
-from typing import Any, Generic, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from fingerflow.kernels import outlier_limits
 from fingerflow.kernels.arrays import Array
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import run
+from fingerflow.kernels.result_records import CorrectedPoints, TrackedPoints
 
 _WIDEST_SEARCH = 1 << 15  # px, widest search: positions in it must be countable with 32 bits
 _LANES = 16  # points in the SIMD lanes of the compiled kernel
@@ -24,21 +25,6 @@ _ROWS = 32  # points whose distances to all others are held in memory at a time
 # ridges differ. A search within a few px needs no larger template, as there is no neighbouring ridge.
 _WIDENING = 3
 SEARCHED = 1.0  # accuracy of a search, px of the full image
-
-
-class FollowedPoints(NamedTuple, Generic[Array]):
-    """Tracking results (K, B, N, ...) of points in K frames, with the attributes of `ops.tracking.templates.Found`.
-
-    `place` and `speed` (B, N, 2) are those after the last frame.
-    """
-
-    points: Array
-    error: Array
-    covariance: Array
-    status: Array
-    estimate: Array
-    place: Array
-    speed: Array
 
 
 def find_templates(
@@ -51,8 +37,9 @@ def find_templates(
     rounding: float,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> FollowedPoints[Array]:
-    """Track the templates of B x N points through K frames each, in one call.
+) -> tuple[TrackedPoints, Array, Array]:
+    """Track the templates of B x N points through K frames each, in one call; return the results (K, B, N, ...), and
+    the positions and speeds (B, N, 2) after the last frame.
 
     Frames are (K B, 1, H, W), frame k of batch b at k B + b. The prediction for the first frame is `place` + `speed`,
     both (B, N, 2), px and px a frame. `variance` is (K B,).
@@ -68,7 +55,7 @@ def find_templates(
         **{"window": math.isqrt(samples.shape[-1]), "rounds": rounds, "rounding": rounding},
         **{"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit},
     )
-    return FollowedPoints(points, error, covariance, status, estimate, place, speed)
+    return TrackedPoints(points, error, covariance, status, estimate), place, speed
 
 
 def sizes_of(window: int, radius: int) -> tuple[int, int]:
@@ -86,24 +73,6 @@ def sizes_of(window: int, radius: int) -> tuple[int, int]:
     return size, reach
 
 
-class CorrectedPoints(NamedTuple, Generic[Array]):
-    """Tracked points (N points in K frames) after correction for the deformation of the skin.
-
-    Attributes:
-        points: (K, N, 2) px.
-        covariance: (K, N, 2, 2) px^2, without the part of the residual that is due to the deformation.
-        warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
-        shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
-        expected: (K, N, 2) px, position predicted from the neighbours of a point; NaN where too few are known.
-    """
-
-    points: Array
-    covariance: Array
-    warp: Array
-    shift: Array
-    expected: Array
-
-
 def correct_points(
     start: Array,
     points: Array,
@@ -113,7 +82,7 @@ def correct_points(
     *,
     window: int,
     gauge_px: float,
-) -> CorrectedPoints[Array]:
+) -> CorrectedPoints:
     """Correct the positions of N points tracked in K frames for the deformation of the skin, estimated from the points,
     as `ops.tracking.deformation` up to rounding.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse, FrameFields
+from fingerflow.engines.engine import Engine, EnteredPoints, FrameContact, FrameEllipse, FrameFields, TrackedPoints
 from fingerflow.tracker.contact_border import BORDER_MM, Border
 from fingerflow.tracker.curvature import curvature_variance
 from fingerflow.tracker.entry import Entries
@@ -77,7 +77,7 @@ class FrameResults:
         """Return the slip flag after the last usable frame: whether skin in contact slips."""
         return self._slip.slipping
 
-    def compute(self, seeding: Seeding, contact: FrameContact, points: FoundPoints) -> dict[str, Any]:
+    def compute(self, seeding: Seeding, contact: FrameContact, points: TrackedPoints) -> dict[str, Any]:
         """Compute the results of the next frame, by the names in `RESULTS`, from its contact, its tracked points
         `points` and the seeding to which these points belong.
         """
@@ -163,7 +163,7 @@ class FrameResults:
         return by_gauge + max(inner**2 - of_points, 0.0)
 
     def _since_onset(
-        self, points: FoundPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
+        self, points: TrackedPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the median divergence over the contact ellipse; return them by result name.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
-from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
+from fingerflow.engines.engine import Engine, FrameContact, Images, TrackedPoints
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, is_finite
@@ -98,7 +98,7 @@ class Work:
     images: dict[str, Images]
     guess: Array | None
     threshold: float
-    points: FoundPoints | None = None
+    points: TrackedPoints | None = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
@@ -129,7 +129,7 @@ class FrameOutcome(NamedTuple):
 
     work: Work
     status: int
-    points: FoundPoints | None
+    points: TrackedPoints | None
     seeding: Seeding | None
     tracked: int
     threshold: float
@@ -419,7 +419,7 @@ class StreamTracker:
                 self._change = _Change(newest, frame.number, image, positions, cause, region, counted, least)
         return self._outcome(work, USABLE, tracked_points, tracked, newest)
 
-    def _track_again(self, work: Work, points: Points) -> tuple[Array, FoundPoints]:
+    def _track_again(self, work: Work, points: Points) -> tuple[Array, TrackedPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
         tracked once more if the prediction has changed since the frame began.
 
@@ -435,7 +435,9 @@ class StreamTracker:
         points.update_due(work.index)
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(self, work: Work, status: int, points: FoundPoints | None, tracked: int, newest: int) -> FrameOutcome:
+    def _outcome(
+        self, work: Work, status: int, points: TrackedPoints | None, tracked: int, newest: int
+    ) -> FrameOutcome:
         """Return the outcome of a frame, whose contact is evaluated later; `points` are None if it is not usable, and
         `newest` is the index of the latest frame.
         """
@@ -472,7 +474,7 @@ class StreamTracker:
             return [Event("threshold", number, {"threshold": measured})]
         return []
 
-    def _sparse_contact(self, work: Work, tracked_points: FoundPoints) -> _Sparse | None:
+    def _sparse_contact(self, work: Work, tracked_points: TrackedPoints) -> _Sparse | None:
         """Return the contact of a frame and how far around it to seed new points if fewer tracked points lie in this
         contact than local fits need; None otherwise.
 

@@ -15,10 +15,12 @@ from fingerflow.engines.engine import (
     Corrected,
     Engine,
     Followed,
-    FoundPoints,
     Images,
     TemplateBuffers,
+    TrackedPoints,
     nothing_found,
+    reject,
+    select,
 )
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
@@ -137,14 +139,14 @@ class Points:
         return len(self.motion.position)
 
     @property
-    def as_seeded(self) -> FoundPoints:
+    def as_seeded(self) -> TrackedPoints:
         """Return the tracking result (1, N) for the key frame itself, with all points at the seeded positions."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(is_finite(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
         unknown = np.where(is_finite(points), exact, np.float32(np.nan))
         covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
-        return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
+        return TrackedPoints(points.copy(), unknown, covariance, status, points.copy())
 
     def pass_over(self, frames: int) -> None:
         """Skip `frames` frames in which points are not tracked; later predictions extrapolate over these frames."""
@@ -154,20 +156,20 @@ class Points:
         """Predict the positions (N, 2) px of the points, `ahead` frames after the last frame tracked or skipped."""
         return self.motion.expect(self._gap + ahead)
 
-    def follow(self, images: Images, around: FoundPoints | None = None) -> FoundPoints:
+    def follow(self, images: Images, around: TrackedPoints | None = None) -> TrackedPoints:
         """Track the N points through the next n images (n, 1, h, w), and return the result (n, N).
 
         `around` (n, A) is the result of the surrounding points. Estimates are the last known positions.
         """
         around = nothing_found(len(images)) if around is None else around
-        steps: list[FoundPoints] = []
+        steps: list[TrackedPoints] = []
         corrections: list[Array] = []
         done = 0
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
             now = slice(done, done + count)
-            step = self._step(images[now], around.of(now))
+            step = self._step(images[now], select(around, now))
             assert self._last is not None
             registered, corrected = self._last.found.estimate, self._last.found.points
             corrections.append(registered - corrected)
@@ -179,7 +181,7 @@ class Points:
         joined = join(steps, 0)
         return self._verified(images, joined) if self._knowledge.ahead else joined
 
-    def curvature_variance(self, tracked: FoundPoints, around: FoundPoints | None = None) -> NDArray[np.float32]:
+    def curvature_variance(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of the positions `tracked` (n, N) by displacement since the key frame that is
         curved within windows; `around` (n, A) is the result of the surrounding points.
         """
@@ -187,7 +189,7 @@ class Points:
         positions = np.concatenate((tracked.points, around.points), axis=1)
         return curvature_variance(self._engine, self._every, positions)[:, : len(self)]
 
-    def track(self, image: Images, guess: Array) -> FoundPoints:
+    def track(self, image: Images, guess: Array) -> TrackedPoints:
         """Track the points in one image near guessed positions (N, 2), without updating motion or templates.
 
         Any thread may call it while other frames are tracked.
@@ -195,8 +197,8 @@ class Points:
         return self._engine.track(self._templates, image, guess, np.zeros_like(guess)).found
 
     def accept(
-        self, image: Images, guess: Array, tracked: FoundPoints, frames: int = 1, index: int | None = None
-    ) -> FoundPoints:
+        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int = 1, index: int | None = None
+    ) -> TrackedPoints:
         """Update motion and templates from a usable frame, `frames` after the last, whose points (1, N) `track` found
         near `guess` (N, 2); return them.
 
@@ -243,7 +245,7 @@ class Points:
             start = self.start[pending.rows[part]]
             pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[part]))
 
-    def _step(self, images: Images, around: FoundPoints) -> FoundPoints:
+    def _step(self, images: Images, around: TrackedPoints) -> TrackedPoints:
         self.update_due(self._index)
         guess = self.expect()
         if len(images) == 1:
@@ -252,12 +254,12 @@ class Points:
         followed = self._engine.track(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
 
-    def _track_image(self, image: Images, guess: Array, rows: Array) -> FoundPoints:
+    def _track_image(self, image: Images, guess: Array, rows: Array) -> TrackedPoints:
         """Track the points with indices `rows` in one image near guessed positions."""
         guess = guess.astype(np.float32, copy=False)
         return self._engine.track(self._templates, image, guess, np.zeros_like(guess), rows).found
 
-    def _finish_images(self, images: Images, followed: Followed, around: FoundPoints) -> FoundPoints:
+    def _finish_images(self, images: Images, followed: Followed, around: TrackedPoints) -> TrackedPoints:
         """Finish several images tracked in one call: recover lost points, correct positions for the deformation of the
         skin, update the motion, and return the tracked points.
         """
@@ -295,7 +297,7 @@ class Points:
         They number these points from 0.
         """
 
-        def track(positions: Array, numbers: Array) -> FoundPoints:
+        def track(positions: Array, numbers: Array) -> TrackedPoints:
             return self._track_image(image, positions, rows[numbers])
 
         def search(numbers: Array, guess: Array) -> tuple[Array, Array]:
@@ -304,8 +306,8 @@ class Points:
         return track, search
 
     def _accepted(
-        self, image: Images, guess: Array, tracked: FoundPoints, frames: int, around: FoundPoints
-    ) -> FoundPoints:
+        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int, around: TrackedPoints
+    ) -> TrackedPoints:
         """Recover the points (1, N) lost in a frame, correct all positions for the deformation of the skin, and
         update the motion; `around` (1, A) are the surrounding points.
         """
@@ -315,8 +317,8 @@ class Points:
         return self._checked_templates(corrected, before.position, 1, image)
 
     def _recovered(
-        self, image: Images, guess: Array, tracked: FoundPoints, frames: int
-    ) -> tuple[FoundPoints, Array | None]:
+        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int
+    ) -> tuple[TrackedPoints, Array | None]:
         """Recover the lost points of a frame by tracking them again and by searching for them.
 
         Return the result, and the points (N,) that were searched for (None if none).
@@ -340,12 +342,12 @@ class Points:
             tracked, searched = recover(tracked, guess, searchable, track, search, *limits)
         return tracked, searched
 
-    def _predict_from_neighbours(self, tracked: FoundPoints) -> Array:
+    def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
         positions: Array = self._corrected(tracked, nothing_found(1)).expected[0]
         return positions
 
-    def _corrected(self, tracked: FoundPoints, around: FoundPoints) -> Corrected:
+    def _corrected(self, tracked: TrackedPoints, around: TrackedPoints) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
 
         With template "previous" the points are returned unchanged.
@@ -360,7 +362,7 @@ class Points:
         if not extra:
             return corrected
         seeded = slice(len(self))
-        return Corrected(corrected.found.of(slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
+        return Corrected(select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -378,7 +380,7 @@ class Points:
 
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
-    ) -> FoundPoints:
+    ) -> TrackedPoints:
         """Check after `frames` tracked frames whether templates need an update, plan it if so, and return the tracked
         points; `before` (N, 2) px are their positions before these frames.
 
@@ -417,7 +419,7 @@ class Points:
             later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
-    def _verified(self, images: Images, points: FoundPoints) -> FoundPoints:
+    def _verified(self, images: Images, points: TrackedPoints) -> TrackedPoints:
         """Reject points whose window no longer resembles that in the key frame, or which dust on the glass holds back;
         return all points (n, N).
 
@@ -441,7 +443,7 @@ class Points:
             (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
             (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
         ):
-            points = points.rejected(which, status)
+            points = reject(points, which, status)
         return points
 
     def _last_warp(self) -> Array:
@@ -462,10 +464,12 @@ class Points:
         return result
 
 
-def join(parts: list[FoundPoints], axis: int) -> FoundPoints:
+def join(parts: list[TrackedPoints], axis: int) -> TrackedPoints:
     """Join the tracking results of successive frames (`axis` 0), or of groups of points in the same frames (1)."""
     return (
-        parts[0] if len(parts) == 1 else FoundPoints(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
+        parts[0]
+        if len(parts) == 1
+        else TrackedPoints(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
     )
 
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import FoundPoints
+from fingerflow.engines.engine import TrackedPoints, reject
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
-Track = Callable[[Array, Array], FoundPoints]
+Track = Callable[[Array, Array], TrackedPoints]
 #: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
 #: there returns to the start (L,).
 Search = Callable[[Array, Array], tuple[Array, Array]]
@@ -32,14 +32,14 @@ def lost_points(status: Array) -> Array:
 
 
 def recover(
-    points: FoundPoints,
+    points: TrackedPoints,
     guess: Array,
     searchable: Array,
     track: Track,
     search: Search,
     most: int | None = None,
-    by_neighbours: Callable[[FoundPoints], Array] | None = None,
-) -> tuple[FoundPoints, Array]:
+    by_neighbours: Callable[[TrackedPoints], Array] | None = None,
+) -> tuple[TrackedPoints, Array]:
     """Recover lost points of a frame (1, N) by an exhaustive search around guessed positions (N, 2); return all points,
     and which of them (N,) were searched for, or tracked again where their neighbours predict them.
 
@@ -81,7 +81,7 @@ def recover(
     return points, searched
 
 
-def _reject_unreturned(points: FoundPoints, returns: Array, guess: Array) -> FoundPoints:
+def _reject_unreturned(points: TrackedPoints, returns: Array, guess: Array) -> TrackedPoints:
     """Reject points (1, L) whose backward search does not lead back to the start, with the status FORWARD_BACKWARD.
 
     `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
@@ -91,14 +91,14 @@ def _reject_unreturned(points: FoundPoints, returns: Array, guess: Array) -> Fou
     if not wrong.any():
         return points
     estimate = np.where(wrong[..., None], guess, points.estimate)
-    return points.rejected(wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
+    return reject(points, wrong, TrackStatus.FORWARD_BACKWARD)._replace(estimate=estimate)
 
 
-def replaced(points: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
+def replaced(points: TrackedPoints, rows: Array, again: TrackedPoints) -> TrackedPoints:
     """Return the tracking results `points` (n, N) with those of the L points of indices `rows` replaced by `again` (n,
     L).
     """
-    result = FoundPoints(*(values.copy() for values in points))
+    result = TrackedPoints(*(values.copy() for values in points))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part
     return result

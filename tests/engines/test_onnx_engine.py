@@ -33,7 +33,7 @@ from fingerflow.kernels.tracking_limits import TrackStatus
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
 Array = np.ndarray[Any, Any]
-Found = arrays.FoundPoints
+Found = arrays.TrackedPoints
 
 PRESS = TRIALS["press"]
 KEY, FRAME = 60, 63

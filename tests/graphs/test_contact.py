@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from fingerflow.graphs import Contact, ContactGraph
+from fingerflow.graphs import ContactGraph, FrameContact
 from fingerflow.ops.filters.illumination import glass_light
 
 PERIOD_PX = 14.0  # period of ridges 0.45 mm apart
@@ -43,7 +43,7 @@ def drawn(
 
 
 class Measured(NamedTuple):
-    contact: Contact
+    contact: FrameContact
     threshold: Tensor
 
 

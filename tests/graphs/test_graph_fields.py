@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.graphs import FieldsGraph, GrossEllipse
+from fingerflow.graphs import FieldsGraph, FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.point_gradients import query_gradients
 from fingerflow.ops.fields.strain import curl, divergence, green_lagrange
@@ -27,8 +27,8 @@ def skin(batch: int = 2) -> tuple[Tensor, Tensor]:
     return reference, displacement
 
 
-def ellipse(batch: int = 2) -> GrossEllipse:
-    return GrossEllipse(
+def ellipse(batch: int = 2) -> FrameEllipse:
+    return FrameEllipse(
         torch.tensor([[287.0, 257.0]]).repeat(batch, 1),
         torch.tensor([[150.0, 110.0]]).repeat(batch, 1),
         torch.zeros(batch),

@@ -6,9 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from fingerflow.kernels.result_records import TrackedPoints
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.tracking.deformation import correct_points
-from fingerflow.ops.tracking.templates import Found, Templates, find_templates, inverse_2x2, prepare_templates
+from fingerflow.ops.tracking.templates import Templates, find_templates, inverse_2x2, prepare_templates
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM = 0.0325
@@ -33,7 +34,7 @@ def grid() -> Tensor:
     return torch.stack((x, y), -1).reshape(1, -1, 2)
 
 
-def corrected_for_deformation(points: Tensor, found: Found, templates: Templates, inverse_warp: Tensor) -> Any:
+def corrected_for_deformation(points: Tensor, found: TrackedPoints, templates: Templates, inverse_warp: Tensor) -> Any:
     """Return the points with their positions and covariances corrected, the deformation and expected positions."""
     given = points, found.points, found.covariance, templates.numbers, inverse_warp
     position, covariance, warp, _, expected = correct_points(*given, 25, WARP_GAUGE_PX)

@@ -36,6 +36,8 @@ def same_contact(tracked: NativeEngine, graph: ContactGraph, *images: torch.Tens
     contact = tracked.contact(frames, GlassLight(light, black), threshold)
     expected = graph(*images, torch.from_numpy((1 - threshold).astype(np.float32)))
     for name, tensor in expected._asdict().items():
+        if tensor is None:  # the graph states no threshold
+            continue
         assert np.array_equal(getattr(contact, name), tensor.numpy(), equal_nan=tensor.is_floating_point()), name
     return contact
 

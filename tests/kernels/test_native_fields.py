@@ -67,8 +67,8 @@ class Case:
                 return None if array is None else torch.from_numpy(array)
             return torch.from_numpy(array).to(precision)
 
-        entered = None if self.entered is None else graphs.Entered(*map(tensor, self.entered))
-        ellipse = graphs.GrossEllipse(*map(tensor, self.ellipse))
+        entered = None if self.entered is None else EnteredPoints(*map(tensor, self.entered))
+        ellipse = FrameEllipse(*map(tensor, self.ellipse))
         given = (tensor(one) for one in (self.reference, self.displacement, self.covariance))
         result: graphs.Fields = graphs.FieldsGraph(GAUGE, measure)(*given, ellipse, entered)
         return result

@@ -1,25 +1,15 @@
 """Value and gradient of a field known at scattered points, from a weighted linear fit around each query position."""
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.kernels.result_records import LocalFit as LocalFit
 from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.fields.weighted_moments import weighted_moments
-
-
-class LocalFit(NamedTuple):
-    """Linear fits to values of C components around Q query positions; NaN where the points do not determine a fit."""
-
-    value: Tensor  # (B, Q, C), the unit of the values
-    gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
-    covariance: Tensor | None  # (B, Q, C, 2, C, 2), [..., i, j, k, l] = cov(gradient_ij, gradient_kl)
-    point_count: Tensor  # (B, Q) int64, number of usable points within the support
-    centroid_offset: Tensor  # (B, Q), distance from the query to the weighted centroid of its points, length unit
 
 
 def local_gradients(

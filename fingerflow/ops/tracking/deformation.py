@@ -22,7 +22,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.tracking import CorrectedPoints
+from fingerflow.kernels.result_records import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import neighbour_planes, neighbours_support
@@ -52,7 +52,7 @@ def correct_points(
     window: int,
     gauge_px: float,
     supports: Supports | None = None,
-) -> CorrectedPoints[Tensor]:
+) -> CorrectedPoints:
     """Correct the positions of points tracked in K frames, and their covariance, for the deformation of the skin in the
     windows of the templates, which is estimated from the points themselves.
 

@@ -11,7 +11,7 @@ of a point's position: neither the order of the points nor the state of a random
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.tracking import CorrectedPoints
+from fingerflow.kernels.result_records import CorrectedPoints
 from fingerflow.ops.fields.point_gradients import neighbour_planes
 from fingerflow.ops.tensors import finite
 from fingerflow.ops.tracking.deformation import correct_points
@@ -27,14 +27,14 @@ _CAUTION = 2.0  # multiple of V that the mean square of noise around a point har
 
 
 def correct_short_waves(
-    wide: CorrectedPoints[Tensor],
+    wide: CorrectedPoints,
     start: Tensor,
     points: Tensor,
     covariance: Tensor,
     numbers: Tensor,
     inverse_warp: Tensor,
     window: int,
-) -> CorrectedPoints[Tensor]:
+) -> CorrectedPoints:
     """Correct the positions of points with a gauge length of two windows where the displacement changes over a shorter
     distance than the `wide` correction resolves, by more than its noise.
 

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.result_records import TrackedPoints
 from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
@@ -68,30 +69,6 @@ class Templates(NamedTuple):
     def of(self, chosen: Tensor) -> "Templates":
         """Return the templates of the points with indices `chosen` (B, L), int64."""
         return Templates._make(take_rows(values, chosen) for values in self)
-
-
-class Found(NamedTuple):
-    """Points registered in a frame, with error, covariance and status.
-
-    Attributes:
-        points: (B, N, 2) px; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance to first order; NaN for the statuses NOT_FINITE, LEFT_FRAME,
-            NO_TEXTURE and NOT_CONVERGED.
-        covariance: (B, N, 2, 2) px^2 of `points`; NaN where they are.
-        status: (B, N) uint8, a :class:`~fingerflow.kernels.tracking_limits.TrackStatus`.
-        estimate: (B, N, 2) px, starting position for a further step; equal to `points` where a point was found.
-    """
-
-    points: Tensor
-    error: Tensor
-    covariance: Tensor
-    status: Tensor
-    estimate: Tensor
-
-    @property
-    def variance(self) -> Tensor:
-        """Return the position variance (B, N), px^2: the mean of the variances in x and y."""
-        return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
 
 def prepare_templates(
@@ -211,7 +188,7 @@ def find_templates(
     forward_backward_limit: float = 1.0,
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
-) -> Found:
+) -> TrackedPoints:
     """Register templates in a frame, each near the predicted position of a point.
 
     The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2). H = sum g g', w are the weights of the pixels
@@ -240,9 +217,9 @@ def find_templates(
         and dtype == torch.float32
     ):
         followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
-        return Found(*[values[0] for values in followed[:5]])
+        return TrackedPoints(*[values[0] for values in followed[0]])
 
-    def step(part: Templates, near: Tensor) -> Found:
+    def step(part: Templates, near: Tensor) -> TrackedPoints:
         return _step(part, current, near, variance, *settings)
 
     # More than one step depends on data and cannot be exported.
@@ -250,8 +227,8 @@ def find_templates(
 
 
 def further_rounds(
-    step: Callable[[Templates, Tensor], Found], templates: Templates, tracks: Found, rounds: int
-) -> Found:
+    step: Callable[[Templates, Tensor], TrackedPoints], templates: Templates, tracks: TrackedPoints, rounds: int
+) -> TrackedPoints:
     """Repeat a registration step for those points of `tracks` that have not converged, each from the position where the
     previous step ended, at most `rounds` times.
     """
@@ -283,9 +260,9 @@ def take_rows(tensor: Tensor, chosen: Tensor) -> Tensor:
     return result
 
 
-def replaced(tracks: Found, again: Found, chosen: Tensor, mask: Tensor) -> Found:
+def replaced(tracks: TrackedPoints, again: TrackedPoints, chosen: Tensor, mask: Tensor) -> TrackedPoints:
     """Return `tracks` (B, N) with the results `again` of points `chosen` (B, L) inserted where `mask` (B, N)."""
-    return Found(*[inserted(whole, part, chosen, mask) for whole, part in zip(tracks, again, strict=True)])
+    return TrackedPoints(*[inserted(whole, part, chosen, mask) for whole, part in zip(tracks, again, strict=True)])
 
 
 def inserted(whole: Tensor, part: Tensor, chosen: Tensor, mask: Tensor) -> Tensor:
@@ -421,7 +398,7 @@ def _step(
     rounding: float,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> Found:
+) -> TrackedPoints:
     window, dtype = templates.window, templates.samples.dtype
     # From here on components before points, (B, K, N): ONNX runtimes are slow if the last axis is short.
     start, guess = components_first(templates.start), components_first(prediction)
@@ -483,7 +460,7 @@ def _step(
     spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
-    return Found(
+    return TrackedPoints(
         (position + lost).transpose(1, 2),
         torch.where(known_guess & within & readable & textured & converged, error, torch.nan).squeeze(1),
         (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.result_records import TrackedPoints
 from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tensors.torch_op import requires_gradient, torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
@@ -19,7 +20,6 @@ from fingerflow.ops.tracking.deformation import correct_points
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.short_waves import WIDE, correct_short_waves
 from fingerflow.ops.tracking.templates import (
-    Found,
     check_points,
     find_templates,
     first_rows,
@@ -182,7 +182,7 @@ def in_passes(
     limits_of = (forward_backward_limit, mismatch_limit)
     find = partial(_find, previous, current, noise.to(dtype), window, gain_offset, *limits_of)
 
-    def one_pass(positions: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[Found, Tensor]:
+    def one_pass(positions: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[TrackedPoints, Tensor]:
         track, numbers = find(positions, deformation, near)
         if search:
             images, limits_of_search = (previous, current), (window, search, forward_backward_limit)
@@ -225,7 +225,7 @@ def _find(
     points: Tensor,
     warp: Tensor | None,
     near: Tensor,
-) -> tuple[Found, Tensor]:
+) -> tuple[TrackedPoints, Tensor]:
     """Register the points (B, N, 2) of the image `previous` in the image `current`, near predicted positions `near`;
     also return the statistics of the points' templates.
     """
@@ -235,7 +235,7 @@ def _find(
             *(previous, current, points, inverse, variance, window, int(gain_offset), limits.ROUNDS, near, None),
             *(rounding_variance(previous), forward_backward_limit, mismatch_limit),
         )
-        return Found(tracked, error, covariance, status, estimate), numbers
+        return TrackedPoints(tracked, error, covariance, status, estimate), numbers
     templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
     tracks = find_templates(
         *(templates, current, near),
@@ -247,16 +247,16 @@ def _find(
 
 
 def _search_lost(
-    find: Callable[[Tensor, Tensor | None, Tensor], tuple[Found, Tensor]],
+    find: Callable[[Tensor, Tensor | None, Tensor], tuple[TrackedPoints, Tensor]],
     images: tuple[Tensor, Tensor],
     start: Tensor,
     warp: Tensor | None,
-    tracks: Found,
+    tracks: TrackedPoints,
     guess: Tensor,
     window: int,
     radius: int,
     forward_backward_limit: float,
-) -> Found:
+) -> TrackedPoints:
     """Search exhaustively for points that registration lost, within `radius` px of `guess` (B, N, 2), and return
     `tracks` with the results of the search inserted.
 
@@ -281,7 +281,7 @@ def _search_lost(
     elsewhere = torch.zeros_like(lost)
     elsewhere[image, point] = ~returns
     wrong = elsewhere & (result.status == TrackStatus.TRACKED)
-    return Found(
+    return TrackedPoints(
         torch.where(wrong[..., None], torch.nan, result.points),
         result.error,
         torch.where(wrong[..., None, None], torch.nan, result.covariance),

@@ -21,7 +21,7 @@ Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 
-class TrackedPoints(NamedTuple):
+class SeededPoints(NamedTuple):
     """Positions of all tracked points in the current frame, and in the frame in which each was seeded.
 
     Attributes:
@@ -63,7 +63,7 @@ class NewSkin:
         if touching.any():
             self._before = self._on_contact(positions), self._middle(touching)
 
-    def region(self, contact: NDArray[np.floating], points: TrackedPoints) -> Mask | None:
+    def region(self, contact: NDArray[np.floating], points: SeededPoints) -> Mask | None:
         """Return the mask (h, w) of the topographic view in which new points must be seeded; None if there is none.
 
         Where hardly a point is left, as after a finger has been lifted and touches elsewhere, all skin in contact is
@@ -169,7 +169,7 @@ class NewSkin:
         result: Mask = inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
         return result
 
-    def _is_new(self, at: Points, nearest: NDArray[np.integer], points: TrackedPoints) -> Mask:
+    def _is_new(self, at: Points, nearest: NDArray[np.integer], points: SeededPoints) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
         which the nearest point was seeded, at the time of that seeding.
 

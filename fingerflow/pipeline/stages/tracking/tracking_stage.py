@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import FoundPoints, Images, noise_of, nothing_found
+from fingerflow.engines.engine import Images, TrackedPoints, noise_of, nothing_found, select
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -22,7 +22,7 @@ from fingerflow.pipeline.stages.preparation.inputs import read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, TrackedPoints
+from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, SeededPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
@@ -130,7 +130,7 @@ class TrackingStage(Stage):
             points.pass_over(len(indices))
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
-        groups: list[FoundPoints] = []
+        groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
         if not self._seeded:
             first = self._seed(images[:1], margin[:1])
@@ -141,12 +141,12 @@ class TrackingStage(Stage):
             curved.append(self._seeded[0].curvature_variance(groups[0]))
         else:
             for points, numbers in zip(self._seeded, self._around, strict=True):
-                around = join(groups, 1).of(slice(None), numbers) if groups else nothing_found(len(images))
+                around = select(join(groups, 1), slice(None), numbers) if groups else nothing_found(len(images))
                 groups.append(points.follow(images, around))
                 curved.append(points.curvature_variance(groups[-1], around))
         tracked_points = join(groups, 1)
         before, last = tracked_points.status.shape[1], len(images) - 1
-        new = self._seed_new(images[last:], margin[last], tracked_points.of(slice(last, None)))
+        new = self._seed_new(images[last:], margin[last], select(tracked_points, slice(last, None)))
         if new is not None:
             tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
             curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
@@ -199,7 +199,7 @@ class TrackingStage(Stage):
                 about = {"image_noise": noise} if variable.name == "position_std_px" else None
                 self.results.create(variable.name, about, point=points)
 
-    def _seed(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
+    def _seed(self, image: Images, margin: NDArray[np.floating]) -> TrackedPoints:
         """Seed the first points in `image`, the first usable frame, and return their tracking results (1, N); `margin`
         is a grid of cells, positive in the gross contact.
         """
@@ -236,7 +236,7 @@ class TrackingStage(Stage):
 
     def _start_tracking(
         self, image: Images, points: NDArray[np.floating], numbers: NDArray[np.intp], *more: Any
-    ) -> FoundPoints:
+    ) -> TrackedPoints:
         """Start to track newly seeded points (N, 2) px, and return their tracking results (1, N) in this frame.
 
         `numbers` are the indices of earlier points near the new ones.
@@ -251,7 +251,9 @@ class TrackingStage(Stage):
     def _view_for_seeding(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
-    def _seed_new(self, image: Images, margin: NDArray[np.floating], tracked_points: FoundPoints) -> FoundPoints | None:
+    def _seed_new(
+        self, image: Images, margin: NDArray[np.floating], tracked_points: TrackedPoints
+    ) -> TrackedPoints | None:
         """Seed points in skin that has none yet, and return their tracking results (1, K); None without such skin.
 
         `tracked_points` (1, N) are the tracking results of the earlier points.
@@ -263,7 +265,7 @@ class TrackingStage(Stage):
         start = np.concatenate([group.start for group in self._seeded])
         total, tracked = len(position), tracked_points.status[0] == TrackStatus.TRACKED
         seeding = np.repeat(np.arange(len(self._seeded)), [len(group) for group in self._seeded])
-        region = self._new_skin.region(margin[0], TrackedPoints(position, start, tracked, seeding))
+        region = self._new_skin.region(margin[0], SeededPoints(position, start, tracked, seeding))
         if region is None:
             return None
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
@@ -337,9 +339,9 @@ class TrackingStage(Stage):
         return region > 0
 
 
-def _extend_to_batch(frames: int, seeded: FoundPoints) -> FoundPoints:
+def _extend_to_batch(frames: int, seeded: TrackedPoints) -> TrackedPoints:
     """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
-    before = FoundPoints(*(np.repeat(values, frames, axis=0) for values in seeded))
+    before = TrackedPoints(*(np.repeat(values, frames, axis=0) for values in seeded))
     for values in before[:3]:
         values[:-1] = np.nan
     before.status[:-1] = TrackStatus.NOT_SEEDED_YET
