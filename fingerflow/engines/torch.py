@@ -80,7 +80,8 @@ class TorchEngine:
             threshold = _array(self._contact.threshold(images, *glass))
         limit = self._tensor(1 - threshold.astype(np.float32))
         contact: arrays.FrameContact = self._contact(images, *glass, limit)
-        return contact._make([*_arrays(contact[:-1]), threshold])
+        values = {name: _array(value) for name, value in contact._asdict().items() if value is not None}
+        return contact._replace(**values, threshold=threshold)
 
     def detect(self, image: Tensor, mask: Array, count: int) -> Array:
         own = self.settings
