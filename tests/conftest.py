@@ -1,5 +1,6 @@
 """Fixtures that several folders of tests use."""
 
+import gc
 import shutil
 import signal
 import sys
@@ -24,7 +25,7 @@ LONGEST = (
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
     "pipeline/stages/test_slip.py",
-    "test_compile.py",
+    "test_embedded.py",
     "study/test_run.py",
     "view/test_view_walk.py",
     "view/test_view_page.py",
@@ -45,6 +46,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # no later collection looks at the objects of all modules
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,10 +1,9 @@
-"""End commands at random moments, also on full and on read-only disks, and check what they leave behind.
+"""End commands at random moments, and check what they leave behind.
 
 `python -m tests.kills`: each run starts a command beside an older output of its kind, or beside none, ends it, and
 looks at the files. An output must be whole or absent, an output that was finished before must still be there, and a
 refusal must be a sentence. Then the same command runs to its end, and nothing but its outputs may be left. Moments are
-drawn by a seeded generator: a file that is opened, renamed, made or removed. The disk is a file system in memory, which
-needs the right to mount.
+drawn by a seeded generator: a file that is opened, renamed, made or removed.
 
 Commands are forked from a process that has imported all modules, and are small.
 """
@@ -13,18 +12,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import errno
 import importlib
 import json
 import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,17 +39,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "player"))
 import tiny_bundle
 
 __all__ = ["ENDINGS", "main"]
-DISK_BYTES = 200 << 20
-KEPT_FREE = 64 << 20  # free bytes that results of HDF5 leave: fingerflow/results/free_space.py
 #: Endings, and the exit codes of a command that ends so.
-ENDINGS = {
-    "SIGKILL": (0, -signal.SIGKILL),
-    "SIGTERM": (0, -signal.SIGTERM, 143),
-    "SIGINT": (0, 130, -signal.SIGINT),
-    "full disk": (0, 2),
-    "read-only": (2,),
-}
-RECIPE = '[views]\nheight = 96\nwidth = 120\n[tracking]\npoints = 20\n[export]\ngraphs = ["light"]\n'
+ENDINGS = {"SIGKILL": (0, -signal.SIGKILL), "SIGTERM": (0, -signal.SIGTERM, 143), "SIGINT": (0, 130, -signal.SIGINT)}
+RECIPE = '[views]\nheight = 96\nwidth = 120\n[tracking]\npoints = 20\n[export]\ngraphs = ["noise"]\n'
 _OPERATIONS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree")
 
 
@@ -105,49 +94,18 @@ def main(arguments: list[str] | None = None) -> int:
     synthetic.Press = lambda: press  # type: ignore[misc, assignment]
     patient_file._PATIENCE = 1.0  # s, instead of half a minute
     write_bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # tested by tests/export
-    with disk_in_memory() as (disk, mounted):
-        base, names = disk.parent / "base", asked.command or list(COMMANDS)
-        endings = list(ENDINGS)[: None if mounted else 3]
-        operations = _references(base, names)
+    with tempfile.TemporaryDirectory(prefix="kills-") as folder:
+        top, names, endings = Path(folder), asked.command or list(COMMANDS), list(ENDINGS)
+        operations = _references(top / "base", names)
         for number in range(asked.count):
             # Combine each command with each ending in turn.
             turn, which = divmod(number, len(names))
             name, ending = names[which], endings[(turn + which) % len(endings)]
-            for fault in _run(COMMANDS[name], base, disk, ending, rng, operations[name]):
+            for fault in _run(COMMANDS[name], top, ending, rng, operations[name]):
                 faults += 1
                 print(f"{number} {name}, {ending}: {fault}", flush=True)
     print(f"{asked.count} runs, {faults} faults; endings: {', '.join(endings)}")
     return 1 if faults else 0
-
-
-@contextlib.contextmanager
-def disk_in_memory() -> Iterator[tuple[Path, bool]]:
-    """Yield a folder, and whether a small file system could be mounted there."""
-    top = Path(tempfile.mkdtemp(prefix="kills-"))
-    disk = top / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(disk)]
-    mounted = os.name == "posix" and subprocess.run(mount, capture_output=True, check=False).returncode == 0
-    try:
-        yield disk, mounted
-    finally:
-        if mounted:
-            subprocess.run(["umount", str(disk)], check=True)
-        shutil.rmtree(top, ignore_errors=True)
-
-
-def leave_free(ballast: Path, free: int) -> None:
-    """Make the file `ballast` so large that its disk has `free` bytes left, while others may write to the disk."""
-    ballast.unlink(missing_ok=True)
-    with ballast.open("wb") as file:
-        while (more := shutil.disk_usage(ballast.parent).free - free) > 0:
-            try:
-                os.posix_fallocate(file.fileno(), 0, more)
-            except OSError as error:
-                if error.errno != errno.ENOSPC:
-                    raise
-            else:
-                return
 
 
 def _references(base: Path, names: list[str]) -> dict[str, int]:
@@ -174,27 +132,18 @@ def _fill(folder: Path, command: Command, base: Path) -> None:
         shutil.copytree(given, folder / name) if given.is_dir() else shutil.copy(given, folder / name)
 
 
-def _run(command: Command, base: Path, disk: Path, ending: str, rng: random.Random, operations: int) -> list[str]:
+def _run(command: Command, top: Path, ending: str, rng: random.Random, operations: int) -> list[str]:
     """Run a command once and end it; return its faults, a sentence each."""
-    folder, told, ballast = disk / "run", disk.parent / "told", disk / "ballast"
+    folder, told, base = top / "run", top / "told", top / "base"
     reference = base / command.arguments[0] / command.output
     shutil.rmtree(folder, ignore_errors=True)
     _fill(folder, command, base)
     older = command.replaces and rng.random() < 0.5
     if older:
         shutil.copy(reference, folder / command.output)
-    before, moment = set(folder.rglob("*")), rng.random()
-    if ending == "full disk":
-        size = sum(one.stat().st_size for one in (reference, *reference.rglob("*")) if one.is_file())
-        leave_free(ballast, int(moment * 1.2 * size) + (KEPT_FREE if rng.random() < 0.7 else 0))
-    if ending == "read-only":
-        subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-    number = getattr(signal, ending, None)
-    status, _ = _fork(command.arguments, folder, told, number, int(moment * operations))
+    before = set(folder.rglob("*"))
+    status, _ = _fork(command.arguments, folder, told, getattr(signal, ending), int(rng.random() * operations))
     said = told.read_text(errors="replace")
-    if ending == "read-only":
-        subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True)
-    ballast.unlink(missing_ok=True)
     state = _state(command, folder / command.output, reference)
     faults = []
     if state != "whole" and (older or state != "absent"):

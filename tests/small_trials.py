@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import xarray as xr
 
 from fingerflow import __version__, load_scene
@@ -22,7 +21,6 @@ from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.pipeline.stages.rolling import Rolling
 
 Frame = np.ndarray[Any, Any]
 
@@ -49,7 +47,6 @@ _SHAPE: dict[str, Any] = {"n_frames": FRAMES, "frame_shape": (HEIGHT, 2 * WIDTH)
 TRIALS: dict[str, Press | Slide] = {
     "press": Press(**_SHAPE, rise_time=0.2, finger=(2.9, 2.4)),
     "slide": Slide(**_SHAPE, finger=(2.9, 2.4)),
-    "rolling": Rolling(**(_SHAPE | {"n_frames": 48}), finger=(2.9, 2.4), travel=2.2),
 }
 
 
@@ -192,13 +189,6 @@ def beside(bundle: Path) -> tuple[Path, Path]:
     return bundle.with_name(f"{bundle.name}.toml"), bundle.with_name(f"{bundle.name}.json")
 
 
-def export_unverified(recipe: Path, folder: Path) -> None:
-    """Export a bundle without its verification, which takes longest and is tested by tests/export."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.write_bundle.verify", lambda *_: [])
-        export_bundle(recipe, folder)
-
-
 def _torn(frame: Frame) -> Frame:
     half = len(frame) // 2
     return np.concatenate([frame[:half], np.roll(frame[half:], 25, axis=1)])
@@ -212,12 +202,6 @@ def dim_contact(frame: Frame) -> Frame:
     """Return the frame with the contact view, on the right, at 70 % of its light."""
     middle = frame.shape[1] // 2
     return np.concatenate([frame[:, :middle], (0.7 * frame[:, middle:]).astype(frame.dtype)], axis=1)
-
-
-def other_noise(frame: Frame, seed: int) -> Frame:
-    """Return the frame with random last bits, so that it is no copy."""
-    result: Frame = frame ^ np.random.default_rng(seed).integers(0, 2, frame.shape, frame.dtype)
-    return result
 
 
 #: Functions that spoil a frame (H, W) of 8 bits, and the status of the spoiled frame.

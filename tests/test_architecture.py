@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from fingerflow.schema import variables
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
@@ -168,23 +166,6 @@ def test_the_package_itself_loads_nothing() -> None:
     loaded = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8")).body
     modules = [getattr(node, "module", "") for node in loaded if isinstance(node, (ast.Import, ast.ImportFrom))]
     assert set(modules) <= {"importlib", "importlib.util", "typing"}
-
-
-@pytest.mark.parametrize(
-    ("room", "source"),
-    [
-        ("ops", "import numpy as np"),
-        ("ops", "def f():\n    from fingerflow import scene"),
-        ("graphs", "import fingerflow.pipeline.stages.contact.contact_stage"),
-        ("kernels", "from fingerflow.kernels import tensors"),
-        ("stages", "from fingerflow.pipeline.run import process"),
-        ("report", "from fingerflow.cli import main"),
-        ("calibration", 'import_module(f"fingerflow.report.{name}")'),
-        ("results", "if TYPE_CHECKING:\n    from fingerflow.pipeline.run import process"),
-    ],
-)
-def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:
-    assert len(wrong_arrows(room, ast.parse(source))) == 1
 
 
 def test_the_unit_in_which_a_variable_is_shown_stands_in_its_record_alone() -> None:

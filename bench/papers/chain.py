@@ -38,9 +38,10 @@ class SimulatedPresses:
     force: Values  # (T,) N, normal force
     chain: PressedChain
 
-    def index(self, friction: float) -> int:
-        """Return the index of the simulation with a given friction coefficient."""
-        return self.friction.index(friction)
+    def gains(self, values: Values) -> dict[float, float]:
+        """Return the ratios of a quantity (K,), one value per friction, at high friction to that at each other one."""
+        high = values[self.friction.index(HIGH)]
+        return {friction: float(high / values[k]) for k, friction in enumerate(self.friction) if friction != HIGH}
 
     def profile(self) -> tuple[Values, Values, Values]:
         """Return radius (mm), radial strain du/dx and hoop strain u/x of the skin from the centre to the edge of the
@@ -98,7 +99,7 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
     displaced furthest by the end, against normal force.
     """
     moved = 1e3 * presses.chain.displacement[..., 0].numpy()
-    furthest = np.where(_touching(presses), np.abs(moved[-1]), -1.0).argmax(-1)
+    furthest = np.where(presses.chain.normal_force[-1] > CONTACT_N, np.abs(moved[-1]), -1.0).argmax(-1)
     own = np.take_along_axis(moved, furthest[None, :, None], axis=-1)[..., 0]
     styles = line_styles(len(presses.friction), ordered=True)
     for values, friction, style in zip(np.abs(presses.rate(own)).T, presses.friction, styles, strict=True):
@@ -116,7 +117,7 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
     load, one bar per friction coefficient.
     """
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
-    largest = np.where(_touching(presses), np.abs(moved), 0).max(-1)
+    largest = np.where(presses.chain.normal_force[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
     axes.bar(names, largest, 0.6, color=[style["color"] for style in line_styles(len(names), ordered=True)])
     axes.set(xlabel="friction coefficient", ylabel="largest displacement (mm)")
@@ -125,7 +126,3 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
         "Largest displacement along the plate in contact at full load, of the skin chain, by friction coefficient. "
         f"n = {len(presses.friction)} presses.",
     )
-
-
-def _touching(presses: SimulatedPresses) -> NDArray[np.bool_]:
-    return np.asarray(presses.chain.normal_force[-1] > CONTACT_N)

@@ -23,7 +23,7 @@ def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
     # At 0.2 nearly all skin sticks already, and the movie would look like that of friction 1.
     pair = min(presses.friction), HIGH
-    chosen = [presses.index(friction) for friction in pair]
+    chosen = [presses.friction.index(friction) for friction in pair]
     chain = presses.chain
     moved = 1e3 * chain.displacement[:, chosen, :, 0].numpy()
     on_plate = chain.normal_force[:, chosen].numpy() > 0

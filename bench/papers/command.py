@@ -3,11 +3,12 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from bench.papers import method_rows, press_figures, press_rows, slide_figures, slide_rows
-from bench.papers.drawn import PrintedFigure, PrintedMovie, Source
+from bench.papers.drawn import PrintedFigure
 from bench.papers.page import TITLES, write_page, write_results
 from bench.papers.presses import record_and_analyse
 from bench.papers.printed import Row
@@ -23,7 +24,12 @@ _ABOUT_SLIDES = (
 
 
 def main(arguments: list[str]) -> None:
-    """Reproduce the papers that the command line names, and print the path of the page."""
+    """Reproduce the papers that the command line names, and print the path of the page with all results.
+
+    Recordings that exist and trials that are measured are kept, in `slip` and `press` (`press-quick`) of the folder.
+
+    Raises FingerflowError if a file cannot be written.
+    """
     parser = argparse.ArgumentParser("python -m bench papers", description=__doc__)
     parser.add_argument("paper", nargs="?", choices=tuple(TITLES), help="slip (2011) or press (2021); default both")
     parser.add_argument(
@@ -31,32 +37,22 @@ def main(arguments: list[str]) -> None:
     )
     parser.add_argument("--quick", action="store_true", help="a small study of presses, in minutes")
     options = parser.parse_args(arguments)
-    papers = (options.paper,) if options.paper else tuple(TITLES)
-    print(f"page: {reproduce(options.folder, papers, options.quick)}")
-
-
-def reproduce(folder: Path, papers: Sequence[str] = tuple(TITLES), quick: bool = False) -> Path:
-    """Reproduce one or both papers in a folder, and return the path of the HTML page with all results in that folder.
-
-    Recordings that exist and trials that are measured are kept.
-
-    Args:
-        folder: created if missing; recordings and results are in `slip` and `press`, the page is in `page`.
-        papers: names in `TITLES`.
-        quick: a small study of presses in place of the whole, in `press-quick`.
-
-    Raises FingerflowError if a file cannot be written.
-    """
-    page = folder / "page"
-    for paper in papers:
+    folder, page = options.folder, options.folder / "page"
+    source: Any
+    rows: Sequence[Row[Any]]
+    figures: Sequence[PrintedFigure[Any]]
+    for paper in (options.paper,) if options.paper else TITLES:
         if paper == "slip":
-            slides = record_and_measure(folder / paper)
-            _compare(page, paper, _ABOUT_SLIDES, slides, slide_rows.ROWS, slide_figures.FIGURES)
+            source = record_and_measure(folder / paper)
+            about, rows, figures = _ABOUT_SLIDES, slide_rows.ROWS, slide_figures.FIGURES
         else:
-            study = record_and_analyse(folder / (f"{paper}-quick" if quick else paper), quick)
+            source = record_and_analyse(folder / (f"{paper}-quick" if options.quick else paper), options.quick)
+            about, figures = _about(source.design), press_figures.FIGURES
             rows = sorted((*method_rows.ROWS, *press_rows.ROWS), key=lambda row: int(row.id[1:]))
-            _compare(page, paper, _about(study.design), study, rows, press_figures.FIGURES)
-    return write_page(page)
+        answers = [row.answer(source) for row in tqdm(rows, desc="rows")]
+        drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures")]
+        write_results(page, paper, about, answers, drawn)
+    print(f"page: {write_page(page)}")
 
 
 def _about(design: Design) -> str:
@@ -67,19 +63,3 @@ def _about(design: Design) -> str:
         f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. The observer feels "
         "the difference of divergence, with noise. Equations, settings and models are checked beside it."
     )
-
-
-def _compare(
-    page: Path,
-    paper: str,
-    about: str,
-    source: Source,
-    rows: Sequence[Row[Source]],
-    figures: Sequence[PrintedFigure[Source] | PrintedMovie[Source]],
-) -> None:
-    """Compute the reproduced results of a paper from its simulated experiment `source`, draw its figures, and write
-    both into the folder `page`.
-    """
-    answers = [row.answer(source) for row in tqdm(rows, desc="rows")]
-    drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures")]
-    write_results(page, paper, about, answers, drawn)

@@ -100,11 +100,9 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> None:
         f"times as long as they are. n = {known} points.",
     )
     axes[0].invert_yaxis()  # the axes share their limits, so this inverts all of them
-    for one in axes[::4]:
-        one.set_ylabel("mm")
-    for one in axes[3:]:
-        one.set_xlabel("mm")
-        one.tick_params(labelbottom=True)
+    axes[3].tick_params(labelbottom=True)
+    part.supxlabel("mm")
+    part.supylabel("mm")
 
 
 def _arrow_scale(found: Decomposition) -> float:

@@ -17,7 +17,7 @@ from fingerflow.results.atomic_write import write_atomically
 
 Source = TypeVar("Source")
 Picture = NDArray[np.uint8]
-Drawn = tuple[Figure | None, str]
+Drawn = tuple[Figure | Iterable[Picture] | None, str]
 
 _DPI, _COLOURS = 150, 256
 _STILLS = 3  # number of frames of a movie shown on the page
@@ -41,48 +41,35 @@ class DrawnFigure:
 
 @dataclass(frozen=True)
 class PrintedFigure(Generic[Source]):
-    """Figure of a paper: its number ("2b", "S11"), what it shows, and the function that draws the reproduced one.
+    """Figure or movie of a paper: its number ("2b", "S11", "M1"), what it shows, and the function that draws the
+    reproduced one.
 
-    `draw` returns the figure and what it shows here, a line a panel; None in place of a figure where nothing is drawn.
+    `draw` returns the figure, or the frames of a movie, and what it shows here, a line a panel; None in place of a
+    figure where nothing is drawn. Each frame is `repeated` so often in the file.
     """
 
     name: str
     printed: str
     draw: Callable[[Source], Drawn]
+    repeated: int = 1
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Draw the reproduced figure and write it as PNG; raise FingerflowError if it cannot be written."""
-        figure, shown = self.draw(source)
-        if figure is None:
-            return DrawnFigure(self.name, self.printed, "", shown)
-        return DrawnFigure(self.name, self.printed, _save(figure, folder / f"{self.name}.png").name, shown)
-
-
-@dataclass(frozen=True)
-class PrintedMovie(Generic[Source]):
-    """Movie of a paper: its number, what it shows, the function that draws the frames of the reproduced one, and how
-    often each frame is repeated in the file.
-
-    `draw` returns the frames and what they show here.
-    """
-
-    name: str
-    printed: str
-    draw: Callable[[Source], tuple[Iterable[Picture], str]]
-    repeated: int
-
-    def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Write the movie as MP4 into the folder `movies` next to `folder`, and a still image of some frames as PNG.
+        """Draw the reproduced figure and write it as PNG; of a movie, a PNG of some frames, and the movie as MP4 into
+        the folder `movies` next to `folder`.
 
         Raises FingerflowError if one cannot be written.
         """
-        frames, shown = self.draw(source)
-        pictures = list(frames)
-        movie = folder.parent / "movies" / f"{self.name}.mp4"
-        repeated = (one for one in pictures for _ in range(self.repeated))
-        write_atomically(movie, lambda part: encode_video(repeated, part))
-        path = _save(_strip(pictures), folder / f"{self.name}.png")
-        return DrawnFigure(self.name, self.printed, path.name, shown, movie.name)
+        drawn, shown = self.draw(source)
+        if drawn is None:
+            return DrawnFigure(self.name, self.printed, "", shown)
+        path, movie = folder / f"{self.name}.png", ""
+        if not isinstance(drawn, Figure):
+            pictures, movie = list(drawn), f"{self.name}.mp4"
+            repeated = (one for one in pictures for _ in range(self.repeated))
+            write_atomically(folder.parent / "movies" / movie, lambda part: encode_video(repeated, part))
+            drawn = _strip(pictures)
+        _save(drawn, path)
+        return DrawnFigure(self.name, self.printed, path.name, shown, movie)
 
 
 def _strip(pictures: list[Picture]) -> Figure:
@@ -101,12 +88,11 @@ def _strip(pictures: list[Picture]) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 256 colours, which has a third of the file size of full colour; return its path."""
+def _save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG with 256 colours, which has a third of the file size of full colour."""
     settle(figure)
     full = io.BytesIO()
     figure.savefig(full, format="png", dpi=_DPI)
     colours = Image.open(full).convert("RGB")
     picture = colours.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
     write_atomically(path, lambda part: picture.save(part, format="png", optimize=True))
-    return path

@@ -14,22 +14,25 @@ from bench.papers.chain import HIGH
 from bench.papers.half_sphere import DEPTH_MM, RADIUS_MM
 from bench.papers.press_stages import contact_mask
 from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
-from bench.papers.printed import Obtained, Row, exactly, number, rounded, unobtainable
+from bench.papers.printed import Obtained, Row, exactly, rounded, unobtainable
 from bench.papers.tribometer import MODULATION_HZ
 from fingerflow.calibration.registration import fit_affine
 from fingerflow.errors import FingerflowError
 from fingerflow.models.half_space import stress
 from fingerflow.models.hemisphere import radial_strain
 from fingerflow.models.observer.trials_table import MOVED_MM
+from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
+from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
 Values = NDArray[np.float64]
 _PAPER = PARAMETERS["paper"]
 _ELEMENTS = 501
+_SPACING = math.pi * float(_PAPER.radius) / (_ELEMENTS - 1)  # m, between elements on the half circle
 _STEP_S = 2.5e-6  # s, printed time step
 _EXACT = 1e-9
 
@@ -45,7 +48,7 @@ def _modulation(study: PressStudy) -> Obtained:
 
 def _sliding_force(study: PressStudy) -> Obtained:
     mean, spread = float(study.trace.normal.mean()), float(study.trace.normal.std())
-    return Obtained(f"{number(mean, spread)} N", ((mean - spread, mean + spread),))
+    return Obtained(f"{with_uncertainty(mean, spread)} N", ((mean - spread, mean + spread),))
 
 
 def _friction(study: PressStudy) -> Obtained:
@@ -176,9 +179,10 @@ def _membrane(_: PressStudy) -> Obtained:
     return Obtained(f"{own / 1000:g} kN/m; {fitted / 1000:.2g} kN/m where the area is fitted", exactly(own / 1000))
 
 
-def _tissue(study: PressStudy) -> Obtained:
+def _tissue(_: PressStudy) -> Obtained:
     own, fitted = float(_PAPER.tissue_stiffness), float(PARAMETERS["fitted"].tissue_stiffness)
-    area = study.chain_area_at_3n
+    load = torch.tensor(3.0, dtype=torch.float64)
+    area = {one: math.pi * (500 * float(press(HIGH, one, load).contact_length)) ** 2 for one in ("paper", "fitted")}
     return Obtained(
         f"{own / 1000:g} kN/m presses {area['paper']:.0f} mm² at 3 N, {fitted / 1000:.2g} kN/m "
         f"{area['fitted']:.0f} mm²",
@@ -221,21 +225,17 @@ def _motion(study: PressStudy) -> Obtained:
     )
 
 
-def _spacing() -> float:
-    return math.pi * float(_PAPER.radius) / (_ELEMENTS - 1)
-
-
 def _speed(_: PressStudy) -> Obtained:
-    fastest = _spacing() / _STEP_S
+    fastest = _SPACING / _STEP_S
     return Obtained(
-        f"C_max = 1 allows {fastest:.0f} m/s with elements {1e6 * _spacing():.0f} µm apart and steps of 2.5 µs",
+        f"C_max = 1 allows {fastest:.0f} m/s with elements {1e6 * _SPACING:.0f} µm apart and steps of 2.5 µs",
         exactly(2.5, fastest),
         because=f"440 m/s would need elements {440 * 1e3 * _STEP_S:.1f} mm apart",
     )
 
 
 def _elements(_: PressStudy) -> Obtained:
-    spacing = 1000 * _spacing()
+    spacing = 1000 * _SPACING
     return Obtained(
         f"{_ELEMENTS} elements, {spacing:.3f} mm apart on a half circle of {1000 * float(_PAPER.radius):g} mm",
         ((spacing, spacing), (_ELEMENTS, _ELEMENTS)),
@@ -293,9 +293,7 @@ def _gains_over_low_friction(study: PressStudy, quantity: str, values: Values) -
     """Compute the ratios of a quantity (K,), one value per simulated friction, at high friction to that at each other
     one; the ratio to the lowest is compared with the printed number.
     """
-    frictions = study.chain.friction
-    high = values[frictions.index(HIGH)]
-    ratios = {one: float(high / values[frictions.index(one)]) for one in frictions if one != HIGH}
+    ratios = study.chain.gains(values)
     text = "; ".join(f"{ratio:.3f} over {one:g}" for one, ratio in ratios.items())
     return Obtained(f"{quantity}, friction {HIGH:g}: {text}", exactly(ratios[min(ratios)]), because=_STUCK)
 
@@ -304,10 +302,6 @@ _STUCK = (
     "the traction is mobilised only as far as skin slips: above a friction of 0.2 all of it sticks, so that the "
     "gain needs a low friction near 0"
 )
-
-
-def _stress_gain(study: PressStudy) -> Obtained:
-    return _gains_over_low_friction(study, "peak of σ_z", study.depth.receptor_stress[1].min(-1))
 
 
 def _strain_gain(study: PressStudy) -> Obtained:
@@ -372,7 +366,8 @@ ROWS: tuple[Row[PressStudy], ...] = (
     Row("B58", "receptor depths", "1.2 and 2 mm", "S10", exactly(1.2, 2), _setting(
         "{:g} and {:g} mm", lambda _: tuple(1000 * depth for depth in RECEPTOR_DEPTHS_M))),
     Row("B59", "deep stresses", "equation 11", "Eq 11", (), _deep_stresses),
-    Row("B60", "stress gain", "20 %", "S10D", rounded(1.2, digit=0.1), _stress_gain),
+    Row("B60", "stress gain", "20 %", "S10D", rounded(1.2, digit=0.1), lambda study:
+        _gains_over_low_friction(study, "peak of σ_z", study.depth.receptor_stress[1].min(-1))),
     Row("B61", "strain gain", "20 % (text), almost 20 % (caption)", "S10F", rounded(1.2, digit=0.1), _strain_gain),
     Row("B62", "exclusion", "global displacement > 0.2 mm", "Observer", exactly(0.2), _exclusion),
 )  # fmt: skip

@@ -12,7 +12,7 @@ from bench.papers import half_sphere, receptors
 from bench.papers.chain import draw_fastest_point, draw_largest_displacement
 from bench.papers.chain_movie import movie_pictures
 from bench.papers.decomposition import decompose, draw_decomposition
-from bench.papers.drawn import Drawn, Picture, PrintedFigure, PrintedMovie
+from bench.papers.drawn import Drawn, Picture, PrintedFigure
 from bench.papers.press_stages import (
     contact_mask,
     contact_stages,
@@ -24,7 +24,7 @@ from bench.papers.press_stages import (
 from bench.papers.presses import PressStudy, TypicalPress
 from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot
-from fingerflow.plot.axes_style import INK, finished
+from fingerflow.plot.axes_style import INK
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
 from fingerflow.recordings import open_recording
@@ -247,38 +247,20 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def _movie_contact(study: PressStudy) -> tuple[Iterator[Picture], str]:
+def _movie_contact(study: PressStudy) -> Drawn:
     largest = min(one.largest_force for one in study.typical)
     shown = f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
     return _processed_frames(study), shown
 
 
-def _movie_protocol(study: PressStudy) -> Drawn:
-    """Draw the normal force of the two presses of a trial against time, and one frame in both views."""
-    high, low = study.typical
-    figure = Figure(figsize=(9, 5.5), layout="constrained")
-    force, *views = figure.subplot_mosaic([["force", "force"], ["contact", "topography"]]).values()
-    start = 0.0
-    for one, name in ((high, "reference"), (low, "comparison, vibrating")):
-        time = np.asarray(one.result["time"])
-        force.plot(time - time[0] + start, one.result["normal_force"], label=name)
-        start += float(time[-1] - time[0]) + 1.0
-    force.set(xlabel="time (s)", ylabel="normal force (N)")
-    force.text(0.98, 0.06, "which was more slippery?", transform=force.transAxes, ha="right")
-    finished(force)
-    for axes, name in zip(views, ("contact", "topography"), strict=True):
-        show(axes, view_of(low.scene, name, low.peak)).set_title(f"{name} view", fontsize="medium")
-    return figure, "The two presses of a trial as they are simulated; the presses shown are of one participant."
-
-
-def _movie_chain(study: PressStudy) -> tuple[Iterator[Picture], str]:
+def _movie_chain(study: PressStudy) -> Drawn:
     presses = study.chain
     frictions = f"{min(presses.friction):g} and {max(presses.friction):g}"
     shown = f"The skin chain at friction {frictions}, up to {presses.force[-1]:g} N."
     return movie_pictures(presses, _CHAIN_STEP), shown
 
 
-FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
+FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
     PrintedFigure("S1", "A: sliding trial in time; B: friction against α; C, D: apparent area; E, F: real area, with "
                   "difference images at 1, 2, 3 N", _friction_and_area),
     PrintedFigure("S2", "A: rail, 30°; B: friction reduction device and optics",
@@ -302,9 +284,10 @@ FIGURES: tuple[PrintedFigure[PressStudy] | PrintedMovie[PressStudy], ...] = (
     PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",
                   _supplement("S12")),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
-    PrintedMovie("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
-    PrintedFigure("M2", "protocol; contact and ridge images", _movie_protocol),
-    PrintedMovie("M3", "deformation of the surface finger model", _movie_chain, 4),
-    PrintedMovie("M4", "surface strains and energy density, high and low friction", lambda study: (
+    PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
+    PrintedFigure("M2", "protocol; contact and ridge images",
+                  lambda _: (None, "The protocol is not simulated; pictures of both views are in S3 and S8.")),
+    PrintedFigure("M3", "deformation of the surface finger model", _movie_chain, 4),
+    PrintedFigure("M4", "surface strains and energy density, high and low friction", lambda study: (
         _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."), 8),
 )  # fmt: skip

@@ -14,9 +14,10 @@ from scipy import stats
 
 from bench.papers.chain import HIGH
 from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
-from bench.papers.printed import Interval, Obtained, Row, exactly, likely, number, rounded, within
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, rounded, within
 from fingerflow.models.observer import Estimate, auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
+from fingerflow.plot.rounding import with_uncertainty
 from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.statistics import correlate_with_answers
@@ -51,7 +52,7 @@ def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple
     # The variance of a variance is (fourth moment - squared variance) / n, for any distribution.
     fourth = float(((values - mean) ** 4).mean())
     error = math.sqrt(max(fourth - deviation**4, 0.0) / values.size) / (2 * deviation)
-    return f"{number(mean, deviation)} {unit} in {values.size} presses", (interval, likely(deviation, error))
+    return f"{with_uncertainty(mean, deviation)} {unit} in {values.size} presses", (interval, likely(deviation, error))
 
 
 def _forces(study: PressStudy) -> Obtained:
@@ -71,11 +72,6 @@ def _durations(study: PressStudy) -> Obtained:
     return Obtained(f"{low:.2f} to {high:.2f} s", exactly(low, high), truth, because)
 
 
-def _force_rates(study: PressStudy) -> Obtained:
-    because = "forces outside of 1 to 18 N are drawn again, which narrows the distribution of rates"
-    return _as_designed(study, "force_rate", "N/s", study.design.force_rate, because)
-
-
 def _as_designed(study: PressStudy, metric: str, unit: str, design: tuple[float, float], because: str) -> Obtained:
     """Compare mean and standard deviation of a metric over all measured presses with the values `design` from which the
     simulation drew them; `because` explains a difference.
@@ -84,8 +80,8 @@ def _as_designed(study: PressStudy, metric: str, unit: str, design: tuple[float,
 
 
 def _global_displacements(study: PressStudy) -> Obtained:
-    text, numbers = _distribution(study, "global_displacement", "mm")
-    return Obtained(text, numbers, f"{_truth(study, 'true_displacement', 'mm')}, of the skin as a whole", _CHANCE)
+    truth = f"{_truth(study, 'true_displacement', 'mm')}, of the skin as a whole"
+    return Obtained(*_distribution(study, "global_displacement", "mm"), truth, _CHANCE)
 
 
 def _truth(study: PressStudy, column: str, unit: str) -> str:
@@ -305,7 +301,7 @@ def _peak_force(forces: dict[float, float]) -> Obtained:
     values = np.array(list(forces.values()))
     mean, deviation, _ = _mean(values)
     count = np.isfinite(values).sum()
-    return Obtained(f"{number(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
+    return Obtained(f"{with_uncertainty(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
 
 
 def _strain_against_divergence(study: PressStudy) -> Obtained:
@@ -337,7 +333,7 @@ def _peak_energy_rate(study: PressStudy) -> Obtained:
     force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
     chain = study.chain_strain[1][1]
     return Obtained(
-        f"{number(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
+        f"{with_uncertainty(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
         (likely(mean, deviation), *force.numbers),
         because="the chain is elastic: its energy rises faster the larger the force, up to the peak",
     )
@@ -456,7 +452,9 @@ ROWS: tuple[Row[PressStudy], ...] = (
         _as_designed(study, "time_to_max_force", "s", study.design.time_to_peak, _CHANCE)),
     Row("B36", "trial duration", "1 to 2.5 s", "S5D", ((0.9, 2.6), (0.9, 2.6)), _durations),
     Row("B37", "effect on answers", "p = 0.31 (force), 0.99 (time), 0.91 (duration)", "S5E to S5G", (), _no_effects),
-    Row("B38", "force rate", "3.6 ± 3 N/s", "S5H", (*rounded(3.6, digit=0.1), *rounded(3, digit=1)), _force_rates),
+    Row("B38", "force rate", "3.6 ± 3 N/s", "S5H", (*rounded(3.6, digit=0.1), *rounded(3, digit=1)), lambda study:
+        _as_designed(study, "force_rate", "N/s", study.design.force_rate,
+                     "forces outside of 1 to 18 N are drawn again, which narrows the distribution of rates")),
     Row("B39", "force rate on answers", "mixed model p = 0.018, α ≤ 2 µm", "S5I", (), _rate_on_answers),
     Row("B40", "global displacement", "0.08 ± 0.10 mm", "S7A", rounded(0.08, 0.10, digit=0.01), _global_displacements),
     Row("B41", "its link to answers", "Spearman 0.14, p = 0.2", "S7C", (), lambda study: _unrelated(

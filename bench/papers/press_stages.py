@@ -38,7 +38,7 @@ def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPa
         "A4, binarised": touching,
     }
     panels = [_picture(letter, one) for letter, one in pictures.items()]
-    panels.append(SheetPanel.of_axes("A5, ellipse", lambda axes: _outlined(axes, result, scene, frame)))
+    panels.append(SheetPanel.of_axes("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
     panels.append(SheetPanel.of_axes("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
     return panels
 
@@ -97,15 +97,6 @@ def _empty(scene: Scene) -> Picture:
 
 def _picture(letter: str, picture: NDArray[Any]) -> SheetPanel:
     return SheetPanel(letter, lambda part: show(part.subplots(), picture))
-
-
-def _outlined(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
-    plot.picture(result, scene, frame, axes, "contact")
-    axes.set_title("")
-    legend = axes.get_legend()
-    if legend is not None:
-        legend.remove()
-    return axes
 
 
 def _points(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:

@@ -1,7 +1,6 @@
 """Simulated experiment of Willemet et al. 2021: recordings of a study of presses, its results and statistics."""
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -9,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
@@ -18,7 +16,6 @@ from bench.papers.chain import HIGH, SimulatedPresses, simulate_presses
 from bench.papers.receptors import Depth, compute_strains_at_depth
 from bench.papers.tribometer import TribometerTrace, simulate_trace
 from fingerflow.errors import FingerflowError
-from fingerflow.models.skin_chain import press
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import VARIABLES
@@ -182,14 +179,6 @@ class PressStudy:
         return {metric: median[metric].to_dict() for metric in ("strain_rate", "strain_energy_rate")}
 
     @cached_property
-    def chain_area_at_3n(self) -> dict[str, float]:
-        """Return the contact area (mm²) of the skin-chain model at 3 N, for the parameter sets "paper" and "fitted"."""
-        load = torch.tensor(3.0, dtype=torch.float64)
-        return {
-            name: math.pi * (500 * float(press(HIGH, name, load).contact_length)) ** 2 for name in ("paper", "fitted")
-        }
-
-    @cached_property
     def errors(self) -> tuple[Values, Values]:
         """Return the errors, measured minus true, of the median displacement (T, 2) mm and the median divergence (T,)
         over the contact at the largest force of T presses.
@@ -212,7 +201,7 @@ class PressStudy:
         """Return, at high friction, the median radial strain (3,) % of the skin-chain model at 1, 2 and 3 N relative to
         the undeformed finger, and the forces (2,) N at which strain and strain energy change fastest.
         """
-        chain, k = self.chain, self.chain.index(HIGH)
+        chain, k = self.chain, self.chain.friction.index(HIGH)
         strain, inner = 100 * np.median(chain.profile()[1], axis=-1), slice(_MARGIN, -_MARGIN)
         fastest = [chain.rate(np.nan_to_num(series))[inner, k].argmax() for series in (strain, chain.energy())]
         return np.interp((1.0, 2.0, 3.0), chain.force, strain[:, k]), chain.force[inner][fastest]

@@ -1,6 +1,5 @@
 """Comparison of a printed result with the reproduced one: whether they agree, differ, or cannot be compared."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -112,14 +111,6 @@ def within(value: float, deviation: float) -> tuple[Interval, ...]:
 def likely(value: float, deviation: float) -> Interval:
     """Return the 95 % confidence interval of a value with a standard deviation (normal distribution)."""
     return value - _TWO_SIDED * deviation, value + _TWO_SIDED * deviation
-
-
-def number(value: float, deviation: float | None = None) -> str:
-    """Return "value ± deviation" as text with two digits of the deviation; without it, three digits of the value."""
-    if deviation is None or not math.isfinite(deviation) or deviation <= 0:
-        return f"{value:.3g}"
-    decimals = max(0, 1 - math.floor(math.log10(deviation)))
-    return f"{value:.{decimals}f} ± {deviation:.{decimals}f}"
 
 
 def unobtainable(because: str) -> Callable[[Any], Obtained]:

@@ -61,7 +61,7 @@ def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depth
 def draw_evolution(part: SubFigure, presses: SimulatedPresses) -> None:
     """Draw figure S10 A: contact pressure (kPa) and shape of the skin (mm) as the force rises, at high friction."""
     above, below = part.subplots(2, 1, sharex=True)
-    k = presses.index(HIGH)
+    k = presses.friction.index(HIGH)
     frames = np.linspace(0, len(presses.time) - 1, _SHAPES).round().astype(int)
     for frame, style in zip(frames, reversed(line_styles(_SHAPES, ordered=True)), strict=True):
         x, z = 1e3 * presses.chain.position[frame, k].T.numpy()
@@ -92,7 +92,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
     for one, friction in zip(axes, (LOW, HIGH), strict=True):
-        values = depth.sigma_z[presses.index(friction)]
+        values = depth.sigma_z[presses.friction.index(friction)]
         image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="YlOrRd_r", vmin=lowest, vmax=0)
         for down in RECEPTOR_DEPTHS_M:
             along = np.arange(-3, 4) * _APART_MM
@@ -125,7 +125,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
 def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> None:
     """Draw figure S10 E: tangential strain (%) 2 mm deep as a map over position and time, at high friction."""
     axes = part.subplots()
-    strain = 100 * depth.strain_y[:, presses.index(HIGH)]
+    strain = 100 * depth.strain_y[:, presses.friction.index(HIGH)]
     largest = float(np.abs(strain).max())
     image = axes.pcolormesh(depth.place, presses.time, strain, cmap="RdBu_r", vmin=-largest, vmax=largest)
     axes.set(xlabel=f"{_ALONG}, 2 mm deep", ylabel="time (s)", title=f"friction {HIGH:g}")
@@ -171,6 +171,5 @@ def _ratio(presses: SimulatedPresses, values: Values) -> str:
     """Return text with the ratios of a quantity (K,), one value per simulated friction, at high friction to that at low
     and at the lowest friction.
     """
-    high = values[presses.index(HIGH)]
-    over = {friction: high / values[presses.index(friction)] for friction in (LOW, min(presses.friction))}
-    return f"friction {HIGH:g} " + ", ".join(f"over {friction:g}: {ratio:.3f}" for friction, ratio in over.items())
+    gains = presses.gains(values)
+    return f"friction {HIGH:g} " + ", ".join(f"over {one:g}: {gains[one]:.3f}" for one in (LOW, min(gains)))

@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 from bench.papers.drawn import Drawn, PrintedFigure
 from bench.papers.slides import ABRUPT, FADING, JudgedSlide, Slides
 from fingerflow import plot
-from fingerflow.models.partial_slip import (
-    CurveComparison,
-    compare_curves,
-    critical_load_ratio,
-    critical_stuck_area,
-    stuck_area,
-)
+from fingerflow.models.partial_slip import CurveComparison, compare_curves, critical_load_ratio
 from fingerflow.models.partial_slip.comparison import COULOMB
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, PARTIAL_SLIP, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 from fingerflow.plot.outlines import in_pixels, matrix_of_view
-from fingerflow.report.slip_figures import AREA, LOAD
+from fingerflow.report.slip_figures import AREA, LOAD, draw_partial_slip
 
 Values = NDArray[np.float64]
 _ARROWS = 400
@@ -67,27 +61,14 @@ def _models(_: Slides) -> Drawn:
     axes.plot(load, (1 - load) ** (2 / 3), label="standard, Tada et al. 2006", **_STYLES[TADA.name])
     axes.plot(load, 1 - load, color=GREY, linestyle=":", label="μk = μs, as printed")
     for ratio, width in ((1.0, 1.0), (0.8, 1.6), (0.5, 2.2)):
-        _draw_partial_slip(axes, 1.0, ratio, f"equation 5, μk/μs = {ratio:g}", width)
+        static = 1 / float(critical_load_ratio(1.0, ratio))  # puts the largest load ratio at 1
+        draw_partial_slip(axes, static, ratio * static, f"equation 5, μk/μs = {ratio:g}", width)
     axes.set(xlabel=f"{LOAD} over its largest value", ylabel=AREA, xlim=(0, 1.1), ylim=(-0.03, 1.05))
     finished(axes)
     return figure, (
         "d² against T/N over its largest value, from the models alone. Dots: critical area, from which the rest "
         "slips at once. The printed line for equal friction is not that of equation 5 (A19)."
     )
-
-
-def _draw_partial_slip(axes: Axes, static: float, kinetic: float, name: str, width: float, scale: float = 0.0) -> None:
-    """Draw the relative stuck area that the partial-slip model (equation 5) predicts for a static and a kinetic
-    friction coefficient, against the load ratio T/N divided by `scale` (0: by its largest value).
-    """
-    largest = float(critical_load_ratio(static, kinetic))
-    load: Values = largest * (1 - np.linspace(1, 0, 400) ** 2)
-    smallest = float(critical_stuck_area(static, kinetic).nan_to_num(0.0))
-    over = scale or largest
-    axes.plot(load / over, stuck_area(load, static, kinetic), color=INK, linewidth=width, label=name)
-    if smallest > 0:
-        axes.plot([largest / over] * 2, [smallest, 0], ":", color=INK, linewidth=1)
-        axes.plot(largest / over, smallest, "o", color=INK, markersize=4)
 
 
 def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
@@ -135,7 +116,7 @@ def _draw_models(axes: Axes, found: CurveComparison) -> None:
         if name == COULOMB:
             axes.plot([0, values[0], values[0]], [1, 1, 0], label=name, **_STYLES[name])
         elif name == PARTIAL_SLIP.name:
-            _draw_partial_slip(axes, values[0], max(values[1], 0.0), "equation 5", 1.4, 1.0)
+            draw_partial_slip(axes, values[0], max(values[1], 0.0), "equation 5", 1.4)
         else:
             family = TADA if name == TADA.name else EQUAL_FRICTION
             axes.plot(family.load(area)[:, 0] * values[0], area, label=name, **_STYLES[name])

@@ -46,10 +46,6 @@ class JudgedSlide:
     trial: SlipTrial
     scene: Scene
 
-    def is_judged_correctly(self) -> bool:
-        """Return True if the measured verdict on how the stuck area is lost is the one expected for the slide's set."""
-        return self.trial.verdict.outcome == EXPECTED[self.kind]
-
 
 @dataclass(frozen=True)
 class Slides:

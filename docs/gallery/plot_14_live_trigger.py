@@ -29,7 +29,7 @@ width = 240
 points = 100
 window_px = 15
 [export]
-graphs = ["light"]
+graphs = ["noise"]
 """)
 export_bundle(Path("small.toml"), Path("bundle"))
 

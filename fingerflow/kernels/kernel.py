@@ -106,7 +106,7 @@ class Kernel:
                 arrays[field.name] = array
             results.append(array)
         if not _here.shapes_only:
-            self._run(values, arrays)
+            self._enter_with(values, arrays)
         return results[0] if len(results) == 1 else tuple(results)
 
     def _checked_arrays(self, values: dict[str, Any]) -> tuple[dict[str, Any], Any]:
@@ -129,7 +129,7 @@ class Kernel:
                 if size is None:
                     fits = values.setdefault(letter, actual) == actual  # type: ignore[arg-type]
                 else:
-                    needed = eval(size, _NO_NAMES, values) if isinstance(size, CodeType) else size
+                    needed = eval(size, _NO_NAMES, values) if isinstance(size, CodeType) else values.get(size, size)
                     fits = actual == needed or (letter is not None and actual == 1)
                     if letter is not None:
                         values[letter] = actual
@@ -151,7 +151,7 @@ class Kernel:
                 self._check_indices(field, arrays[field.name], values)
         return arrays, like
 
-    def _run(self, values: dict[str, Any], arrays: dict[str, Any]) -> None:
+    def _enter_with(self, values: dict[str, Any], arrays: dict[str, Any]) -> None:
         for name in self._names:
             array = arrays.get(name)
             if array is None:
@@ -208,11 +208,11 @@ class Kernel:
                 )
 
 
-def _size(text: str) -> tuple[str | None, int | CodeType | None]:
+def _size(text: str) -> tuple[str | None, int | str | CodeType | None]:
     """Return the name that a declared size gives to the size of an axis, if any, and the size that it must have."""
     letter, _, size = text.rpartition("|")
-    if size.isidentifier() and not letter:
-        return size, None
+    if size.isidentifier():
+        return (letter, size) if letter else (size, None)
     return letter or None, int(size) if size.isdecimal() else compile(size, text, "eval")
 
 

@@ -91,7 +91,7 @@ def draw_trial(
             verdict.critical_area - deviation, verdict.critical_area + deviation, color=RED, alpha=0.1, linewidth=0
         )
     if fit is not None and fit.identified:
-        _draw_fit(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
+        draw_partial_slip(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
     known = int((np.isfinite(area) & np.isfinite(load)).sum())
     said = [
@@ -173,12 +173,15 @@ def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: Tri
     return True
 
 
-def _draw_fit(axes: Axes, mu_s: float, mu_k: float, name: str) -> None:
+def draw_partial_slip(axes: Axes, mu_s: float, mu_k: float, name: str, width: float | None = None) -> None:
+    """Draw the stuck area that the partial-slip model predicts against the load ratio, with the critical area as a dot;
+    `width` is that of the line in points.
+    """
     # Space the loads quadratically: near the critical load the area changes too fast for equal steps.
     smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
     largest = float(critical_load_ratio(mu_s, mu_k))
     load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)
-    axes.plot(load, stuck_area(load, mu_s, mu_k), color=INK, label=name)
+    axes.plot(load, stuck_area(load, mu_s, mu_k), color=INK, linewidth=width, label=name)
     if smallest > 0:
         axes.plot([largest, largest], [smallest, 0], ":", color=INK)
         axes.plot(largest, smallest, "o", color=INK, markersize=4)

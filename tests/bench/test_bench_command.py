@@ -64,9 +64,3 @@ def test_one_file_is_a_suite(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert record["machine"]["cores"] > 0
     assert record["kernels"]["compiled"] is kernels.serve()
     assert (folder / "figures" / "counting.png").read_text() == "2"
-
-
-def test_quick_draws_no_figure(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command.main(["counting", "--quick"])
-    assert "quick" in capsys.readouterr().out
-    assert not (folder / "figures").exists()

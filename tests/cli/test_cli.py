@@ -20,7 +20,6 @@ import pytest
 import fingerflow
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings import open_recording
 from fingerflow.results.result import save_result
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
@@ -73,25 +72,6 @@ def test_init_never_overwrites(command: Command, tmp_path: Path, capsys: Printed
     assert path.read_text() == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("info", "nothing.cine"), "nothing.cine"),
-        (("process", "nothing.toml"), "nothing.toml"),
-        (("simulate", "poke", "folder"), "press, slide"),
-        (("frobnicate",), "frobnicate"),
-        (("info",), "RECORDING"),
-    ],
-)
-def test_mistakes_are_named_without_a_traceback(
-    command: Command, arguments: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: Patch, capsys: Printed
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert command(*arguments) == 2
-    assert said.lower() in capsys.readouterr().err.lower()
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a small scene with its result, and of frames for a calibration."""
@@ -123,11 +103,7 @@ def interrupt_after(calls: int, function: Callable[..., Any] | None = None) -> C
 
 @pytest.mark.parametrize(
     ("place", "calls"),
-    [
-        ("fingerflow.synthetic.press.Press.render", 5),
-        ("pathlib.Path.write_text", 1),
-        ("pathlib.Path.rename", 0),
-    ],
+    [("fingerflow.synthetic.press.Press.render", 5), ("pathlib.Path.write_text", 1), ("pathlib.Path.rename", 0)],
 )
 def test_an_interrupted_simulation_leaves_nothing(
     command: Command, place: str, calls: int, tmp_path: Path, monkeypatch: Patch, capsys: Printed
@@ -226,39 +202,6 @@ def test_an_interrupted_command_leaves_nothing(
     assert "interrupted" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("place", "calls", "left"),
-    [
-        ("fingerflow.report.overlay.ViewPainter.paint", 2, set()),
-        ("pathlib.Path.replace", 1, {"overlay.mp4"}),
-    ],
-)
-def test_an_interrupted_report_leaves_whole_files_only(
-    command: Command, place: str, calls: int, left: set[str], tmp_path: Path, trial: Path, monkeypatch: Patch
-) -> None:
-    shutil.copytree(trial, tmp_path, dirs_exist_ok=True)
-    before = {path.name for path in tmp_path.iterdir()}
-    monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
-    assert command("report", tmp_path / "scene.toml") == 130
-    monkeypatch.undo()
-    assert {path.name for path in tmp_path.iterdir()} - before == left
-    if left:
-        with open_recording(tmp_path / "overlay.mp4") as video:
-            assert len(video) == 8
-
-
-def test_an_interrupt_keeps_the_result_of_before(
-    command: Command, trial: Path, tmp_path: Path, monkeypatch: Patch
-) -> None:
-    (tmp_path / "result.h5").write_bytes(b"of before")
-    monkeypatch.setattr("fingerflow.results.store.FileStore.finish", interrupt_after(0))
-    arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
-    arguments += ("--output", str(tmp_path / "result.h5"))
-    assert command(*arguments) == 2  # the file is no result
-    assert command(*arguments, "--overwrite") == 130
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
-
-
 def test_what_cannot_be_written_is_said(command: Command, trial: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     for arguments in (
@@ -286,10 +229,7 @@ def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("foreign", "arguments"),
-    [
-        ("calibration.toml", CALIBRATE),
-        ("overlay.mp4", ("report", "{new}/scene.toml", "--result", "{trial}/result.h5")),
-    ],
+    [("calibration.toml", CALIBRATE), ("overlay.mp4", ("report", "{new}/scene.toml", "--result", "{trial}/result.h5"))],
 )
 def test_a_file_of_somebody_else_is_refused(
     command: Command,
@@ -319,16 +259,8 @@ def test_a_file_of_somebody_else_is_refused(
     assert (new / foreign).read_bytes() != b"years of work"
 
 
-def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: Printed) -> None:
-    """No command replaces an input, whether the name of its output was given or is the default."""
+def test_a_demo_with_other_files_is_kept(tmp_path: Path) -> None:
     from fingerflow.cli.synthetic_recordings import _remove_demo
-    from fingerflow.results.atomic_write import spare
-
-    frame = tmp_path / "calibration.png"
-    frame.write_bytes(b"a frame")
-    with pytest.raises(FingerflowError, match="would be replaced"):
-        spare(tmp_path / "calibration.png", None, frame)
-    spare(tmp_path / "other.png", frame)
 
     folder = tmp_path / "demo"
     folder.mkdir()

@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.bare_environment import ONNX, add_distributions, make_environment, variables
+from bench.bare_environment import ONNX, make_environment, variables
 
 ENGINES = ("onnx", "native")
 
@@ -26,10 +26,6 @@ class LabPC(NamedTuple):
         """Run the player with these arguments, with results in a folder `output` and without the live page."""
         always = ("--output", str(output), "--page", "off", "--threads", "1", *self.options)
         return self.run("-m", "fingerflow.player", *always, *arguments)
-
-    def install(self, *distributions: str) -> None:
-        """Link distributions of this environment into that of the lab PC."""
-        add_distributions(self.python, distributions)
 
 
 def set_up(folder: Path, bundle: Path, engine: str) -> LabPC:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from bench.bare_environment import variables
-from fingerflow import open_stream
+from fingerflow import open_stream, player
+from tests import small_trials
 from tests.export.lab_pc import ENGINES, LabPC, set_up
 
 pytestmark = pytest.mark.long
@@ -104,3 +105,46 @@ assert all(file.is_relative_to(Path.cwd() / "fingerflow") for file in loaded), l
 def test_what_a_bundle_does_not_carry_is_said(name: str, lab: LabPC) -> None:
     ended = lab.run("-c", f"import fingerflow; fingerflow.{name}")
     assert f"ImportError: {name} is not in this copy of fingerflow, the one of a deployment bundle" in ended.stderr
+
+
+# A camera wrapper as the README of a bundle has it: ten lines about the maker's software, here a file of frames.
+_CAMERA = """
+import itertools
+
+import numpy as np
+
+
+def make():
+    numbers, frames = itertools.count(), np.load("trial/frames.npy")
+
+    def next_frame():
+        number = next(numbers)
+        return (frames[number], 7 + number / 300) if number < len(frames) else None
+
+    return next_frame
+"""
+
+
+def test_a_wrapper_of_ten_lines_is_a_camera(lab: LabPC, tmp_path: Path) -> None:
+    """A camera gives the results of the recording that it plays, and the times of its stamps."""
+    small_trials.write_trial(lab.bundle / "trial")
+    (lab.bundle / "my_camera.py").write_text(_CAMERA)
+    played = []
+    for source in (("--source", "trial/frames.npy"), ("--camera", "my_camera:make", "--policy", "every")):
+        output = tmp_path / source[0].strip("-")
+        ended = lab.play(output, *source, "--scene", "trial/scene.toml")
+        assert ended.returncode == 0, ended.stderr
+        played.append(player.read_results(output).records)
+    recorded, records = played
+    assert len(records) == small_trials.FRAMES
+    for name in ("real_contact_area", "gross_contact_area", "position_px", "divergence", "frame_status"):
+        np.testing.assert_array_equal(records[name], recorded[name], err_msg=name)
+    np.testing.assert_allclose(records["time"], np.arange(small_trials.FRAMES) / 300, atol=1e-9)
+
+
+def test_the_benchmark_heeds_the_engine(lab: LabPC) -> None:
+    ended = lab.run("-m", "fingerflow.player", "--benchmark", *lab.options, "--threads", "1")
+    assert ended.returncode == 0, ended.stderr
+    first, *_, last = ended.stdout.splitlines()
+    assert f", computed by {lab.options[1]}" in first
+    assert last.startswith("This PC holds ")

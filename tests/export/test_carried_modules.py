@@ -1,6 +1,5 @@
 """Tests of the modules that a bundle carries: those that the player needs, unchanged, and none that needs torch."""
 
-import struct
 import subprocess
 import sys
 import tomllib
@@ -80,20 +79,6 @@ def test_a_bundle_reads_what_the_package_reads(kind: str, chosen: int, bundle: P
 def test_a_library_that_is_not_there_is_named(bundle: Path, tmp_path: Path) -> None:
     ended = _play(bundle, _sample("tiff", tmp_path), "tifffile")
     assert "its format needs the library tifffile: `pip install tifffile`" in ended.stderr
-
-
-def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
-    """A damaged frame of a recording ends the stream at once; a lost camera would be tried again for half a minute."""
-    file = _sample("cine", tmp_path)
-    data = bytearray(file.read_bytes())
-    (table,) = struct.unpack_from("<I", data, 32)
-    (third,) = struct.unpack_from("<q", data, table + 2 * 8)
-    (annotation,) = struct.unpack_from("<I", data, third)
-    struct.pack_into("<I", data, third + annotation - 4, 5)
-    file.write_bytes(data)
-    ended = _play(bundle, file)
-    assert ended.stderr.startswith("said: ")
-    assert "frame 2 has 5 bytes instead of 768" in ended.stderr
 
 
 def test_files_are_carried_as_they_are(bundle: Path) -> None:

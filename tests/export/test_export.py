@@ -93,7 +93,7 @@ def test_the_bundle_states_the_numbers_of_a_built_in_frame(bundle_of_trials: Pat
 def test_other_recipes_export(tmp_path: Path) -> None:
     """Graphs of other settings are verified, also where only some are exported."""
     settings = {"contact": "median_px = 9\nstride_px = 8", "tracking": "gain_offset = false"}
-    graphs = '"light", "contact", "track", "correct", "search", "windows"'
+    graphs = '"contact", "track", "correct", "search", "windows"'
     assert export_bundle(_recipe(tmp_path, bits=12, graphs=graphs, **settings), tmp_path / "bundle")
 
 
@@ -103,7 +103,7 @@ def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr("fingerflow.export.write_bundle.verify", fail)
     with pytest.raises(FingerflowError, match="no"):
-        export_bundle(_recipe(tmp_path, graphs='"light"'), tmp_path / "bundle")
+        export_bundle(_recipe(tmp_path, graphs='"noise"'), tmp_path / "bundle")
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
 
 

@@ -8,22 +8,37 @@ with the number that makes its input again: `python -m tests.fuzz --reader tiff 
 from __future__ import annotations
 
 import argparse
-import json
+import io
+import logging
+import os
+import pkgutil
+import random
+import resource
+import shutil
 import signal
-import subprocess
 import sys
+import tempfile
+import traceback
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import IO
 
-from fingerflow.recordings.guard.idle import IdleLimit
-from tests.fuzz.samples import READERS
+from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.player import main as play_stream
+from fingerflow.player.sources import open_source
+from fingerflow.recordings import open_forces, open_recording
+from fingerflow.results.stream_folder import write_table
+from fingerflow.results.stream_result import open_stream
+from tests.fuzz.damage import damage
+from tests.fuzz.samples import HEIGHT, READERS, WIDTH, Sample, samples
 
 OUTCOMES = ("read", "own error", "unnamed", "traceback", "memory", "hang", "crash")
 GOOD = ("read", "own error")
-ROOT = Path(__file__).resolve().parents[2]
-MOST_IDLE_SECONDS = 150.0  # s without work; longer than a reader waits for its own child process
+CPU_SECONDS, MOST_SECONDS = 10, 150  # for each input; undamaged files take milliseconds
+GROWTH = 2**30  # bytes of address space more than the libraries take, for files of a few kB
+RESIDENT = 200 * 2**20  # bytes of memory that were touched
+HANGS = (-signal.SIGXCPU, -signal.SIGALRM, -signal.SIGKILL)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,68 +49,146 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first input of each reader")
     asked = parser.parse_args(arguments)
     readers = asked.reader or list(READERS)
-    shares = [asked.count // len(readers) + (n < asked.count % len(readers)) for n in range(len(readers))]
     print(f"seed {asked.seed}, {asked.count} inputs")
     print(f"{'reader':15}" + "".join(f"{outcome:>11}" for outcome in OUTCOMES))
-    counts = {reader: Counter[str]() for reader in readers}
-    shown: set[tuple[str, str, str]] = set()
-    jobs = [(reader, asked.first, asked.first + share) for reader, share in zip(readers, shares, strict=True) if share]
-    for reader, number, outcome, said in _run(asked.seed, jobs):
-        counts[reader][outcome] += 1
-        kind = (reader, outcome, said.partition(":")[0])
-        if outcome not in GOOD and kind not in shown:  # print one of each kind
-            shown.add(kind)
-            print(f"  {reader} {number}: {outcome}: {said}", flush=True)
-        if (reader, number + 1) in {(name, end) for name, _, end in jobs}:
-            print(f"{reader:15}" + "".join(f"{counts[reader][outcome]:11}" for outcome in OUTCOMES), flush=True)
-    totals = sum(counts.values(), Counter[str]())
+    totals = Counter[str]()
+    for place, reader in enumerate(readers):
+        counts, share = Counter[str](), asked.count // len(readers) + (place < asked.count % len(readers))
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as name:
+            folder = Path(name)
+            (folder / "samples").mkdir()
+            found = samples(reader, folder / "samples")
+            for sample in found:  # undamaged, read first so that the libraries are loaded
+                READ[reader](write(sample, folder / "whole", sample.files[sample.damaged]))
+            for number in range(asked.first, asked.first + share):
+                rng = random.Random(f"{asked.seed} {reader} {number}")
+                sample, other = rng.choice(found), rng.choice(found)
+                data = damage(sample.files[sample.damaged], other.files[other.damaged], rng)
+                outcome, said = outcome_of(READ[reader], write(sample, folder / "damaged", data), folder / "damaged")
+                counts[outcome] += 1
+                if outcome not in GOOD:
+                    print(f"  {reader} {number}: {outcome}: {said}", flush=True)
+        print(f"{reader:15}" + "".join(f"{counts[outcome]:11}" for outcome in OUTCOMES), flush=True)
+        totals += counts
     print(f"{'all':15}" + "".join(f"{totals[outcome]:11}" for outcome in OUTCOMES))
     return 0 if set(totals) <= set(GOOD) else 1
 
 
-def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int, str, str]]:
-    """Yield (reader, number, outcome, message) of each input, whatever happens to the process that reads."""
-    while jobs:
-        command = [sys.executable, "-m", "tests.fuzz.worker", str(seed), json.dumps(jobs)]
-        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as worker:
-            begun = None
-            assert worker.stdout is not None
-            for line in _lines(worker, worker.stdout):
-                facts = json.loads(line)
-                begun = facts.get("begun")
-                if begun is None:
-                    yield facts["reader"], facts["number"], facts["outcome"], facts.get("said", "")
-                    jobs = _rest(jobs, facts["reader"], facts["number"])
-                else:
-                    reader = facts["reader"]
-            assert worker.stderr is not None
-            complaint = worker.stderr.read().decode(errors="replace")
-            status = worker.wait()
-        if begun is not None:
-            hung = status in (-signal.SIGPROF, -signal.SIGKILL)
-            yield reader, begun, "hang" if hung else "crash", _name(status)
-            jobs = _rest(jobs, reader, begun)
-        elif status:
-            raise SystemExit(f"the process that reads ended with {_name(status)} before any damaged input\n{complaint}")
+def write(sample: Sample, folder: Path, data: bytes) -> Path:
+    """Write the files of a sample, the damaged one with the bytes `data`; return the path that the reader opens."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name, content in sample.files.items():
+        (folder / name).write_bytes(data if name == sample.damaged else content)
+    return folder / sample.opened
 
 
-def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tuple[str, int, int]]:
-    """Return the jobs that are left after an input; jobs are done in their order."""
-    (name, _, end), *others = jobs
-    assert name == reader
-    return others if number + 1 == end else [(name, number + 1, end), *others]
+def outcome_of(read: Callable[[Path], object], path: Path, folder: Path) -> tuple[str, str]:
+    """Read a file in a process of its own, under limits; return how this ends, and the message."""
+    answer, answering = os.pipe()
+    sys.stdout.flush()
+    process = os.fork()
+    if not process:
+        _limit()
+        os.write(answering, "\n".join(_read(read, path, folder))[:4000].encode(errors="replace"))
+        os._exit(0)
+    os.close(answering)
+    with open(answer, encoding="utf-8", errors="replace") as said:
+        outcome, _, message = said.read().partition("\n")
+    status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    if status:
+        return "hang" if status in HANGS else "crash", f"status {status}"
+    return outcome, message
 
 
-def _lines(worker: subprocess.Popen[bytes], answers: IO[bytes]) -> Iterator[bytes]:
-    """Yield the whole lines of the worker. The first arrives after samples are made and libraries loaded, which takes
-    long on a busy machine.
+def _limit() -> None:
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + GROWTH
+    for limit, most in ((resource.RLIMIT_AS, size), (resource.RLIMIT_CORE, 0)):
+        resource.setrlimit(limit, (most, most))
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS + 1))  # ends loops in C too
+    signal.alarm(MOST_SECONDS)  # longer than a reader waits for its own child process
+    for output in (1, 2):  # libraries write about damaged files
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+
+
+def _read(read: Callable[[Path], object], path: Path, folder: Path) -> tuple[str, str]:
+    before, outcome, said = _most_resident(), "read", ""
+    try:
+        read(path)
+    except BaseException as error:
+        chain: list[BaseException] = [error]
+        while (cause := chain[-1].__cause__ or chain[-1].__context__) is not None and cause not in chain:
+            chain.append(cause)
+        if any(isinstance(one, MemoryError) for one in chain):
+            outcome, said = "memory", str(error)
+        elif isinstance(error, FingerflowError):
+            outcome, said = "own error" if str(folder) in str(error) else "unnamed", str(error)
+        else:
+            outcome, said = "traceback", traceback.format_exc()
+    touched = _most_resident() - before
+    return ("memory", f"{touched >> 20} MiB touched") if touched > RESIDENT else (outcome, said)
+
+
+def _most_resident() -> int:
+    """Return the peak of resident memory, bytes; getrusage would count that of the parent process."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024
+
+
+def _frames(path: Path) -> None:
+    with open_recording(path) as recording:
+        _ = recording.times, repr(recording), recording.warnings, recording.unreadable
+        for index in sorted({0, len(recording) // 2, len(recording) - 1}):
+            frame = recording[index]
+            assert frame.shape == recording.frame_shape
+            assert frame.dtype == recording.dtype
+
+
+def _forces(path: Path) -> None:
+    unstated = path.name in ("old.mat", "new.mat")  # formats without units
+    found = open_forces(path, units={"normal": "N", "tangential": "N"} if unstated else None)
+    found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
+
+
+def play(bundle: Path) -> Path:
+    """Play the scene of a bundle as `fingerflow stream` does; return the folder of results.
+
+    Raises PlayerError with the message of the player if it refuses.
     """
-    with IdleLimit(worker.pid, MOST_IDLE_SECONDS):
-        yield from (line for line in answers if line.endswith(b"\n"))
+    logging.disable()  # log records would stay in memory
+    results = bundle.parent / "results"
+    shutil.rmtree(results, ignore_errors=True)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+        options = ["--output", str(results), "--page", "off", "--threads", "1"]
+        options += ["--rate", "1e6"]  # a slow rate in the scene is not a hang
+        if play_stream([str(bundle), *options]):
+            raise PlayerError(said.getvalue())
+    return results
 
 
-def _name(status: int) -> str:
-    return signal.Signals(-status).name if status < 0 else f"status {status}"
+def _streamed(path: Path) -> None:
+    open_stream(path).load()
+    write_table(path, path / "table.csv")
+
+
+def _played(path: Path) -> None:
+    source = open_source(path, (HEIGHT, WIDTH), "uint8")
+    while source.read() is not None:
+        pass
+    source.close()
+
+
+READ: dict[str, Callable[[Path], object]] = {
+    **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
+    **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
+    "calibration": lambda path: pkgutil.resolve_name("fingerflow.calibration:Calibration.from_toml")(path),
+    "scene": lambda path: pkgutil.resolve_name("fingerflow.schema.scene:load_scene")(path),
+    "bundle": lambda path: pkgutil.resolve_name("fingerflow.engines.bundle:load_bundle")(path),
+    "result": lambda path: pkgutil.resolve_name("fingerflow.results.result:load_result")(path),
+    "stream": lambda path: _streamed(play(path)),
+    "streamed": _streamed,
+    "played": _played,
+}
 
 
 if __name__ == "__main__":

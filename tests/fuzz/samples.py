@@ -255,7 +255,7 @@ def _result(folder: Path) -> list[Sample]:
 
 def _stream(folder: Path) -> list[Sample]:
     """Return samples of the results folder that playing the bundle leaves."""
-    from tests.fuzz.worker import play
+    from tests.fuzz.__main__ import play
 
     _bundle(folder)
     results = play(folder / "bundle")

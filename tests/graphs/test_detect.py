@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.graphs import detect
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tracking.corners import corner_response
 
@@ -75,40 +73,6 @@ def test_a_slope_that_the_mask_cuts_is_no_corner() -> None:
     all_of_them = places(DetectGraph(5000, 2.0, WINDOW)(texture(), everywhere())[0])
     assert len(inside) > 20
     assert inside <= all_of_them
-
-
-@pytest.mark.parametrize(
-    "part",
-    [
-        (slice(50, 90), slice(60, 110)),
-        (slice(0, 40), slice(100, None)),  # reaches into the edge, where no point is detected
-        (slice(0, 1), slice(0, 1)),
-        (slice(0, 0), slice(0, 0)),
-    ],
-)
-def test_only_what_the_mask_depends_on_is_looked_at(part: tuple[slice, slice], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points are detected from the part of the view that the mask needs, with the same numbers as from the
-    whole view.
-    """
-    mask = torch.zeros_like(everywhere())
-    mask[(..., *part)] = True
-    seen: list[int] = []
-
-    def response(view: Tensor) -> Tensor:
-        seen.append(view[0, 0].numel())
-        return of_view(view)
-
-    of_view = detect._response
-    monkeypatch.setattr(detect, "_response", response)
-    found = DetectGraph(30, 6.0, WINDOW)(texture(), mask)
-    monkeypatch.setattr(detect, "mask_bounds", lambda mask, *_: tuple((0, length) for length in mask.shape[-2:]))
-    expected = DetectGraph(30, 6.0, WINDOW)(texture(), mask)
-    assert seen[1] == texture()[0, 0].numel()
-    if mask.sum() > 1000:
-        assert seen[0] < seen[1] / 3 or not kernels.serve()
-        assert len(places(found[0])) > 5
-    for one, other in zip(found, expected, strict=True):
-        torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)
 
 
 def test_pixels_that_are_not_finite_spoil_their_windows_alone() -> None:

@@ -49,24 +49,6 @@ def test_area_and_load_are_inverse_along_the_larger_root(mu_s: float, mu_k: floa
     torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
 
 
-def test_equal_coefficients_give_a_square_root_and_not_the_printed_line() -> None:
-    loads = torch.linspace(0, 0.8, 200, dtype=torch.float64)
-    found, printed = stuck_area(loads, 0.8, 0.8), 1 - loads / 0.8
-    torch.testing.assert_close(found, printed.clamp(min=0).sqrt(), atol=1e-12, rtol=0)
-    assert (found - printed).max() > 0.24
-
-
-def test_the_printed_inversion_is_not_an_inversion() -> None:
-    ratio = torch.linspace(0, 1, 101, dtype=torch.float64)
-    critical = critical_stuck_area(1.0, ratio)
-    torch.testing.assert_close(friction_ratio(critical), ratio, atol=1e-14, rtol=0)
-    printed = (1 - critical) / (2 - critical)
-    assert ((printed - ratio).abs() > 0.05).sum() > 80
-    assert friction_ratio(0.0) == 1
-    assert friction_ratio(0.5) == 0
-    assert friction_ratio(torch.tensor([-0.01, 0.51, torch.nan])).isnan().all()
-
-
 def test_a_minimal_area_needs_more_static_than_kinetic_friction() -> None:
     """A critical area exists only if static friction exceeds kinetic friction; the abstract states the reverse."""
     assert critical_stuck_area(0.8, 0.5).item() == pytest.approx(0.3 / 1.1)

@@ -52,13 +52,9 @@ def test_a_stretch_that_is_known(elements: int) -> None:
 
 
 def test_a_press_with_more_friction_spreads_less_since_the_onset() -> None:
-    time = torch.linspace(0, 0.5, 129, dtype=torch.float64)
+    time = torch.linspace(0, 0.5, 33, dtype=torch.float64)
     pressed = follow(
-        torch.tensor([0.05, 0.2, 1.0]),
-        time,
-        5.0 * (time / 0.5)[:, None].expand(-1, 3),
-        parameters="paper",
-        elements=101,
+        torch.tensor([0.05, 0.2, 1.0]), time, 5.0 * (time / 0.5)[:, None].expand(-1, 3), parameters="paper", elements=51
     )
     found = since_onset(pressed)
     assert (found.mean_within(0.6)[-1].diff() < 0).all()

@@ -29,15 +29,6 @@ def _lag(time: float) -> float:
     return time + math.expm1(-x) / RATE
 
 
-def test_a_held_stress_needs_no_small_steps() -> None:
-    """One step of 30 ms ends where 3000 steps do, at (1 - exp(-3)) of the elastic strain."""
-    for count in (1, 3000):
-        time = torch.linspace(0, 0.03, count + 1, dtype=torch.float64)
-        held = torch.full((count + 1, 2), 1e3, dtype=torch.float64)
-        found = viscoelastic_strain(held, 2 * held, time)
-        assert found.along_z[-1, 1].item() == pytest.approx((2 - NU) * 1e3 / E * (1 - math.exp(-3)), rel=1e-12)
-
-
 def test_the_corner_is_at_16_hz_and_not_at_100() -> None:
     """The gain falls to 1 / sqrt 2 at 100 / (2 pi) Hz, and to a sixth at the printed corner of 100 Hz."""
     for frequency, gain in ((RATE / (2 * math.pi), 1 / math.sqrt(2)), (100.0, 1 / math.hypot(1, 2 * math.pi))):

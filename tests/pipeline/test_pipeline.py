@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pytest
 import xarray as xr
@@ -22,12 +21,10 @@ from fingerflow.pipeline.plan import OUTPUTS, VARIABLES
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.recordings import Recording
 from fingerflow.recordings.frames.recording import FileRecording
-from fingerflow.report import write_report
 from fingerflow.results.result import load_result, save_result
 from fingerflow.schema.scene import Scene, Views
 from fingerflow.schema.variables import SLIP, by_name
 from fingerflow.synthetic import rebuild_scene
-from fingerflow.synthetic.comparison_with_truth import compare
 from tests.small_trials import SMALL_PRESS, write_small
 
 
@@ -157,16 +154,6 @@ def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], N
         results.append(process(scene, ["position_px", "gross_contact_area", "median_divergence"]))
     for name in results[0].data_vars:
         np.testing.assert_array_equal(results[1][name].values, results[0][name].values, err_msg=str(name))
-
-
-@pytest.mark.long
-def test_report_compares_with_the_truth(result: xr.Dataset, scene: Scene, tmp_path: Path) -> None:
-    page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
-    text = page.read_text(encoding="utf-8")
-    for shown in ("Loading", "Contact", "Deformation", "Quality", "Measured against true values"):
-        assert f"<h2>{shown}" in text, shown
-    with av.open(str(tmp_path / "overlay.mp4")) as video:
-        assert sum(1 for _ in video.decode(video=0)) == 24
 
 
 def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -> None:

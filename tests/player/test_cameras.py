@@ -84,15 +84,6 @@ def test_a_gentl_camera_gives_frames_and_its_own_times(stream: Stream, producer:
     ]
 
 
-def test_a_gentl_camera_that_falls_silent_is_opened_again(
-    stream: Stream, producer: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Harvester, "frames", [(frame(), 10**6), (None, None)])
-    ended = stream.run("--camera", f"genicam:{producer}", "--policy", "every", "--frames", "3")
-    assert ended.summary["reconnects"] == 2
-    assert Harvester.events.count("create 17") == 3
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [

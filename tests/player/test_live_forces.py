@@ -84,30 +84,6 @@ def test_forces_go_into_records_outputs_and_triggers(stream: Stream, monkeypatch
     assert "tangential_force" not in units
 
 
-def test_a_live_sensor_is_in_the_records(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read() -> Any:
-        time.sleep(0.001)
-        return 1.5, -0.5
-
-    read.close = lambda: closed.set()  # type: ignore[attr-defined]
-    closed = threading.Event()
-    _module(monkeypatch, make=lambda: read)
-    given = iter(range(20))
-
-    def grab() -> Any:
-        time.sleep(0.01)
-        number = next(given, None)
-        return None if number is None else frame(contact_px=10 * number)
-
-    forces = ("--policy", "every", "--forces", "callback:sensor_of_the_test:make")
-    records = stream.run(*stream.camera(lambda: grab), *forces).results.records
-    known = np.isfinite(records["normal_force"])
-    assert known.any()  # all frames, if the machine is fast enough to read the sensor every 50 ms
-    np.testing.assert_array_equal(records["normal_force"][known], 1.5)
-    np.testing.assert_array_equal(records["tangential_force"][known], 0.5)
-    assert closed.wait(30)
-
-
 def _module(monkeypatch: pytest.MonkeyPatch, **members: Any) -> None:
     module = ModuleType("sensor_of_the_test")
     vars(module).update(members)

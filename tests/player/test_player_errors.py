@@ -11,9 +11,7 @@ import pytest
 from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame
 
-from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.schema.views import View
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -54,22 +52,6 @@ def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -
     assert said in stream.refused(*stream.frames([frame()]))
 
 
-def test_a_calibration_file_is_read(stream: Stream) -> None:
-    views = {"contact": (WIDTH, 2 * WIDTH), "topography": (0, WIDTH)}
-    transform = Transform(np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]]), np.zeros((3, 2)))
-    hole = Disc((16.0, 12.0), (8.0, 8.0), 0.3, 0.1, 0.5, 1.0, 0.4, 30.0)
-    rig = {name: View((0, HEIGHT), columns) for name, columns in views.items()}
-    text = Calibration(0.25, 2.75, hole, rig, affine=transform, similarity=transform).to_toml()
-    (stream.bundle / "rig.toml").write_text(text)
-    np.save(stream.bundle / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 200.25))  # a mean of frames
-    text = stream.scene.read_text().split("mm_per_px")
-    rest = text[1].split("\n", 2)[2]
-    stream.scene.write_text(f'{text[0]}file = "rig.toml"\n{rest}')
-    records, header, _ = stream.run(*stream.frames([frame(contact_px=16)])).results
-    assert records["real_contact_area"][0] == 1.0
-    assert (header["mm_per_px"], header["topography_to_contact"]) == (0.25, [[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]])
-
-
 def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     """The background is the floating-point mean of the first 64 frames, as in `fingerflow process`. Row 5 has a mean of
     200.25 counts, so that its pixels of 100 counts have lost more than 0.5 of the light.
@@ -82,18 +64,6 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     picture[5, WIDTH:] = 100
     [event] = stream.run(*stream.frames([picture])).results.records["real_contact_area"]
     assert event == WIDTH / 4
-
-
-@pytest.mark.parametrize(
-    ("pictures", "said"),
-    [
-        (np.full((HEIGHT, 2 * WIDTH), 200, np.uint16), "empty.npy: a frame is uint16, the bundle takes uint8"),
-        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "does not fit into a frame of 64 rows and 191 columns"),
-    ],
-)
-def test_a_wrong_background_is_named(stream: Stream, pictures: Any, said: str) -> None:
-    np.save(stream.bundle / "empty.npy", pictures)
-    assert said in stream.refused(*stream.frames([frame()]))
 
 
 def test_the_frames_that_count(stream: Stream) -> None:
@@ -161,12 +131,12 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     _rewritten(stream.bundle, graphs=facts["graphs"])
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
     _rewritten(stream.bundle, graphs={})
-    assert "without the graphs light, contact, threshold," in said("--engine", "onnx")
+    assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
     assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
-    _rewritten(stream.bundle, graphs={"light": {}})
+    _rewritten(stream.bundle, graphs={"noise": {}})
     assert "has no proper entry 'sha256'" in said()
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 7; use the player of the same bundle, or export it again" in said()
+    assert "its format is 1, this player reads 8; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 

@@ -23,19 +23,6 @@ def test_pictures_are_played_in_the_order_of_their_numbers(stream: Stream) -> No
     np.testing.assert_array_equal(ended.results.records["frame"], np.arange(12))
 
 
-def test_a_range_of_the_scene_and_a_background_may_be_pictures(stream: Stream) -> None:
-    for name, count in (("press", 9), ("empty", 3)):
-        (stream.bundle / name).mkdir()
-        for number in range(count):
-            picture = frame(contact_px=number if name == "press" else 0)
-            cv2.imwrite(str(stream.bundle / name / f"{number:03}.tif"), picture)
-    text = stream.scene.read_text().replace("empty.npy", "empty")
-    stream.scene.write_text(f'[recording]\nframes = "press"\nfirst_frame = 2\nlast_frame = 5\n{text}')
-    records = stream.run().results.records
-    np.testing.assert_array_equal(records["frame"], np.arange(2, 6))
-    np.testing.assert_array_equal(records["real_contact_area"], np.arange(2, 6) / 4)
-
-
 def test_sixteen_bits_stay(stream: Stream) -> None:
     stream.bundle = write_bundle(stream.folder / "deep", bit_depth=12)
     stream.scene.rename(stream.bundle / "scene.toml")

@@ -21,24 +21,3 @@ def test_nothing_comes_from_elsewhere() -> None:
     assert {one for one in loaded if not one.startswith("data:")} == own - {""}
     assert set(re.findall(r'fetch\("(\w+)"', JS)) == {"live", "restart", "shown"}
     assert {name for name, _ in page._FILES.values()} == {file.name for file in FOLDER.iterdir()}
-
-
-def test_the_script_reads_what_the_stream_sends() -> None:
-    """The names of arrays and scalars in the script are those of the records, which the table of variables defines."""
-    from fingerflow.schema.variables import CONTACT, FIELDS, STREAM, TRACKING, by_name
-
-    known = {
-        *by_name(CONTACT, FIELDS, STREAM, TRACKING),
-        "topography_view",
-        "contact_view",
-        "real_contact_mask",
-        "traces",
-    }
-    taken = {name for names in re.findall(r"const \{ ([^}]+) \} = live\.data", JS) for name in names.split(", ")}
-    assert taken
-    assert taken <= known
-    scalars = set(re.findall(r"\b(?:s|live\.scalars)\.(\w+)", JS))
-    assert scalars == {"ellipse_angle", "slip_flag"}
-    traced = set(re.findall(r'\["(\w+)", "#', JS))
-    assert traced == {"real_contact_area", "gross_contact_area", "median_divergence"}
-    assert scalars | traced <= known

@@ -6,8 +6,6 @@ import json
 import shutil
 import socket
 import threading
-from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +13,7 @@ import pytest
 from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame
 
-from fingerflow import player
-from fingerflow.player import opening
 from fingerflow.player import stream_player as stream_module
-
-START = ("--threads", "1")
 
 
 def test_a_start_that_fails_leaves_no_results(stream: Stream) -> None:
@@ -41,25 +35,6 @@ def test_a_page_that_cannot_be_served_leaves_no_results_and_closes_the_camera(st
         said = stream.refused(*stream.camera(lambda: _Camera(closed.set)), "--page", str(taken.getsockname()[1]))
     assert "cannot be served" in said
     assert closed.is_set()
-
-
-def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two streams that start in the same second without a given name, the results folder of the second gets a
-    number.
-    """
-
-    class Standing(datetime):
-        @classmethod
-        def now(cls, tz: Any = None) -> "Standing":
-            return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
-
-    monkeypatch.setattr(opening, "datetime", Standing)
-    monkeypatch.chdir(stream.folder)
-    for count in (3, 4):
-        source = stream.frames(frame() for _ in range(count))
-        assert player.main([str(stream.bundle), *START, *source, "--policy", "every", "--page", "off"]) == 0
-    for name, count in (("", 3), ("-2", 4)):
-        assert len(player.read_results(Path(f"results-20260102-030405{name}")).records) == count
 
 
 class _Camera:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fingerflow.player.sources import synthetic_truth
-from fingerflow.player.sources.synthetic_source import Synthetic, _draw_finger, side_by_side
+from fingerflow.player.sources.synthetic_source import _draw_finger
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 
 SHAPE = (192, 240)
@@ -42,15 +42,6 @@ def test_the_divergence_is_that_of_the_closed_form(
     monkeypatch.setattr(synthetic_truth, "_MOST_SKIN", 8000)
     fitted = median_divergence(progress, 1.0, SHAPE, 8.0)
     assert fitted == pytest.approx(_closed_form(progress), abs=tolerance)
-
-
-def test_divergence_is_expected_only_of_points_chosen_at_the_start() -> None:
-    source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4)
-    period = 2 * source.half_period - 2
-    assert "median_divergence" in source.expected_in(30, 1)
-    assert "median_divergence" not in source.expected_in(30, 2)
-    assert source.expected_in(period + 30, 1)["real_contact_area"] == source.expected_in(30, 1)["real_contact_area"]
-    assert "median_divergence" not in Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8).expected_in(30, 1)
 
 
 def _closed_form(progress: float) -> float:

@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import figure_style, finished, given_or_new
-from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles, settle
-from fingerflow.plot.panels import captions_of, panel_letter, row_of_panels
 
 MM_PER_POINT = 25.4 / 72
 
@@ -107,19 +105,3 @@ def test_long_titles_are_broken_at_clauses() -> None:
     title = figure.axes[0].title
     assert title.get_text() == "F(6, 18) = 6.2, p = 0.074,\n28 trials of 4 participants"
     assert title.get_window_extent().width <= figure.bbox.width
-
-
-def test_letters_have_no_gaps() -> None:
-    assert [panel_letter(number) for number in range(3)] == ["A", "B", "C"]
-    letters = [panel_letter(number) for number in range(800)]
-    assert letters[25:28] == ["Z", "AA", "AB"]
-    assert len(set(letters)) == len(letters)
-    for width, rows in ((180, 1), (85, 3)):
-        with figure_style(width):
-            figure, parts = row_of_panels(3, width)
-            for part in parts:
-                finished(part.subplots(), "Nothing.")
-        assert [text.get_text() for part in parts for text in part.texts] == ["A", "B", "C"]
-        assert len({round(part.bbox.y0) for part in parts}) == rows
-        assert captions_of(parts) == ["A. Nothing.", "B. Nothing.", "C. Nothing."]
-        assert caption_of(figure) == "Nothing. Nothing. Nothing."

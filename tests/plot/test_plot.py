@@ -12,7 +12,6 @@ from matplotlib.collections import PolyCollection
 
 from fingerflow import load_scene, plot, process
 from fingerflow.errors import FingerflowError
-from fingerflow.plot.maps import principal
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -124,17 +123,6 @@ def test_what_varies_is_the_axis() -> None:
     assert plot.abscissa(of_time(returns), "normal_force").label == "normal force (N)"
     with pytest.raises(FingerflowError, match=r"'torque'.*normal_force"):
         plot.abscissa(of_time(rises), "torque")
-
-
-def test_principal_strains_are_eigenvalues() -> None:
-    """Principal strains equal LAPACK's eigenvalues in float64, to 1e-12, the rounding of both."""
-    strain = np.random.default_rng(1).normal(0, 0.1, (200, 3))
-    values, angle = principal(xr.Dataset({"strain": (("triangle", "strain_component"), strain)}))
-    matrix = np.stack((strain[:, [0, 2]], strain[:, [2, 1]]), 1)
-    expected, vectors = np.linalg.eigh(matrix)
-    np.testing.assert_allclose(values, expected[:, ::-1], atol=1e-12)
-    along = np.stack((np.cos(angle), np.sin(angle)), 1)
-    np.testing.assert_allclose(np.abs((along * vectors[:, :, 1]).sum(1)), 1, atol=1e-12)
 
 
 def test_colours_are_not_those_of_torn_triangles(trials: list[Trial]) -> None:

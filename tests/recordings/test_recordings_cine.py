@@ -62,19 +62,6 @@ def test_packed_10_bit_frames_are_linearised_to_12_bits(tmp_path, shape):
     assert (recording.metadata["black_level"], recording.metadata["white_level"]) == (64, 4064)
 
 
-def test_the_companding_table_is_the_curve_of_bt_709():
-    code = np.arange(1015.0)
-    video = (code - 64) / (1014 - 64)
-    # BT.709: V = 4.5 L below L = 0.018, else 1.099 L^0.45 - 0.099.
-    light = np.where(video < 4.5 * 0.018, video / 4.5, ((np.maximum(video, 0) + 0.099) / 1.099) ** (1 / 0.45))
-    difference = LINEAR_OF_COMPANDED[:1015] - (64 + 4000 * light)
-    # Measured 2.43 of 4095, a quarter of the step between two codes at the bright end; a wrong entry differs by more.
-    assert np.abs(difference[64:]).max() < 2.5
-    assert LINEAR_OF_COMPANDED.shape == (1024,)
-    assert np.all(np.diff(LINEAR_OF_COMPANDED.astype(int)) >= 0)
-    assert (LINEAR_OF_COMPANDED[64], LINEAR_OF_COMPANDED[1014], LINEAR_OF_COMPANDED[1023]) == (64, 4064, 4095)
-
-
 def test_rows_filled_up_to_four_bytes(tmp_path):
     frames = frames_of(8, shape=(4, 6))
     padded = np.pad(frames, ((0, 0), (0, 0), (0, 2)), constant_values=99)
@@ -135,13 +122,6 @@ def test_truncated_file_gives_the_frames_that_are_whole(tmp_path, lost, annotati
     np.testing.assert_array_equal(recording.read(), frames[:left])
     assert recording.warnings[0].startswith(f"truncated: {5 - left} of 5 frames are missing")
     assert len(recording) == len(recording.times) == left
-
-
-@pytest.mark.parametrize("length", [0, 60, 5000, 13600])
-def test_damage_beyond_use_is_refused(tmp_path, length):
-    (tmp_path / "cut.cine").write_bytes(cine(frames_of(12)).bytes()[:length])
-    with pytest.raises(FingerflowError, match=r"cut\.cine"):
-        open_recording(tmp_path / "cut.cine")
 
 
 @pytest.mark.parametrize(

@@ -80,23 +80,6 @@ def test_a_truncated_file_has_its_whole_frames(tmp_path, name, options):
     assert name != "a.npy" or recording.warnings[0] == "truncated: 3 of 7 frames are missing at the end of the file"
 
 
-def test_tiff_truncated_between_scattered_pages(tmp_path):
-    data = write(tmp_path / "a.tif", GREY16, **PAGES, compression="zlib").read_bytes()
-    (tmp_path / "a.tif").write_bytes(data[: int(len(data) * 0.6)])
-    recording = open_recording(tmp_path / "a.tif")
-    assert 1 <= len(recording) < 6
-    np.testing.assert_array_equal(recording.read(), GREY16[: len(recording)])
-    assert recording.warnings[0].startswith("truncated")
-
-
-@pytest.mark.parametrize(("name", "kept", "named"), [("a.npy", 0.05, "too few"), ("a.h5", 0.5, "damaged")])
-def test_a_file_truncated_beyond_use_is_refused(tmp_path, name, kept, named):
-    data = write(tmp_path / name, GREY16).read_bytes()
-    (tmp_path / name).write_bytes(data[: int(kept * len(data))])
-    with pytest.raises(FingerflowError, match=named):
-        open_recording(tmp_path / name)
-
-
 @pytest.mark.parametrize(
     ("name", "array", "options", "named"),
     [

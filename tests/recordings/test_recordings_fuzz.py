@@ -6,10 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from fingerflow.errors import FingerflowError
-from tests.fuzz.samples import samples
-from tests.fuzz.worker import outcome_of
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -23,16 +19,3 @@ def test_damaged_files_are_read_or_refused_in_a_sentence() -> None:
     read, refused, *wrong = map(int, total[1:])
     assert (read + refused, sum(wrong)) == (180, 0)
     assert min(read, refused) > 36  # some damaged files are readable and some are not
-
-
-@pytest.mark.parametrize(
-    ("error", "outcome"),
-    [(None, "read"), (MemoryError(), "memory"), (KeyError("x"), "traceback"), (FingerflowError("a"), "unnamed")],
-)
-def test_what_goes_wrong_is_seen(error: Exception | None, outcome: str, tmp_path: Path) -> None:
-    def read(path: Path) -> None:
-        if error is not None:
-            raise error
-
-    sample = samples("npy", tmp_path)[0]
-    assert outcome_of(read, sample, tmp_path / "damaged", b"")["outcome"] == outcome

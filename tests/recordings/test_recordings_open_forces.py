@@ -156,18 +156,6 @@ def test_a_sample_rate_that_the_times_contradict_is_refused(tmp_path):
         open_forces(path, sample_rate=-1)
 
 
-def test_a_rate_in_the_file_beside_its_times_is_said(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["time"], file["normal"] = TIMES, NORMAL
-        file["normal"].attrs["units"] = "N"
-        file.attrs["sample_rate"] = 500.0
-    forces = open_forces(tmp_path / "a.h5")
-    np.testing.assert_allclose(forces.times, TIMES)
-    assert forces.warnings == [
-        f"{tmp_path / 'a.h5'}: states 500 Hz, and its times 'time' are 1000 Hz apart; the times count"
-    ]
-
-
 def test_decimal_commas_between_commas_are_refused(tmp_path):
     lines = "".join(f"{time:.3f},{force:.2f}\n".replace(".", ",") for time, force in zip(TIMES, NORMAL, strict=True))
     with pytest.raises(FingerflowError, match=r"'0,000,0,00' has 4 cells below 2 names .*semicolons"):
@@ -209,18 +197,6 @@ def test_refused_by_name(tmp_path, content, options, named):
     with pytest.raises(FingerflowError, match=named) as refusal:
         open_forces(text(tmp_path, content), **options)
     assert "forces.csv" in str(refusal.value)
-
-
-def test_wrong_paths(tmp_path):
-    with pytest.raises(FingerflowError, match="no such file"):
-        open_forces(tmp_path / "missing.csv")
-    with pytest.raises(FingerflowError, match="is a folder, not a file; name a file in it"):
-        open_forces(tmp_path)
-    with pytest.raises(FingerflowError, match=r"\.docx.*\.csv"):
-        open_forces(text(tmp_path, "x", "a.docx"))
-    for suffix in ("h5", "mat", "tdms"):
-        with pytest.raises(FingerflowError, match=rf"a\.{suffix}"):
-            open_forces(text(tmp_path, "this is something else\n" * 30, f"a.{suffix}"))
 
 
 # HDF5

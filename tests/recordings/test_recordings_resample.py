@@ -7,9 +7,7 @@ import pytest
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Forces
-from fingerflow.recordings.forces.low_pass import (
-    kernel_half_width,
-)
+from fingerflow.recordings.forces.low_pass import kernel_half_width
 
 RATE = 10_000
 TIMES = np.arange(0, 1.5, 1 / RATE)
@@ -134,17 +132,6 @@ def test_a_trigger_within_a_step_leaves_the_first_frame_covered() -> None:
 def test_forces_that_cover_no_frame():
     with pytest.raises(FingerflowError, match=r"0 to 1\.4999 s, the frames from 10\.2137 to 11\.2104 s"):
         forces(x=np.ones(TIMES.size)).resample(FRAMES + 10)
-
-
-def test_frames_in_a_gap_are_nan_and_counted():
-    times = TIMES[(TIMES < 0.5) | (TIMES > 0.6)]
-    record = forces(times, x=2 + times)
-    values = record.resample(FRAMES)["x"]
-    in_gap = (FRAMES > 0.5) & (FRAMES <= 0.6)
-    np.testing.assert_array_equal(np.isnan(values), in_gap)
-    # The kernel is truncated at a gap as at an end.
-    np.testing.assert_allclose(values[~in_gap], 2 + FRAMES[~in_gap], atol=0.2 / 300)
-    assert "gaps" in record.warnings[0]
 
 
 def test_forces_slower_than_the_frames_are_interpolated_and_it_is_said():

@@ -59,17 +59,6 @@ def test_a_set_of_trials_is_counted(axes: Axes) -> None:
     assert len(axes.lines) == 3 + 3
 
 
-def test_arrows_of_motion_with_the_stuck_outline(axes: Axes) -> None:
-    points = np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
-    displacement = np.array([[0.1, 0.0], [np.nan, 0.0], [0.3, 0.1]])
-    ring = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
-    partial_slip.draw_motion(axes, points, displacement, ring, ring / 2)
-    assert texts(axes) == {"contact", "stuck"}
-    np.testing.assert_array_equal(axes.collections[0].U, [0.1, 0.3])
-    assert axes.yaxis_inverted()
-    assert line(axes, "stuck").shape == (2, 4)
-
-
 def test_the_ideal_observer(axes: Axes) -> None:
     draw = np.random.default_rng(0)
     found = observing.printed_observer(14 + 4 * draw.standard_normal(400), 9 + 4 * draw.standard_normal(200))

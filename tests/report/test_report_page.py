@@ -1,6 +1,5 @@
 """Tests of the page of a result: its content, one self-contained file, and its layout on a phone and in print."""
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
 from fingerflow.report.key_numbers import key_numbers, scatter
-from fingerflow.report.settings_table import transform_rows
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -119,15 +117,6 @@ def test_frames_are_chosen_by_what_happens() -> None:
     assert [one.why for one in key_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
     nothing = of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)
     assert key_frames(nothing) == []
-
-
-def test_a_transform_is_told_by_its_parts() -> None:
-    turned = 1.01 * np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
-    rows = dict(transform_rows(json.dumps(np.hstack((turned, [[3.4], [-6.2]])).tolist())))
-    assert rows["topography to contact view: magnified"] == "1.0100 ×"
-    assert rows["turned, from x towards y"] == "1.146°"
-    assert rows["moved"] == "+3.40 px in x, -6.20 px in y"
-    assert transform_rows("[[1, 0, 0], [0, 1, 0]]") == []
 
 
 def test_a_trial_in_which_every_frame_is_bad(trial: Trial, tmp_path: Path) -> None:

@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
-from fingerflow.report.slip_trials import SlipTrial, write_figures
+from fingerflow.report.slip_trials import SlipTrial
 from fingerflow.report.view_painter import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
-from tests.slip_trials import simulate_trial
 
 Command = Callable[..., int]
 Printed = pytest.CaptureFixture[str]
@@ -76,31 +74,6 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
                     np.testing.assert_allclose(ends, [drawn[:, axis].min(), drawn[:, axis].max()], atol=3)
     with open_recording(tmp_path / "overlay.mp4") as video:
         assert len(video) == 120
-
-
-def simulated(name: str, reached: float) -> SlipTrial:
-    """Return a simulated trial without frames."""
-    trial = simulate_trial(0.8, 0.4, seed=0, reached=reached)
-    frames = len(trial.time)
-    result = xr.Dataset(
-        {
-            "stuck_ratio": ("frame", trial.stuck_area),
-            "load_ratio": ("frame", trial.load_ratio),
-            "position": (("frame", "point", "xy"), np.zeros((frames, 3, 2)) + np.arange(3)[:, None]),
-            "stuck_region": (("frame", "cell_row", "cell_column"), np.zeros((frames, 4, 4), np.uint8), {}),
-        },
-        coords={"time": ("frame", trial.time)},
-    )
-    return SlipTrial(name, result, judge_trial(trial.stuck_area, trial.load_ratio, trial.time), None)
-
-
-def test_trials_of_one_name_have_figures_of_their_own(tmp_path: Path) -> None:
-    names = ("a/one/scene.toml", "b/one/scene.toml", "trials.toml")
-    trials = [simulated(name, reached) for name, reached in zip(names, (1.0, 0.6, 1.0), strict=True)]
-    write_figures(trials, tmp_path / "new" / "figures")
-    assert sorted(path.name for path in (tmp_path / "new" / "figures").glob("*.png")) == [
-        *("one-2.png", "one.png", "trials-2.png", "trials.png")
-    ]
 
 
 def test_a_verdict_survives_the_disk(slip_trials: Path, tmp_path: Path) -> None:

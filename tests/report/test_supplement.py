@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,21 +90,6 @@ def test_panels_have_letters_without_gaps_and_the_caption_names_those_in_print(t
     assert [line.partition(").")[0] for line in panels] == ["A (as S8 G", "B (as S8 H", "C (as S8 I"]
     assert all("n = " in line for line in panels)
     assert Sheet("S1", (), (("A", "x"), ("C", "y"), ("B", "x"))).missing() == ["A, B need x", "C needs y"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--format", "jpg"), "'jpg' is none; give one or more of pdf, svg, png"),
-        (("--width", "85"), "give a number and its unit: mm, cm or in, such as 85mm"),
-    ],
-)
-def test_mistakes_are_named(
-    command: Command, arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: Printed
-) -> None:
-    assert command("slip", "none.toml", "--figure", tmp_path / "out", *arguments) == 2
-    assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def labels(figure: Figure) -> list[Text]:

@@ -1,7 +1,5 @@
 """Tests of the figures of a table of trials: artists hold the numbers of the table."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -9,8 +7,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Trials, pearson, read_trials, repeated_anova
-from fingerflow.plot.rounding import with_interval
+from fingerflow.models.observer import Trials, read_trials, repeated_anova
 from fingerflow.report import trial_metrics as metrics
 
 AMPLITUDES = (0.0, 1.0, 2.0)
@@ -83,15 +80,6 @@ def test_intervals_of_shares_hold_the_truth_of_participants_who_differ() -> None
     assert alone / 300 < 0.88
 
 
-def test_bars_of_three_thirds(axes: Axes, trials: Trials) -> None:
-    metrics.draw_influence_by_condition(axes, trials, "max_force")
-    assert len(axes.patches) == 9
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "1", "2"]
-    force = trials.metrics["max_force"]
-    first = trials.answer[(force < np.quantile(force, 1 / 3)) & (trials.condition == 0)]
-    assert axes.patches[0].get_height() == pytest.approx(first.mean())
-
-
 def test_areas_over_the_participants_own(axes: Axes, trials: Trials) -> None:
     metrics.draw_by_condition(axes, trials, "real_contact_area", normalised=True)
     medians = [line.get_ydata()[0] for line in axes.lines if line.get_linewidth() == 2]
@@ -122,19 +110,6 @@ def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
     assert axes.get_title().endswith("R² = 1.00")
     assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4
     assert len({line.get_marker() for line in axes.lines[:-1]}) == 4
-
-
-def test_curl_against_divergence(axes: Axes, trials: Trials) -> None:
-    curl = trials.metrics["strain"] + np.random.default_rng(0).normal(0, 1e-3, trials.answer.size)
-    table = replace(trials, metrics={"divergence": trials.metrics["divergence"], "curl": curl})
-    metrics.draw_medians(axes, table, "divergence", "curl")
-    assert len(axes.lines) == 4
-    x, y = np.concatenate([line.get_data() for line in axes.lines], axis=1)
-    np.testing.assert_array_equal(np.sort(x), np.sort(1e3 * table.metrics["divergence"]))
-    found = pearson(x, y, participants=np.repeat(np.unique(trials.participant), 60))
-    assert axes.get_title() == f"r = {with_interval(found.value, *found.interval)}, 240 trials"
-    assert axes.get_xlabel() == "median divergence (µm/mm)"
-    assert axes.get_ylabel() == "median curl (µm/mm)"
 
 
 def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:

@@ -9,7 +9,6 @@ import sys
 import textwrap
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import xarray as xr
@@ -92,36 +91,6 @@ def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.Mon
         assert output.read_bytes() == before
     with pytest.raises(FingerflowError, match="would be replaced"):  # an input is never replaced
         process(scene, to=tmp_path / "press" / "frames.npy", overwrite=True)
-
-
-def test_a_calibration_replaces_calibrations_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fingerflow import cli
-
-    def calibrated(*more: str) -> int:
-        monkeypatch.setattr(
-            sys, "argv", ["fingerflow", "calibrate", "--ring", str(ring), "--output", str(output), *more]
-        )
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert isinstance(stop.value.code, int)
-        return stop.value.code
-
-    picture = np.full((120, 160), 200, np.uint8)
-    cv2.circle(picture, (80, 60), 30, 30, -1)
-    ring, output = tmp_path / "ring.png", tmp_path / "rig.toml"
-    cv2.imwrite(str(ring), picture)
-    (tmp_path / "rig.png").write_bytes(b"a picture of the rig")
-    assert calibrated() == 2
-    assert "rig.png exists and was not written by this command" in capsys.readouterr().err
-    assert (tmp_path / "rig.png").read_bytes() == b"a picture of the rig"
-    (tmp_path / "rig.png").unlink()
-    assert calibrated() == 0
-    assert calibrated() == 0  # its own
-    output.write_text("[notes]\nof = 'the rig'\n")
-    assert calibrated() == 2
-    assert calibrated("--overwrite") == 0
 
 
 def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path) -> None:

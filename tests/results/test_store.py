@@ -91,20 +91,3 @@ def test_some_variables_of_a_file_are_those_of_the_whole(tmp_path: Path) -> None
     assert some["normal_force"].attrs == whole["normal_force"].attrs
     assert not some["status"].attrs
     assert some.attrs["settings"] == whole.attrs["settings"]
-
-
-def test_a_file_takes_frames_in_either_order_and_one_value_for_all(tmp_path: Path) -> None:
-    with FileStore(VARIABLES, FRAMES, tmp_path / "result.h5") as file:
-        status, position = file.create("status", point=3), file.create("position")
-        backward = np.arange(11, 3, -1)
-        given = np.random.default_rng(2).normal(size=(8, 3, 2)).astype(np.float32)
-        position[backward], status[[5]], status[slice(18, None)] = given, 4, np.array([1, 2, 3])
-        np.testing.assert_array_equal(position[backward], given)
-        np.testing.assert_array_equal(position[4:12], given[::-1])
-        np.testing.assert_array_equal(
-            status[:], [[4] * 3 if k == 5 else [1, 2, 3] if k > 17 else [0] * 3 for k in range(FRAMES)]
-        )
-        assert position[[]].shape == (0, 3, 2)
-        for apart in (slice(0, 8, 2), [3, 5], [4, 3, 1]):
-            with pytest.raises(IndexError, match="not consecutive"):
-                status[apart]

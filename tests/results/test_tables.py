@@ -16,7 +16,6 @@ from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.dictionary import dictionary
 from fingerflow.pipeline.plan import VARIABLES
-from fingerflow.results.result import save_result
 from fingerflow.results.tables import export_map, export_table
 from fingerflow.results.tables.grid_maps import maps_of
 from fingerflow.schema.variable_record import IN_PERCENT
@@ -225,24 +224,6 @@ def test_what_cannot_be_written_is_refused(act: Any, said: str, result: xr.Datas
     with pytest.raises(FingerflowError, match=said):
         act(result, tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_commands_replace_their_own_files_alone(result: xr.Dataset, tmp_path: Path) -> None:
-    stored = tmp_path / "result.h5"
-    save_result(result, stored)
-    for command in (
-        ("export-table", str(stored), str(tmp_path / "points.csv"), "--rows", "point", "-v", "divergence"),
-        ("export-table", str(stored), str(tmp_path / "tracks.csv"), "--rows", "track"),
-        ("export-map", str(stored), "divergence", str(tmp_path / "map.tif"), "--step-mm", "0.2"),
-    ):
-        for _ in range(2):
-            assert CliRunner().invoke(app, command).exit_code == 0, command
-    tifffile.imwrite(tmp_path / "other.tif", np.zeros((4, 4), np.uint8))
-    before = (tmp_path / "other.tif").read_bytes()
-    command = ("export-map", str(stored), "divergence", str(tmp_path / "other.tif"))
-    assert isinstance(CliRunner().invoke(app, command).exception, FingerflowError)
-    assert (tmp_path / "other.tif").read_bytes() == before
-    assert CliRunner().invoke(app, (*command, "--overwrite")).exit_code == 0
 
 
 def test_the_dictionary_has_every_output() -> None:

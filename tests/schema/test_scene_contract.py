@@ -4,14 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scene_cases import CALIBRATION, MATRIX, RIGHT, WRONG, WrongScene, write_folder
+from scene_cases import CALIBRATION, RIGHT, WRONG, WrongScene, write_folder
 
 from fingerflow.errors import FingerflowError
 from fingerflow.player import PlayerError
 from fingerflow.player import stream_scene as player
 from fingerflow.schema import scene as package
 from fingerflow.schema.keys import SceneKey, SceneTable
-from fingerflow.schema.scene_kinds import KINDS, Kind
 from fingerflow.schema.scene_tables import SCENE
 
 
@@ -122,27 +121,3 @@ def test_defaults_are_values_that_may_be_given() -> None:
             if isinstance(key, SceneKey) and key.default is not None:
                 given = [list(row) for row in key.default] if isinstance(key.default, tuple) else key.default
                 assert key.type.convert(given) == key.default, name
-
-
-def test_a_new_kind_is_an_entry_in_a_table(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A new kind of scene, a sensor with a single view of markers, is read; a stream refuses it."""
-    monkeypatch.setitem(KINDS, "markers", Kind(views=("markers",)))
-    views = RIGHT[RIGHT.index("[views.contact]") : RIGHT.index("[background]")]
-    rest = RIGHT.replace(views, "").replace(f"topography_to_contact = {MATRIX}\n", "")
-    path.write_text(
-        f'kind = "markers"\n{rest[: rest.index("[stream]")]}[views.markers]\nrows = [0, 9]\ncolumns = [0, 8]\n'
-    )
-    scene = package.load_scene(path)
-    assert (scene.kind, list(scene.views), scene.views["markers"].shape) == ("markers", ["markers"], (9, 8))
-    assert scene.has("views.markers")
-    assert not scene.has("views.contact")
-    with pytest.raises(PlayerError, match="its kind is 'markers', which has no contact view; a stream plays scenes of"):
-        player.load_scene(path)
-    path.write_text(path.read_text().replace("[views.markers]", "[views.contact]"))
-    assert "views.contact is not a key; known here: markers" in said_by_both(path)[0]
-
-
-def test_kinds_say_what_is_computed() -> None:
-    assert KINDS["press"].computes("tracking")
-    assert not KINDS["press"].computes("slip")
-    assert KINDS["slip"].computes("slip")

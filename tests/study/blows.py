@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,35 +75,6 @@ def end(process: subprocess.Popen[bytes], number: int = signal.SIGKILL) -> None:
 def rows_of(study: Manifest) -> int:
     """Return the number of trials that have a row."""
     return len(list(study.results.glob("*/row.json")))
-
-
-def damage(files: Sequence[Path], rng: random.Random) -> dict[Path, bytes]:
-    """Damage a tenth of these files, at least one: truncated, emptied, or with other bytes in the middle. Return the
-    original contents by file.
-    """
-    before = {}
-    for file in rng.sample(list(files), max(1, len(files) // 10)):
-        content = before[file] = file.read_bytes()
-        place = rng.randrange(max(1, len(content)))
-        other = rng.choice((content[:place], b"", content[:place] + rng.randbytes(16) + content[place + 16 :]))
-        file.write_bytes(other)
-    return before
-
-
-def mend(before: Mapping[Path, bytes]) -> None:
-    """Restore the files that `damage` changed."""
-    for file, content in before.items():
-        file.write_bytes(content)
-
-
-def recorded(lab: Path) -> list[Path]:
-    """Return the files of the recordings of a study."""
-    return sorted(one for kind in ("npy", "csv") for one in lab.glob(f"p*/*/*/*.{kind}"))
-
-
-def written(study: Manifest) -> list[Path]:
-    """Return the files of the results of a study, one folder per trial."""
-    return sorted(one for one in study.results.glob("*/*") if one.is_file())
 
 
 def _environment() -> dict[str, str]:

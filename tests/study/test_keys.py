@@ -9,32 +9,11 @@ import pytest
 from fingerflow import load_scene
 from fingerflow.study import cache_keys as room
 from fingerflow.study.cache_keys import describe_file, keys_of, same_content
-from tests.small_trials import edit
 
 
 @pytest.fixture
 def folder(lab: Path) -> Path:
     return lab / "p01/0um/trial1"
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "first"),
-    [
-        ("gauge_length_mm = 1.6", "gauge_length_mm = 1.4", "result"),
-        ("depth_mm = 2.0", "depth_mm = 1.0", "result"),
-        ("points = 700", "points = 300", "result"),
-        ("median_px = 3", "median_px = 5", "result"),
-        ("mm_per_px = 0.0325", "mm_per_px = 0.0326", "result"),
-        ("# Scene", "# The scene", None),
-    ],
-)
-def test_settings(folder: Path, old: str, new: str, first: str | None) -> None:
-    before = keys_of(load_scene(folder / "scene.toml"))
-    edit(folder / "scene.toml", (old, new))
-    now = keys_of(load_scene(folder / "scene.toml"))
-    parts = ("result", "row")
-    different = [part for part in parts if getattr(before, part) != getattr(now, part)]
-    assert different == ([] if first is None else list(parts[parts.index(first) :]))
 
 
 def test_a_recording_counts_by_its_content(folder: Path) -> None:

@@ -3,13 +3,11 @@
 import re
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, load_manifest
-from fingerflow.study.table import write_tables
 from tests.small_trials import edit
 
 
@@ -148,17 +146,3 @@ def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:
     names = [entry.name for entry in load_manifest(lab).trials]
     assert len(set(names)) == len(names)
     assert names[0] == "a%5fb_0_c"
-
-
-def test_names_that_a_spreadsheet_would_run_are_quoted_and_read_back(lab: Path) -> None:
-    for scene in lab.rglob("scene.toml"):
-        scene.unlink()
-    (lab / "p01").rename(lab / "=p01")
-    init_study(lab)
-    assert "\n'=p01/0um/trial1/" in (lab / "trials.csv").read_text(encoding="utf-8")
-    manifest = load_manifest(lab)
-    assert manifest.trials[0].settings["forces"] == {"file": "=p01/0um/trial1/forces.csv"}
-    paths = write_tables(manifest)
-    recorded = pd.read_parquet(paths.trials)["recording"]
-    assert recorded[0].startswith("=p01")
-    assert pd.read_csv(paths.csv)["recording"][0] == f"'{recorded[0]}"

@@ -98,13 +98,6 @@ def test_numbers_of_the_whole_trial() -> None:
     assert set(NUMBERS) <= set(row)
 
 
-def test_deviation_of_a_turned_strain() -> None:
-    """The deviation of t' E t with independent components of equal deviation s is s (c^4 + s^4 + 4 c^2 s^2)^(1/2)."""
-    row, _ = measure(_result())
-    cosine, sine = np.cos(ANGLE), np.sin(ANGLE)
-    assert row["strain_std"] == pytest.approx(1e-4 * np.sqrt(cosine**4 + sine**4 + 4 * cosine**2 * sine**2), rel=1e-9)
-
-
 def test_frames_that_are_not_usable_are_in_no_number() -> None:
     status = np.zeros(FRAMES, np.uint8)
     status[[50, 100]] = 3

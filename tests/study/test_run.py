@@ -1,7 +1,6 @@
 """Tests of runs: computed, skipped and failed trials, and numbers that do not depend on the worker."""
 
 import json
-import random
 import re
 import signal
 import sys
@@ -20,25 +19,11 @@ from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, read_own
 from fingerflow.study import trial as worker
 from fingerflow.study.manifest import Manifest, load_manifest
-from fingerflow.study.report import write_study_report
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.run_study import plan_run, run_study
-from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import FAILED, MEASURED, read_row
 from tests.small_trials import edit
-from tests.study.blows import (
-    damage,
-    end,
-    mend,
-    recorded,
-    rows_of,
-    start,
-    start_scheduler,
-    table_of,
-    until,
-    workers_of,
-    written,
-)
+from tests.study.blows import end, rows_of, start, start_scheduler, table_of, until, workers_of
 
 _PROVENANCE = {"created", "stage_seconds"}
 
@@ -114,23 +99,6 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
     pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)
 
 
-@pytest.mark.long
-def test_a_tenth_of_the_files_is_damaged(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
-    """Damaged files are detected: a tenth of the recordings, restored after a run, then a tenth of the results."""
-    expected, rng = table_of(undisturbed), random.Random(18)
-    before = damage(recorded(lab), rng)
-    assert len(before) >= 3
-    _run(study, scheduler)
-    mend(before)
-    folders = {file.parent for file in before}
-    struck = {entry.name for entry in study.trials if study.scene_of(entry).recording.frames.parent in folders}
-    assert set(_run(study, scheduler)) == struck
-    pd.testing.assert_frame_equal(table_of(study), expected, check_exact=True)
-    struck = {file.parent.name for file in damage(written(study), rng)}
-    assert _run(study, scheduler) == dict.fromkeys(sorted(struck), MEASURED)
-    pd.testing.assert_frame_equal(table_of(study), expected, check_exact=True)
-
-
 def test_a_digit_of_a_row_and_a_bit_of_a_result_are_missed(study: Manifest, scheduler: str) -> None:
     """A number of a row and a byte of a result, which only digests detect, are computed again as they were."""
     _run(study, scheduler, only="01_0_*")
@@ -155,12 +123,6 @@ def test_only_runs_matching_trials_and_refuses_a_pattern_without_any(study: Mani
         plan_run(study, only="03_*")
     table = table_of(study)
     assert (table["status"] == "not run").sum() == 4
-
-
-def test_a_page_of_nothing_is_refused_in_a_sentence(study: Manifest) -> None:
-    with pytest.raises(FingerflowError, match="no trial has been measured"):
-        write_study_report(study, progress=False)
-    assert "metric" in pd.read_csv(write_tables(study).curves).columns
 
 
 def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,11 +175,6 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
         outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), "everything", codes, 1))
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
-
-
-def test_no_scheduler_there(study: Manifest) -> None:
-    with pytest.raises(FingerflowError, match="neither an address"):
-        run_study(study, "dask_jobqueue.NoSuchCluster", progress=False)
 
 
 @pytest.mark.long

@@ -9,11 +9,7 @@ import pandas as pd
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import (
-    FORCED_CHOICE,
-    YES_NO,
-)
-from fingerflow.plot.figure_files import FigureFiles
+from fingerflow.models.observer import FORCED_CHOICE, YES_NO
 from fingerflow.report.supplement import supplement_sheet
 from fingerflow.schema.trial_columns import DIFFERENCES
 from fingerflow.study.figures import write_figures
@@ -77,28 +73,6 @@ def test_what_is_left_out_is_counted() -> None:
     frame["status"] = "not run"
     with pytest.raises(FingerflowError, match="no trial has been measured"):
         sample_of(frame)
-
-
-@pytest.mark.long
-def test_figures_of_a_table(tmp_path: Path) -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
-    curves = pd.DataFrame(
-        {
-            "metric": "curl", "condition": np.repeat([0.0, 1.0], 3), "normal_force_N": [1.0, 2.0, 3.0] * 2,
-            "mean": np.arange(6) * 1e-3, "low": np.arange(6) * 1e-3 - 1e-4, "high": np.arange(6) * 1e-3 + 1e-4,
-            "participants": 6, "trials": 12,
-        }
-    )  # fmt: skip
-    written = write_figures(frame, sample_of(frame), curves, tmp_path, files=FigureFiles(("pdf",)))
-    assert all((tmp_path / one.file).stat().st_size > 10_000 for one in written)
-    assert [one.file for one in written] == [f"{one.name}.png" for one in written]  # a page cannot show a PDF
-    assert all((tmp_path / f"{one.name}.pdf").exists() for one in written)
-    (curl,) = [one.caption for one in written if one.name == "S13"]
-    assert "95 % interval by Student's t" in curl
-    assert "n = 6 participants, 24 trials" in curl
-    frame["answer"] = None
-    without = write_figures(frame, sample_of(frame), curves, tmp_path / "two")
-    assert [one.name for one in without if not one.file] == ["S11", "S12"]
 
 
 @pytest.mark.long

@@ -30,13 +30,6 @@ def test_noise_is_the_stated_deviation_at_half_of_the_range_and_shot_noise_grows
     assert float(Camera(noise=3.0, shot_share=0.0).variance(torch.tensor(250.0))) == pytest.approx(9.0)
 
 
-def test_other_cameras_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"bit_depth is 7.*8 to 16"):
-        Camera(bit_depth=7)
-    with pytest.raises(ValueError, match=r"shot_share is 1\.5.*from 0 to 1"):
-        Camera(shot_share=1.5)
-
-
 def test_salt_and_pepper_stay_in_their_view() -> None:
     camera = Camera(salt_and_pepper=0.01)
     view = View(rows=(0, 400), columns=(250, 500))

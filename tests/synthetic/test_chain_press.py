@@ -8,8 +8,6 @@ import pytest
 
 from bench.suites.friction_loop import QUICK_PRESS, inner_divergence, median_divergence
 from fingerflow import process
-from fingerflow.cli.synthetic_recordings import simulate
-from fingerflow.errors import FingerflowError
 from fingerflow.models.skin_onset import since_onset
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
@@ -70,10 +68,3 @@ def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:
     again = rebuild_scene(tmp_path / "press")
     assert again == press
     np.testing.assert_array_equal(again.render(3), press.render(3))
-
-
-def test_friction_is_of_a_chain_press_alone(tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=r"--friction 0\.3 is of a chain-press"):
-        simulate("press", tmp_path / "press", friction=0.3)
-    with pytest.raises(FingerflowError, match="0 or more"):
-        simulate("chain-press", tmp_path / "press", friction=-0.3)

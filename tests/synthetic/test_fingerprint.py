@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import FingerprintTexture, texture_image
 
 pytestmark = pytest.mark.long
@@ -40,8 +39,3 @@ def winding(image: Tensor, centre: tuple[float, float], radius: float) -> float:
 @pytest.mark.parametrize(("pattern", "turns"), [("loop", 0.5), ("whorl", 1.0), ("arch", 0.0)])
 def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float) -> None:
     assert winding(ridge_image(pattern), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
-
-
-def test_unknown_pattern_is_refused() -> None:
-    with pytest.raises(FingerflowError, match="'swirl' is no pattern of ridges; choose one of loop, whorl, arch"):
-        FingerprintTexture(pattern="swirl")

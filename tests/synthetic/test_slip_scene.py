@@ -54,9 +54,3 @@ def test_jumps_carry_contact_and_skin_together() -> None:
         np.testing.assert_allclose(gone, number * 0.1625 * np.array(jumping.motion.direction), atol=1e-9)
         skin = jumping.truth.material(np.array(ellipse.centre), frame)
         np.testing.assert_allclose(skin, ABRUPT.truth.material(np.array(plain.centre), frame), atol=1e-9)
-
-
-def test_jumps_that_would_tear_the_skin_are_refused() -> None:
-    for early in (0.0, 0.3):
-        with pytest.raises(ValueError, match=f"jumps has {early} s: .* of the contact slip then.* make it later"):
-            PartialSlip(jumps=(early,))

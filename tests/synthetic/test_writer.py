@@ -96,19 +96,3 @@ def test_a_failure_leaves_nothing_behind(
     with pytest.raises(expected, match=full if owner in (os, np) else ""):
         write_recording(tmp_path / "press", Press(**SMALL))
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("{", "does not describe"),
-        ('{"kind": "Poke"}', "does not describe.*Poke"),
-        ('{"kind": "Press", "weather": 3}', "does not describe.*weather"),
-        ('{"kind": "Camera"}', "describes a Camera"),
-        ("[1, 2]", "describes a list"),
-    ],
-)
-def test_a_broken_description_is_refused_by_name(text: str, reason: str, tmp_path: Path) -> None:
-    (tmp_path / "truth.json").write_text(text)
-    with pytest.raises(FingerflowError, match=f"(?s)truth.json {reason}"):
-        rebuild_scene(tmp_path)

@@ -49,12 +49,3 @@ def test_points_slide_into_contact_where_skin_moves_faster_than_the_border(
     assert not found[onset <= 0].any()
     assert (onset > 0).sum() > 5
     assert (found[onset > 0] == expected).all()
-
-
-def test_distance_inside_a_border() -> None:
-    """The distance inside a border is exact along the normal in the middle of a side."""
-    border = Border(np.array([[1.0, 2.0]]), np.array([[5.0, 4.0]]), np.array([np.pi / 6]))
-    along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
-    across = np.array([-along[1], along[0]])
-    places = np.stack([4.9 * along, 5.1 * along, -3.9 * across, 4.1 * across])[None] + (1.0, 2.0)
-    assert border.inside(places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)

@@ -12,7 +12,6 @@ from fingerflow import load_scene, open_recording
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene import scene_of_settings
 from fingerflow.view.draft import Draft, NeedsLeaveError
-from fingerflow.view.key_forms import in_words_of_page
 from fingerflow.view.open_path import open_path
 
 
@@ -151,17 +150,3 @@ def test_a_key_is_written_where_its_commented_line_stands(press: Path) -> None:
     assert re.search(r'^file = "f.csv" .*# CSV', forces, re.MULTILINE)
     assert re.search(r"^sign = \[-1, 1, 1\] .*# -1 where", forces, re.MULTILINE)
     assert re.search(r"^mm_per_px = 0.03 .*# of the contact", calibration, re.MULTILINE)
-
-
-@pytest.mark.parametrize(
-    ("said", "on_the_page"),
-    [
-        ("scene.toml: forces.normal is missing", 'scene.toml: "Forces: normal force column" is missing'),
-        ("set [contact] threshold to a number", 'set "Contact: threshold" to a number'),
-        ("check [views.contact] and [background] in a", 'check the contact view and "Background" in a'),
-        ("/data/contact.threshold/a: cannot be read", "/data/contact.threshold/a: cannot be read"),
-        ("tracking.pionts is not a key", "tracking.pionts is not a key"),
-    ],
-)
-def test_a_message_of_the_page_names_fields_not_keys(said: str, on_the_page: str) -> None:
-    assert in_words_of_page(said) == on_the_page

@@ -1,9 +1,7 @@
 """Tests of the page in Chromium: from a recording to its result, and requests of a page of another site."""
 
-import http.server
 import json
 import os
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -204,27 +202,6 @@ def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> No
         assert load_scene(press / "scene.toml").tracking.points == 60
 
 
-def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Path) -> None:
-    late: list[Any] = []
-    with opened(browser, press / "scene.toml") as (page, _):
-        page.wait_for_selector("#legend:has-text('points, seeded in frame')")
-        page.route("**/api/edit", lambda route: late.append(route), times=1)
-        with page.expect_request("**/api/edit"):
-            fill(page, "tracking.points", "50")
-        fill(page, "tracking.min_distance_px", "5")  # sent after the answer to the first change
-        page.click("#write")
-        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")  # other requests are answered meanwhile
-        late.pop().continue_()
-        page.wait_for_selector("#legend:has-text('of 50 points')")
-        page.wait_for_selector(".good:has-text('has these settings')")
-        page.wait_for_function("() => document.getElementById('text').textContent.includes('min_distance_px = 5')")
-        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")
-        assert "has these settings" in text_of(page, "#setup-status")
-        assert page.is_enabled("#process")
-    written = load_scene(press / "scene.toml").tracking
-    assert (written.points, written.min_distance_px) == (50, 5)
-
-
 def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, press: Path) -> None:
     """A setting whose request failed, as when the computer slept, is reported as not written, stays in its field, and
     is written with the next click on Write.
@@ -347,64 +324,3 @@ def test_a_file_that_only_its_owner_reads_opens_the_page(browser: Any, press: Pa
         assert "token" not in page.url
         page.close()
     assert not path.exists()
-
-
-def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:
-    """A page of another port of this computer can neither read from the server nor change or write the scene. This is
-    the hardest case, because cookies are shared by all ports of a host.
-    """
-    before = (press / "scene.toml").read_bytes()
-
-    class Other(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(b"<!doctype html><title>other</title>")
-
-        def log_message(self, format: str, *args: Any) -> None:
-            pass
-
-    other = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other)
-    thread = threading.Thread(target=other.serve_forever)
-    thread.start()
-    try:
-        with opened(browser, press / "scene.toml") as (page, served):
-            page.wait_for_selector("#picture[data-mask=true]")
-            foreign = page.context.new_page()
-            foreign.goto(f"http://127.0.0.1:{other.server_port}/")
-            statuses: dict[str, int] = {}
-            foreign.on(
-                "response", lambda answer: statuses.update({f"{answer.request.method} {answer.url}": answer.status})
-            )
-            home = f"http://127.0.0.1:{served.port}"
-            said = foreign.evaluate(
-                """async home => {
-    const tried = [];
-    const attempt = async (path, options) => {
-        try { const answer = await fetch(home + path, options); tried.push(answer.type + answer.status); }
-        catch (error) { tried.push("refused"); }
-    };
-    await attempt("/api/setup", { credentials: "include" });
-    await attempt("/api/setup", { credentials: "include", mode: "no-cors" });
-    const body = JSON.stringify({ set: [["contact.median_px", 5]] });
-    await attempt("/api/edit", { method: "POST", credentials: "include", mode: "no-cors", body });
-    await attempt("/api/edit", { method: "POST", credentials: "include", headers: { "X-Fingerflow": "1" }, body });
-    await attempt("/api/write", { method: "POST", credentials: "include", mode: "no-cors", body: '{"replace": true}' });
-    return tried;
-}""",
-                home,
-            )
-            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, but unreadable
-            assert statuses
-            assert set(statuses.values()) == {403}
-            assert page.evaluate("async () => (await (await fetch('api/setup')).json()).values.contact.median_px") == 3
-            foreign.set_content(f'<iframe src="{home}/"></iframe>')
-            foreign.wait_for_timeout(500)
-            assert not any("fingerflow" in (frame.title() or "") for frame in foreign.frames)
-            foreign.close()
-    finally:
-        other.shutdown()
-        thread.join()
-        other.server_close()
-    assert (press / "scene.toml").read_bytes() == before

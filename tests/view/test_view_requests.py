@@ -71,14 +71,3 @@ def test_values_that_cannot_be_are_problems_of_the_draft(
     assert facts["problems"] or facts["recording_error"]
     for path in ("setup", "frame?frame=1&contact", "points", "forces", "calibration.png"):
         assert ask(served, f"/api/{path}", **own)[0] in (200, 404, 422), path
-
-
-def test_names_that_no_file_can_have_are_problems_of_the_draft(served: Served, own: dict[str, str]) -> None:
-    """A file name with a zero byte, which a TOML file edited by hand can hold, is a problem of the draft."""
-    draft = served.session._draft
-    assert draft is not None
-    draft = served.session._draft = Draft.of_file(draft.path)
-    draft.set(("recording", "frames"), "\0")
-    draft.set(("forces", "file"), "\0")
-    status, _, said = ask(served, "/api/setup", **own)
-    assert (status, "cannot be opened (embedded null byte)" in json.loads(said)["recording_error"]) == (200, True)

@@ -1,12 +1,10 @@
-"""Error rates of the tests by simulation: `python -m tests.models.observer.error_rates` prints all, with those of
-statsmodels.
+"""Error rates of the tests by simulation: `python -m tests.models.observer.error_rates` prints all.
 
 Participants differ in how they press and in how well they answer, with a correlation between both, and where
 `own_slope` is not 0 in the slope of their answers with the force rate. Without an effect the mean slope is 0.
 """
 
 import sys
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -140,32 +138,6 @@ def share(p_of: Callable[[int], float], studies: int) -> float:
     return float(np.mean([p_of(seed) < ALPHA for seed in range(studies)]))
 
 
-def of_statsmodels(table: dict[str, Any]) -> dict[str, float]:
-    """Return p of the rate by statsmodels: intercept and slope of each participant, amplitudes as fixed effects."""
-    import pandas as pd
-    from statsmodels.formula.api import mixedlm
-    from statsmodels.genmod.bayes_mixed_glm import BinomialBayesMixedGLM
-
-    frame = pd.DataFrame(table).rename(columns={"participants": "who"})
-    frame["answer"] = frame["answer"].astype(float)
-    frame["own"] = frame["metric"] - frame.groupby("who")["metric"].transform("mean")
-    formula = "answer ~ own + C(condition)"
-    parts = {"intercept": "0 + C(who)", "slope": "0 + C(who):own"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        plain = mixedlm(formula, frame, groups=frame["who"]).fit(reml=True)
-        slopes = mixedlm(formula, frame, groups=frame["who"], re_formula="~ own").fit(reml=True)
-        bayes = BinomialBayesMixedGLM.from_formula(formula, parts, frame).fit_map()
-    place = bayes.model.exog_names.index("own")
-    return {
-        "MixedLM, intercepts": float(plain.pvalues["own"]),
-        "MixedLM, intercepts and slopes": float(slopes.pvalues["own"]),
-        "BinomialBayesMixedGLM, intercepts and slopes": float(
-            2 * stats.norm.sf(abs(bayes.fe_mean[place] / bayes.fe_sd[place]))
-        ),
-    }
-
-
 def main(studies: int) -> None:
     """Print the share of studies with p < 0.05."""
     for people in (4, 16):
@@ -193,11 +165,6 @@ def main(studies: int) -> None:
                 print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
     intervals = hold_the_truth(studies)
     print(", ".join(f"{name} {found:.3f}" for name, found in intervals.items()), "of intervals of 8 participants hold")
-    for own in (0.0, 0.3):
-        several = [of_statsmodels(answered(seed, 16, own_slope=own)) for seed in range(min(studies, 120))]
-        for name in several[0]:
-            found = np.mean([one[name] < ALPHA for one in several])
-            print(f"{name}: 16 participants, slope 0 ± {own:g}: {found:.3f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from fingerflow.models.observer import auc, compare_auc, criterion_for_hits, d_prime, permutation_p
 
@@ -46,24 +45,6 @@ def test_values_by_hand() -> None:
     reach = 2.7764451 * math.sqrt(4 / 5 * np.square(without - without.mean()).sum())
     assert found.interval == pytest.approx((found.value - reach, found.value + reach), rel=1e-6)
     assert d_prime(1e-3 * first + 1e4, 1e-3 * second + 1e4, people).interval == pytest.approx(found.interval, rel=1e-6)
-
-
-def test_many_participants_have_the_textbook_interval() -> None:
-    """With trials that are independent the intervals have the widths of Hanley & McNeil's standard error of the
-    binormal area and of the large-sample error of d' and of a quantile. `test_error_rates` has the coverage.
-    """
-    draw = np.random.default_rng(11)
-    first, second = draw.standard_normal(6000) + 1, draw.standard_normal(4000)
-    who = np.arange(6000) % 100, np.arange(4000) % 100
-    area, density = float(ndtr(1 / math.sqrt(2))), math.exp(-(ndtri(0.25) ** 2) / 2) / math.sqrt(2 * math.pi)
-    first_pair, second_pair = area / (2 - area), 2 * area**2 / (1 + area)
-    of_area = area * (1 - area) + 5999 * (first_pair - area**2) + 3999 * (second_pair - area**2)
-    for found, variance in (
-        (d_prime(first, second, who), 1 / 6000 + 1 / 4000 + 1 / (4 * 9998)),
-        (auc(first, second, who, 1000), of_area / 24e6),
-        (criterion_for_hits(first, who[0], 1000), 0.1875 / 6000 / density**2),
-    ):
-        assert np.diff(found.interval)[0] == pytest.approx(2 * 1.98 * math.sqrt(variance), rel=0.2)
 
 
 def test_the_seed_decides_and_nan_is_left_out_and_counted() -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from fingerflow.models.observer import FORCED_CHOICE, GUESSES, fit_psychometric
-from tests.models.observer.error_rates import counted
+from fingerflow.models.observer import fit_psychometric
 
 
 def test_many_trials_find_the_curve() -> None:
@@ -26,17 +25,6 @@ def test_many_trials_find_the_curve() -> None:
     there = fit_psychometric(1e3 * stimuli + 5e4, answers, trials, np.arange(15))
     assert there.threshold == pytest.approx(1e3 * fit.threshold + 5e4, abs=1)
     assert abs(fit_psychometric(stimuli, answers, trials, np.arange(15), guess=0.5).threshold - truth) > 0.05
-
-
-def test_a_falling_curve_and_few_participants() -> None:
-    stimuli, trials = np.linspace(0, 3, 7), np.full(7, 40)
-    fit = fit_psychometric(stimuli, [39, 38, 36, 28, 12, 4, 1], trials, np.arange(7) % 2)
-    assert fit.width < 0
-    assert 1.2 < fit.threshold < 1.8
-    assert "no interval from 2 participants" in fit.reason
-    blocks, _ = counted(0, GUESSES[FORCED_CHOICE])
-    found = fit_psychometric(**blocks, guess=GUESSES[FORCED_CHOICE])
-    assert found.interval[0] < found.threshold < found.interval[1]
 
 
 def test_data_without_a_curve() -> None:

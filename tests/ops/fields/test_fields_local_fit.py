@@ -130,15 +130,6 @@ def test_points_on_the_rim_are_outside() -> None:
     assert torch.equal(local_gradients(points, points, gauge_length=10.0).point_count[0], inside.sum(1))
 
 
-def test_the_number_of_points_that_is_asked_for() -> None:
-    points = torch.tensor([[[-0.3, -0.3], [0.4, -0.3], [-0.2, 0.4], [0.3, 0.3], [0.0, 0.1]]], dtype=torch.float64)
-    query = torch.zeros(1, 1, 2, dtype=torch.float64)
-    for minimum, known in ((3, True), (5, True), (6, False)):
-        fit = local_gradients(points, points, query, gauge_length=GAUGE, minimum_points=minimum)
-        assert fit.gradient.isfinite().all().item() is known
-        assert fit.point_count.item() == 5
-
-
 def test_float32_far_from_the_origin() -> None:
     points = (cloud() + 1e5).float()  # spacing of float32 here: 0.0078
     values = ((points.double() - 1e5) @ GRADIENT.T).float()

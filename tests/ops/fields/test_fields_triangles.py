@@ -21,6 +21,13 @@ def lattice(side: int = 6) -> tuple[Tensor, Tensor]:
     return points, torch.cat((lower, upper))
 
 
+def test_a_linear_field_is_exact() -> None:
+    points, triangles = lattice()
+    gradient = torch.tensor([[0.02, -0.01], [0.03, 0.01]], dtype=torch.float64)
+    found = triangle_gradients(points, triangles, points @ gradient.T)
+    torch.testing.assert_close(found, gradient.expand_as(found), rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "third",
     [

@@ -61,23 +61,6 @@ def test_fit_is_that_of_the_most_likely_scale(numbers: int, noise: float, size: 
         np.testing.assert_allclose(found.covariance[k], covariance, atol=1e-8 * abs(covariance).max())
 
 
-def test_functions_vanish_at_the_border() -> None:
-    turn = np.linspace(0, 2 * np.pi, 7)
-    assert abs(functions_at(np.stack((np.cos(turn), np.sin(turn))))).max() < 1e-12
-
-
-def test_derivatives_of_functions() -> None:
-    """Mean products of derivatives equal finite differences of the functions, integrated by another quadrature."""
-    nodes, shares = np.polynomial.legendre.leggauss(16)
-    turns = 2 * np.pi * np.arange(40) / 40
-    places = (np.sqrt((nodes[:, None] + 1) / 2) * np.stack((np.cos(turns), np.sin(turns)))[:, None]).reshape(2, -1)
-    step = 1e-6 * np.eye(2)[..., None]
-    slopes = np.stack([functions_at(places + one) - functions_at(places - one) for one in step]) / 2e-6
-    expected = (slopes * np.repeat(shares / 2 / 40, 40)[:, None]).mT @ slopes
-    number = expected.shape[1]
-    np.testing.assert_allclose(FUNCTIONS.squares[:, :number, :number], expected, atol=1e-8 * abs(expected).max())
-
-
 def test_a_field_that_moves_at_the_border() -> None:
     """A translation, a rotation and a shear of all skin are found exactly from noise-free points, by coefficients whose
     gradients are those of the motion.

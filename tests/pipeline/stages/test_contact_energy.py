@@ -148,13 +148,6 @@ def test_a_border_that_advances_in_every_frame_may_have_stopped() -> None:
     assert abs(found.energy[0] - contact.energy) < 2 * found.deviation[0]
 
 
-def test_nothing_is_known_without_points_or_border() -> None:
-    contact = contact_of(PRESS, 30)
-    assert np.isnan(measured(contact, contact.displacement * np.nan, 1e-3)[:2]).all()
-    unknown = contact._replace(border=contact.border._replace(semi_axes=np.full((1, 2), np.nan)))
-    assert np.isnan(measured(unknown, contact.displacement, 1e-3)[:2]).all()
-
-
 @pytest.mark.parametrize("std_mm", [0.0, 1e-18, 1e-7])
 def test_point_at_its_onset_leaves_the_energy_unchanged(std_mm: float) -> None:
     """A point that has just touched, whose displacement has no error or one by rounding alone, changes the energy by

@@ -115,22 +115,6 @@ def test_ratio_and_angle_are_nan_where_nothing_presses(expected: xr.Dataset) -> 
         assert np.isnan(expected[name].values[~presses]).all()
 
 
-def test_a_file_without_a_heading_by_numbers(
-    changed: Change, press: Path, tmp_path: Path, expected: xr.Dataset
-) -> None:
-    np.savetxt(tmp_path / "sensor.csv", sampled(press), fmt="%.9g", delimiter=";")
-    text = (tmp_path / "sensor.csv").read_text().replace(".", ",")
-    (tmp_path / "sensor.csv").write_text(text)
-    replaced = {
-        (press / "forces.csv").as_posix(): "sensor.csv",
-        channels_in(press): 'normal = 2\ntangential = 3\ntime = 1\nunits = "N"',
-        'trigger = "trigger"': "trigger = 4",
-    }
-    result = process(changed(replaced), OUTPUTS)
-    for name in OUTPUTS:
-        np.testing.assert_allclose(result[name], expected[name], atol=2e-5)
-
-
 def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:
     """Time 0 is the trigger for forces and frames: the force of a frame is the true one, to its noise and the low-pass
     filter.
@@ -186,12 +170,3 @@ def test_a_doubtful_force_is_said(processed: Any, press: Path) -> None:
     short = processed(samples[: len(samples) // 2], heading, NAMED)
     assert np.isnan(short["normal_force"].values[-1])
     assert "forces do not cover" in warnings_of(short)
-
-
-def test_forces_elsewhere_in_time_are_named(changed: Change, press: Path, tmp_path: Path) -> None:
-    (tmp_path / "late.csv").write_text("time (s),normal_force (N)\n100,1\n100.1,2\n100.2,3\n")
-    unused = dict.fromkeys(('tangential = "tangential_force"', 'trigger = "trigger"', "trigger_level = 2.5"), "")
-    with pytest.raises(
-        FingerflowError, match=r"late\.csv: forces last from 100 to 100\.2 s, the frames from -0.125 to .*trigger"
-    ):
-        process(changed({(press / "forces.csv").as_posix(): "late.csv", **unused}), ["normal_force"])

@@ -1,8 +1,6 @@
-"""Tests of unusable frames, which change no result of other frames: on a press and a slide, each kind of bad frame."""
+"""Tests of unusable frames of a recorded press; `test_bad_frames` of the player has each kind, live and recorded."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,34 +13,11 @@ from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings.frames.recording import FileRecording
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.variables import FRAME_STATUS, LOADING
-from tests.small_trials import (
-    SPOILED,
-    TRIALS,
-    WIDTH,
-    dim_contact,
-    other_noise,
-    scene_beside,
-    warnings_of,
-    write_scene_of_bundle,
-)
+from fingerflow.schema.variables import FRAME_STATUS
+from tests.small_trials import SPOILED, scene_beside, warnings_of
 
 Frame = np.ndarray[Any, Any]
 FAR = "jumps_and_returns"
-
-
-def _of_itself(spoil: Callable[[Frame], Frame], frame: Frame, other: Frame, k: int) -> Frame:
-    return spoil(frame)
-
-
-#: (function that returns a spoiled frame from it, the frame half a recording away and its number; status).
-KINDS: dict[str, tuple[Callable[[Frame, Frame, int], Frame], str]] = {
-    **{name: (partial(_of_itself, spoil), status) for name, (spoil, status) in SPOILED.items()},
-    "dim topography view": (lambda frame, *_: np.roll(dim_contact(np.roll(frame, WIDTH, 1)), WIDTH, 1), FAR),
-    "noise": (lambda frame, _, k: np.random.default_rng(k).integers(0, 256, frame.shape), FAR),
-    "other moment": (lambda _, other, k: other_noise(other, k), FAR),
-}
-OF_FORCES = {variable.name for variable in LOADING}
 AREAS = ("real_contact_area", "gross_contact_area", "contact_threshold")
 
 
@@ -52,12 +27,10 @@ class Clean(NamedTuple):
     result: xr.Dataset
 
 
-@pytest.fixture(scope="module", params=["press", pytest.param("slide", marks=pytest.mark.long)])
-def clean(request: pytest.FixtureRequest, trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Clean:
-    folder, recording = tmp_path_factory.mktemp("clean"), trials / "press"
-    if request.param == "slide":
-        recording = write_scene_of_bundle(folder / "slide", replace(TRIALS["slide"], n_frames=120)).parent
-    scene = scene_beside(recording, folder, {"threshold = 0.27": 'threshold = "reference_frame"'})
+@pytest.fixture(scope="module")
+def clean(trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Clean:
+    folder = tmp_path_factory.mktemp("clean")
+    scene = scene_beside(trials / "press", folder, {"threshold = 0.27": 'threshold = "reference_frame"'})
     return Clean(scene, np.load(scene.recording.frames), process(scene))
 
 
@@ -69,51 +42,6 @@ def with_frames(clean: Clean, frames: Frame, folder: Path) -> Scene:
 def status_of(result: xr.Dataset) -> dict[int, str]:
     values = result["frame_status"].values
     return {int(k): FRAME_STATUS[values[k]] for k in np.flatnonzero(values)}
-
-
-@pytest.mark.parametrize("first", [0, 1])
-def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, first: int, tmp_path: Path) -> None:
-    """Results of bad frames, here every other kind, are NaN, and results of the other frames stay as they are.
-
-    Areas agree to 0.5 %: the threshold changes if the bad frame is the one with the largest force. Positions and
-    medians agree within their stated deviations. The first frame is good here, since in another frame other points
-    would be seeded.
-    """
-    entering = "slide" in str(clean.scene.recording.frames)
-    assert status_of(clean.result) == {}
-    assert "frame_status" not in warnings_of(clean.result)
-    count = len(clean.frames)
-    kinds = dict(zip(range(9, count, 11), list(KINDS)[first::2], strict=False))
-    assert len(kinds) == len(list(KINDS)[first::2])
-    frames, places = clean.frames.copy(), list(kinds)
-    for k, kind in kinds.items():
-        frames[k] = KINDS[kind][0](clean.frames[k], clean.frames[(k + count // 2) % count], k)
-    result = process(with_frames(clean, frames, tmp_path))
-    assert status_of(result) == {k: KINDS[kind][1] for k, kind in kinds.items()}
-    good = np.setdiff1d(np.arange(count), places)
-    for name, variable in result.data_vars.items():
-        # Forces are known in bad frames too, and so are results of forces alone.
-        if variable.dims[:1] == ("frame",) and variable.dtype.kind == "f" and name not in OF_FORCES:
-            assert np.isnan(variable.values[places]).all(), name
-    assert (result["status"].values[places] == TrackStatus.FRAME_NOT_USABLE).all()
-    # After a gap, a point that has moved unlike its neighbours may be searched for elsewhere. On the slide, which
-    # loses a quarter of its points anyway, a tenth of the points have another status.
-    equal = (result["status"].values[good] == clean.result["status"].values[good]).mean()
-    assert equal > (0.85 if entering else 0.97)
-    for name in AREAS:
-        np.testing.assert_allclose(result[name].values[good], clean.result[name].values[good], rtol=5e-3, err_msg=name)
-    moved = result["position_px"].values[good] - clean.result["position_px"].values[good]
-    far = np.abs(moved / clean.result["position_std_px"].values[good][..., None].clip(0.01))
-    # On a slide of several px per frame, points at the edge of the view are found again elsewhere, or later.
-    assert np.nanquantile(far, 0.99) < 1.5
-    # In a slide, entering skin is strained relative to skin that touched before, so single points change the energy.
-    for name in ("median_divergence", "median_curl", *(() if entering else ("strain_energy",))):
-        value, deviation = (clean.result[one].values[good] for one in (name, f"{name}_std"))
-        off = np.abs(result[name].values[good] - value)
-        known = np.isfinite(off)
-        assert known.sum() > 0.9 * np.isfinite(value).sum(), name
-        # A point may be covered for the first time one frame later; the deviations include that.
-        assert (off[known] <= 3 * deviation[known] + 1e-12).all(), name
 
 
 def test_a_bad_first_and_last_frame(clean: Clean, tmp_path: Path) -> None:

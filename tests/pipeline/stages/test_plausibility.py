@@ -65,42 +65,6 @@ def test_a_contradiction_between_force_and_contact_is_said() -> None:
     assert "20.5 of 80 mm² touch in frame 10" in said
 
 
-@pytest.mark.parametrize(
-    ("replaced", "messages"),
-    [
-        (
-            {"gauge_length_mm = 1.6": "gauge_length_mm = 0.2", "young_modulus_mpa = 1.0": "young_modulus_mpa = 1000.0"},
-            ["fields.gauge_length_mm = 0.2, and", "fields.young_modulus_mpa = 1000 is outside"],
-        ),
-        (
-            {"gauge_length_mm = 1.6": "gauge_length_mm = 30.0", "# first_frame = 0": "first_frame = 4"},
-            [
-                "fields.gauge_length_mm = 30 is more than the contact",
-                "the recording begins in contact: ",
-                "in the frames that count: they begin in contact",
-                "of 700 points were found: the region of ",
-            ],
-        ),
-        (
-            {"points = 700": "points = 3", "[forces]": "[forces]\ngain = 1000"},
-            [
-                "points come into contact: no gradient can be fitted",
-                "is in N already, and [forces] gain = 1000 multiplies it",
-                "and no finger presses with more than 100 N",
-            ],
-        ),
-        ({"mm_per_px = 0.0325": "mm_per_px = 0.9"}, ["makes the contact view 108 mm wide"]),
-        ({"mm_per_px = 0.0325": "mm_per_px = 0.065"}, ["mm apart, and those of fingers are 0.3 to 0.7 mm apart"]),
-        ({"mm_per_px = 0.0325": "mm_per_px = 0.01625"}, ["mm apart, and those of fingers are 0.3 to 0.7 mm apart"]),
-    ],
-)
-def test_a_setting_that_contradicts_the_data_is_said(
-    changed: Change, replaced: dict[str, str], messages: list[str]
-) -> None:
-    warnings = warnings_of(process(changed(replaced)))
-    assert [one for one in messages if one not in warnings] == []
-
-
 def test_pictures_that_contradict_the_settings_are_said(changed: Change, frames: Array) -> None:
     """A background that shows a finger is named. A permanent drop of the light to 60 % between two frames cannot be
     told from contact; a warning names the frames.

@@ -7,18 +7,12 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene, process
-from fingerflow.pipeline.plan import plan
 from fingerflow.schema.scene import Scene
 
 
 @pytest.fixture(scope="module")
 def scene(press: Path) -> Scene:
     return load_scene(press / "scene.toml")
-
-
-def test_the_printed_contact_runs_only_where_requested(scene: Scene) -> None:
-    assert "printed_contact" not in plan(None, scene).names
-    assert plan(["printed_real_contact_area"], scene).names == ("loading", "frame_check", "contact", "printed_contact")
 
 
 def test_areas_are_those_of_opencv(scene: Scene) -> None:

@@ -244,19 +244,6 @@ def by_flow(scene: Scene) -> Scene:
     return replace(scene, slip=replace(scene.slip, displacement="dense_flow"))
 
 
-@pytest.mark.long
-def test_stuck_ratio_by_dense_flow(slip_trials: Path) -> None:
-    """By dense flow d² errs by less than 0.05 in every frame, as by points, and resting skin sticks."""
-    by_dense_flow = process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), ["stuck_ratio"])
-    assert by_dense_flow["stuck_ratio"].values[:6].min() > 0.995
-    error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))
-    assert error.max() < 0.05
-    assert verdict_of(by_dense_flow)["outcome"] == "vanishes abruptly"
-    assert json.loads(by_dense_flow.attrs["settings"])["slip"]["displacement"] == "dense_flow"
-    assert "dense_flow_slip" in json.loads(by_dense_flow.attrs["stage_seconds"])
-    assert warnings_of(by_dense_flow) == []
-
-
 def test_dense_flow_is_where_the_skin_went(slip_trials: Path) -> None:
     """Dense flow errs by less than 4 um RMS in all cells of the contact, and states its difference from the points.
     Points shifted by 10 um in x and y show as a difference in every frame, and in a warning.

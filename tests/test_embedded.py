@@ -1,0 +1,400 @@
+"""Tests of every public op and module of the graphs: default dtype and device of the process change nothing, and
+`torch.compile`, `torch.export`, `torch.func.vmap` and an accelerator give the same numbers.
+
+A new op or module needs inputs in tests/embedded.py.
+"""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map
+
+from fingerflow import ops
+from fingerflow.export.build import build_graphs
+from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.contact import apparent_contact, otsu
+from fingerflow.ops.tracking.outliers import find_neighbours
+from fingerflow.ops.tracking.track_points import in_passes
+from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
+from tests.kernels.kernel_calls import Call, call, kernel_calls
+
+needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+#: Ops whose number of steps depends on data, and the function of each that is one op of a graph.
+BY_DATA = {"dense_flow": "whole_flow", "detect_corners": "choose_apart", "track_points": "in_passes"}
+
+POINTS = scene(1)[2]
+OF_OPS = [  # without a variance `local_gradients` returns None for the covariance, which vmap refuses
+    name for name in CASES if name.partition(" ")[0] in ops.__all__ and name != "local_gradients"
+]
+HEIGHT, WIDTH, COUNT = 96, 128, 40  # of the recipes
+RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
+
+
+#: Operations whose result, or its size, depends on values: the host waits for them.
+WAITS = {
+    f"aten::{name}"
+    for name in (
+        *("_local_scalar_dense", "item", "is_nonzero", "equal", "nonzero", "nonzero_numpy", "argwhere"),
+        *("masked_select", "_unique", "_unique2", "unique_dim", "unique_consecutive", "bincount"),
+        *("repeat_interleave.Tensor", "repeat_interleave.self_Tensor"),
+        *("linalg_eigh", "_linalg_eigh", "linalg_inv", "_linalg_check_errors"),
+    )
+}
+
+
+@pytest.fixture(autouse=True)
+def afresh() -> Iterator[None]:
+    torch.compiler.reset()
+    expected.cache_clear()  # cached by the other form
+    yield
+    torch.set_default_dtype(torch.float32)
+    torch.set_default_device(None)
+    torch.compiler.reset()
+    expected.cache_clear()
+
+
+def test_every_op_and_module_has_a_case() -> None:
+    assert not without_a_case(), "give these inputs in tests/embedded.py"
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", CASES)
+def test_default_dtype_and_device(name: str) -> None:
+    case, wanted = CASES[name], expected(name)
+    for dtype, device in ((torch.float64, None), (torch.bfloat16, None), (torch.float32, "meta")):
+        # Tensors that ops keep from call to call may come from before the defaults changed.
+        otsu._bin_of_level.cache_clear()
+        apparent_contact._kept_boxes.cache_clear()
+        torch.set_default_dtype(dtype)
+        torch.set_default_device(device)
+        with torch.no_grad():
+            for result, other in zip(tensors_of(case.call(*case.inputs)), wanted, strict=True):
+                assert result.dtype == other.dtype
+                assert result.device == other.device
+                assert torch.equal(result.nan_to_num(-7.0), other.nan_to_num(-7.0))
+
+
+def test_ops_are_independent_of_default_dtype_and_device_at_import() -> None:
+    """Tensors made once, at import or in the first call, have their own dtype and device whatever the defaults are
+    then.
+    """
+    code = """
+import torch
+torch.set_default_dtype(torch.float64)
+torch.set_default_device("meta")
+from fingerflow import graphs, ops
+
+cpu = dict(dtype=torch.float32, device="cpu")
+points = torch.cartesian_prod(torch.arange(8, **cpu), torch.arange(8, **cpu))[None]
+ellipse = torch.full((1, 2), 4.0, **cpu), torch.full((1, 2), 3.0, **cpu), torch.zeros(1, **cpu)
+fields = graphs.FieldsGraph(6.0)(points, points / 10, None, graphs.GrossEllipse(*ellipse))
+assert fields.median.dtype == torch.float32 and abs(fields.median[0, 0].item() - 0.2) < 0.02, fields.median
+frame = torch.arange(64, dtype=torch.uint8, device="cpu").repeat(64, 1)[None, None]
+print(ops.otsu_threshold(frame).item(), ops.median_filter(frame, 3).sum().item() / 64)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.stdout.split() == ["31.0", str(32.0 * 63)], ran.stderr
+
+
+@pytest.mark.parametrize("name", OF_OPS)
+def test_equals_a_loop(name: str) -> None:
+    """vmap of an op agrees with a loop to rounding: the loop uses the compiled kernels, which sum in another order."""
+    case = CASES[name]
+    dims = tuple(0 if isinstance(one, Tensor) and one.dtype != torch.int64 else None for one in case.inputs)
+    inputs = [
+        one if dim is None else torch.stack((one, one.roll(1, 0))) for one, dim in zip(case.inputs, dims, strict=True)
+    ]
+    results = tensors_of(torch.func.vmap(case.call, in_dims=dims)(*inputs))
+    rows = [
+        tensors_of(case.call(*(one if dim is None else one[k] for one, dim in zip(inputs, dims, strict=True))))
+        for k in range(2)
+    ]
+    assert results
+    for result, *wanted in zip(results, *rows, strict=True):
+        torch.testing.assert_close(result, torch.stack(wanted), rtol=1e-4, atol=1e-4, equal_nan=True)
+
+
+def pairs() -> tuple[Tensor, Tensor]:
+    """Return two pairs of images (2, 1, 1, H, W), float32."""
+    first, second = (torch.stack((one, one.roll(2, 3))).float() for one in scene(1)[:2])
+    return first, second
+
+
+def tracked(previous: Tensor, current: Tensor) -> Tensor:
+    """Return the sum of the positions, whose derivative by the images is not 0."""
+    return ops.track_points(previous, current, POINTS, window=11).points.nan_to_num().sum()
+
+
+def flow(previous: Tensor, current: Tensor) -> Tensor:
+    return ops.dense_flow(previous, current).displacement.nan_to_num().sum()
+
+
+def test_derivative_inside_and_outside_the_map() -> None:
+    """Derivatives inside and outside vmap are right, although vmap hides from an op that a derivative is wanted."""
+    previous, current = pairs()
+    wanted = torch.stack(
+        [
+            torch.autograd.grad(tracked(first, given), given)[0]
+            for first, given in zip(previous, current.clone().requires_grad_(), strict=True)
+        ]
+    )
+    assert wanted.abs().max() > 1e-4
+
+    def total(images: Tensor) -> Tensor:
+        return torch.func.vmap(tracked)(previous, images).sum()
+
+    leaf = current.clone().requires_grad_()
+    total(leaf).backward()
+    inside = torch.func.vmap(torch.func.grad(tracked, argnums=1))(previous, current)
+    for found in (leaf.grad, torch.func.grad(total)(current), inside):
+        torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
+
+
+def test_no_derivative_is_an_error_and_not_zero() -> None:
+    previous, current = pairs()
+    sentence = r"has no derivative under torch\.func\.vmap: pass a batch \(B, \.\.\.\) instead"
+    with pytest.raises(RuntimeError, match=sentence):
+        torch.func.grad(lambda images: torch.func.vmap(flow)(previous, images).sum())(current)
+    with pytest.raises(RuntimeError, match=sentence):
+        torch.func.vmap(torch.func.grad(flow))(previous, current)
+
+
+def compiled_as_it_is(name: str, backend: str, *, tolerance: float = 0.0, dynamic: bool = False) -> None:
+    case = CASES[name]
+    with torch.no_grad():
+        compiled = torch.compile(case.call, fullgraph=True, dynamic=dynamic, backend=backend)
+        results = tensors_of(compiled(*case.inputs))
+    for result, wanted in zip(results, expected(name), strict=True):
+        assert result.dtype == wanted.dtype
+        torch.testing.assert_close(result, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", CASES)
+def test_whole_and_the_same(name: str) -> None:
+    """Compiled results are the same bit for bit, because the same operators run. Fields and points agree to rounding:
+    without tracing, the portable form of fields leaves out unknown points, and that of points sums in another order.
+    """
+    to_rounding = name.startswith(("FieldsGraph", "TrackGraph"))
+    compiled_as_it_is(name, "aot_eager", tolerance=1e-6 if to_rounding else 0.0)
+
+
+class Exported(nn.Module):
+    """A case as a module."""
+
+    def __init__(self, call: Callable[..., object]) -> None:
+        super().__init__()
+        self.call = call
+
+    def forward(self, *inputs: object) -> object:
+        return self.call(*inputs)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", CASES)
+def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each case is exported as one graph of fixed shapes, of torch's own ops where possible; results agree to the
+    rounding of sums in another order.
+    """
+    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    case = CASES[name]
+    program = torch.export.export(Exported(case.call), case.inputs)
+    targets = {str(node.target) for node in program.graph.nodes}
+    assert not [target for target in targets if "higher_order" in target]
+    by_data = BY_DATA.get(name.partition(" ")[0])
+    assert {target for target in targets if "fingerflow" in target} == (
+        {f"fingerflow.{by_data}.default"} if by_data else set()
+    )
+    for result, wanted in zip(tensors_of(program.module()(*case.inputs)), expected(name), strict=True):
+        assert result.dtype == wanted.dtype
+        torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])
+def test_ops_compiled_by_inductor_agree(name: str) -> None:
+    """Results of inductor, which writes loops of its own, agree to the rounding of sums."""
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler here")
+    compiled_as_it_is(name, "inductor", tolerance=1e-4)
+
+
+@pytest.mark.long
+@needs_kernels
+@pytest.mark.parametrize("name", ["median_filter", "local_gradients - variance", "track_points", "detect_corners"])
+def test_compiled_ops_take_batches_of_any_size(name: str) -> None:
+    compiled_as_it_is(name, "aot_eager", dynamic=True)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("each_form")
+def test_derivatives_are_those_of_the_op() -> None:
+    """Compiled derivatives are those of the op. If a derivative is wanted the portable form is compiled; tracking gives
+    the derivative of a position by its images.
+    """
+    first, second, points, moved = scene(1)
+    images = [image.float().requires_grad_() for image in (first, second)]
+
+    def tracked(previous: Tensor, current: Tensor) -> Tensor:
+        return ops.track_points(previous, current, points, window=11).points.nan_to_num().sum()
+
+    def fitted(values: Tensor) -> Tensor:
+        return ops.local_gradients(points, values, gauge_length=60.0).gradient.square().sum()
+
+    for function, given in ((tracked, images), (fitted, [moved.requires_grad_()])):
+        wanted = torch.autograd.grad(function(*given), given)
+        compiled: Callable[..., Tensor] = torch.compile(function, fullgraph=True, dynamic=False, backend="aot_eager")
+        for found, derivative in zip(torch.autograd.grad(compiled(*given), given), wanted, strict=True):
+            assert derivative.abs().max() > 0
+            torch.testing.assert_close(found, derivative, rtol=1e-5, atol=1e-6)
+
+
+def of_kernels() -> dict[str, Call]:
+    """Return calls of the package's own ops of torch, by name."""
+    first, second, points, _ = scene()
+    passes = {
+        f"in_passes of {one.dtype}": call(
+            in_passes, one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5
+        )
+        for one in (first.float(), first.double())
+    }
+    own = {
+        name: kernel
+        for name, kernel in kernel_calls().items()
+        if isinstance(kernel.function, kernels.Twin) or kernel.function in vars(kernels).values()
+    }
+    return {**own, **passes}
+
+
+@pytest.mark.long
+@needs_kernels
+@pytest.mark.parametrize("name", of_kernels() if kernels.serve() else ())
+def test_shapes_and_schema_are_true(name: str) -> None:
+    function, arguments, settings = of_kernels()[name]
+    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
+    with torch.no_grad():
+        torch.library.opcheck(getattr(torch.ops.fingerflow, function.__name__), arguments, settings, test_utils=tests)
+
+
+class HostWait(Exception):
+    """Wait of the host in a step that reads a value from the accelerator, or copies one to it."""
+
+
+class Watch(TorchDispatchMode):
+    """Dispatch mode that raises `HostWait` where an operation on tensors without values (torch's device `meta`) needs a
+    value or mixes them with tensors of the host, and, from the second run on, where a constant is brought anew.
+    """
+
+    def __init__(self, first: bool) -> None:
+        super().__init__()
+        self.first = first
+
+    def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), options: Any = None) -> Any:
+        name = operation.name()
+        given = [value for value in tree_leaves((arguments, options or {})) if isinstance(value, Tensor)]
+        there = any(tensor.is_meta for tensor in given)
+        # A scalar of the host is an argument of the call, not a copy.
+        mixed = there and any(not tensor.is_meta and tensor.ndim for tensor in given)
+        by_mask = name.startswith(("aten::index.", "aten::index_put", "aten::_index_put")) and any(
+            isinstance(index, Tensor) and index.dtype == torch.bool for index in arguments[1]
+        )
+        if there and (mixed or by_mask or name in WAITS):
+            raise HostWait(f"{operation}{' by a mask' if by_mask else ' with a tensor of the host' if mixed else ''}")
+        result = operation(*arguments, **(options or {}))
+        made = any(value.is_meta for value in tree_leaves(result) if isinstance(value, Tensor))
+        # `detach_` is the one trace of torch.tensor([...], device=...).
+        if not self.first and ((name == "aten::detach_" and there) or (given and made and not there)):
+            raise HostWait(f"{operation} brings a constant from the host in every call")
+        return result
+
+
+def run_without_values(module: nn.Module, inputs: tuple[Any, ...]) -> Any:
+    """Run a module twice on tensors without values, and return its result; the first run may bring constants, which the
+    accelerator keeps.
+    """
+
+    def shape_of(value: Any) -> Any:
+        return value.to("meta") if isinstance(value, Tensor) else value
+
+    there = {name: shape_of(value) for name, value in (*module.named_parameters(), *module.named_buffers())}
+    given = tree_map(shape_of, inputs)
+    for first in (True, False):
+        with torch.inference_mode(), Watch(first):
+            result = torch.func.functional_call(module, there, given)
+    return result
+
+
+class Step(NamedTuple):
+    """A module, and a function that returns its inputs."""
+
+    module: nn.Module
+    inputs: Callable[[], tuple[Any, ...]]
+
+
+def steps() -> dict[str, Step]:
+    """Return all modules by name: those of the table and of the shipped recipes."""
+    found = {
+        name: Step(case.call, lambda case=case: case.inputs)
+        for name, case in CASES.items()
+        if isinstance(case.call, nn.Module)
+    }
+    for recipe, path in RECIPES.items():
+        found |= {f"{recipe} {name}": step for name, step in of_recipe(small(load_recipe(path)))}
+    return found
+
+
+def small(recipe: Recipe) -> Recipe:
+    return replace(
+        recipe,
+        views=replace(recipe.views, height=HEIGHT, width=WIDTH),
+        tracking=replace(recipe.tracking, points=COUNT, window_px=11),
+        export=replace(recipe.export, graphs=GRAPHS),
+    )
+
+
+def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
+    """Yield the graphs of a recipe by name; inputs have the shapes and types of the outputs of earlier graphs."""
+    beside = find_neighbours(torch.rand(1, COUNT, 2, generator=torch.Generator().manual_seed(0)), 1.0)
+    view = torch.zeros(1, 1, HEIGHT, WIDTH)
+    points = torch.zeros(1, COUNT, 2)
+    known = {
+        **dict.fromkeys(("contact_view", "topography_view", "key_view"), view.to(torch.uint8)),
+        **dict.fromkeys(("light", "black"), view),
+        "mask": view.to(torch.bool),
+        **dict.fromkeys(("warp", "inverse_warp", "gradient", "found_covariance"), torch.zeros(1, COUNT, 2, 2)),
+        **dict.fromkeys(("points", "prediction", "start", "found", "reference", "displacement", "queries"), points),
+        "position_std": points[..., 0],
+        "among": points[..., 0].to(torch.bool),
+        **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), torch.ones(1, 2)),
+        **dict.fromkeys(("ellipse_angle", "gauge_length", "threshold"), torch.ones(1)),
+        **{f"neighbour_{name}": one for name, one in beside._asdict().items()},
+    }
+    for name, graph in build_graphs(recipe).items():
+        step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)
+        yield name, step
+        results = run_without_values(step.module, step.inputs())
+        computed = {
+            one: torch.zeros(value.shape, dtype=value.dtype) for one, value in zip(graph.outputs, results, strict=True)
+        }
+        known = {**computed, **known}
+
+
+STEPS = steps()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", STEPS)
+def test_the_host_never_waits(name: str) -> None:
+    run_without_values(STEPS[name].module, STEPS[name].inputs())
