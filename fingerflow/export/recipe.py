@@ -95,5 +95,4 @@ def parse_recipe(written: Mapping[str, Any], path: Path = Path("recipe"), text: 
     check.values = check.table((), tables, written)
     check.check_rules()
     check.raise_problems(lambda keys: f"{path}, line {line_of(text, keys)}")
-    recipe: Recipe = tables.build(check.values)
-    return recipe
+    return tables.build(check.values)

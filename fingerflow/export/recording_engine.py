@@ -91,10 +91,7 @@ class ExportedGraph:
                 self._sessions[shapes] = self._exported(arrays)
         session = self._sessions[shapes]
         # The session lacks inputs that the graph does not use.
-        results: list[Array] = session.run(
-            self._graph.outputs, {feed.name: arrays[feed.name] for feed in session.get_inputs()}
-        )
-        return results
+        return session.run(self._graph.outputs, {feed.name: arrays[feed.name] for feed in session.get_inputs()})
 
     def _exported(self, arrays: dict[str, Array]) -> Any:
         import onnxruntime

@@ -32,8 +32,7 @@ def sum_rows(values: Tensor) -> Tensor:
 def symmetric(three: Tensor) -> Tensor:
     """Return symmetric 2 x 2 matrices (B, 2, 2, Q), given the elements xx, xy and yy (B, 3, Q)."""
     xx, xy, yy = three.split(1, dim=1)
-    result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
-    return result
+    return torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
 
 
 def half_angle(y: Tensor, x: Tensor) -> Tensor:
@@ -62,8 +61,7 @@ def products(left: Tensor, right: Tensor) -> Tensor:
     """
     first, second = left.split(1, dim=-2)
     upper, lower = right.split(1, dim=-3)
-    result: Tensor = first * upper + second * lower
-    return result
+    return first * upper + second * lower
 
 
 def count_bytes(mask: Tensor) -> Tensor:

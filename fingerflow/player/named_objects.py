@@ -33,4 +33,4 @@ def load_callable(name: str) -> Callable[..., Any]:
         sys.path.pop(0)
     if not callable(found):
         raise PlayerError(f"{called} of {module} is {type(found).__name__}; it must be callable")
-    return found  # type: ignore[no-any-return]
+    return found

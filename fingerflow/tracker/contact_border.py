@@ -45,5 +45,4 @@ class Border(NamedTuple):
         radius = np.sqrt(along * along + across * across)
         along, across = along / first, across / second
         slope = np.sqrt(along * along + across * across)
-        distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
-        return distance
+        return (1 - radius) * radius / np.maximum(slope, 1e-12)

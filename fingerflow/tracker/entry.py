@@ -100,8 +100,7 @@ def _entered_by_motion(
         row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
         decided = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
         way[decided], inside[decided] = moved[row[decided], decided], depth[row[decided], decided]
-    result: Array = (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
-    return result
+    return (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
 
 
 def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_mm: float) -> Array:

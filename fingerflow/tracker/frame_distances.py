@@ -83,8 +83,7 @@ def _pattern_distances(now: Array, before: Array, bands: int) -> Array:
     of lines, and of all lines.
     """
     if is_present():
-        distances: Array = run("frame_distances", now=now, before=before, bands=bands, most=_MOST)
-        return distances
+        return run("frame_distances", now=now, before=before, bands=bands, most=_MOST)
     difference = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
     edges = np.arange(bands + 1) * difference.shape[1] // bands
     of_bands = np.add.reduceat(difference, edges[:-1], axis=1) / np.diff(edges)

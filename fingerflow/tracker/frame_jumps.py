@@ -101,16 +101,14 @@ def _excess_limit(usual: SquaredDistances, ordinary: Ordinary) -> SquaredDistanc
     counts as a jump: higher for moving skin, whose usual distances exceed the noise, as it may jerk.
     """
     moving = 1 - np.clip(ordinary.noise, 1, usual) / usual
-    result: SquaredDistances = (ordinary.limit + _JERK * moving).astype(np.float32)
-    return result
+    return (ordinary.limit + _JERK * moving).astype(np.float32)
 
 
 def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
     """Return the relative excess (..., rows) of the smaller of two squared distances, those into and out of some
     frames, over the usual one between consecutive frames: 0 for a usual distance, 1 for twice as much.
     """
-    result: SquaredDistances = np.minimum(into, out_of) / np.fmax(usual, 1) - 1
-    return result
+    return np.minimum(into, out_of) / np.fmax(usual, 1) - 1
 
 
 def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
@@ -122,8 +120,7 @@ def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
     """
     ordered = np.sort(steps, axis=axis)
     most, middle = (np.fmax(ordered.take(k, axis=axis), 1) for k in (-3, NEARBY // 2))
-    result: SquaredDistances = most * (most / middle)
-    return result
+    return most * (most / middle)
 
 
 def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -138,8 +138,7 @@ class FrameResults:
         It is larger by the factor by which overlapping windows raise the variance of gradients.
         """
         variance = (touch.displacement_variance(now) + curvature) * np.float32(self._overlap * self._per_px**2)
-        result: Array = variance[..., None, None] * np.eye(2, dtype=np.float32)
-        return result
+        return variance[..., None, None] * np.eye(2, dtype=np.float32)
 
     def _smoothing_variance(
         self, reference: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float

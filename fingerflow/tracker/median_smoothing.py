@@ -29,5 +29,4 @@ def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Arr
     low, high = (np.take_along_axis(ordered, (share * last).astype(int), -1)[..., 0] for share in (0.4, 0.6))
     noise = single * np.minimum(1, single / np.maximum(high - low, 1e-12))
     square = np.maximum(np.square(difference) - of_points, 0)
-    result: Array = np.fmax(square / 9, np.minimum(square, noise**2))
-    return result
+    return np.fmax(square / 9, np.minimum(square, noise**2))

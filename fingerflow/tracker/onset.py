@@ -46,8 +46,7 @@ class Touching(NamedTuple):
         rest = np.square(1 - self.share)  # squared weight of the frame before the touch
         then, earlier = (np.where(variance > 0, variance, now) for variance in (self.variance, self.earlier))
         since = now + np.square(self.share) * then
-        result: Array = (np.where(self.begins, rest * now, since) + rest * earlier) / 2
-        return result
+        return (np.where(self.begins, rest * now, since) + rest * earlier) / 2
 
 
 class Touches:

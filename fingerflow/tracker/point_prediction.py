@@ -57,8 +57,7 @@ class PointMotion(NamedTuple):
 
     def expect(self, frames: int = 1) -> Array:
         """Predict the positions (N, 2) px of the points `frames` frames ahead."""
-        position: Array = self.position + self.speed * np.float32(min(frames, TRUSTED))
-        return position
+        return self.position + self.speed * np.float32(min(frames, TRUSTED))
 
     def update(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
@@ -110,5 +109,4 @@ class PointMotion(NamedTuple):
 
 def is_finite(points: Array) -> Array:
     """Return a mask (...) of the points (..., 2) with known positions: both components are finite."""
-    finite: Array = np.isfinite(points[..., 0] + points[..., 1])
-    return finite
+    return np.isfinite(points[..., 0] + points[..., 1])

@@ -344,8 +344,7 @@ class Points:
 
     def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        positions: Array = self._corrected(tracked, nothing_found(1)).expected[0]
-        return positions
+        return self._corrected(tracked, nothing_found(1)).expected[0]
 
     def _corrected(self, tracked: TrackedPoints, around: TrackedPoints) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
@@ -460,8 +459,7 @@ class Points:
         """
         walked = self._walked + np.nan_to_num(variance).cumsum(0)
         self._walked = walked[-1:]
-        result: Array = walked + 0 * variance
-        return result
+        return walked + 0 * variance
 
 
 def join(parts: list[TrackedPoints], axis: int) -> TrackedPoints:

@@ -27,8 +27,7 @@ def lost_points(status: Array) -> Array:
     """Return a mask (...) of the points to search for, by their tracking status: textured and inside the frame, but
     either not found or found and rejected.
     """
-    lost: Array = status >= TrackStatus.NOT_CONVERGED
-    return lost
+    return status >= TrackStatus.NOT_CONVERGED
 
 
 def recover(

@@ -196,8 +196,7 @@ class FrameCheck:
         """
         steps = np.stack([*self._steps][-NEARBY:])
         most = ordinary_limit(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
-        result: Array = np.maximum(most, steps[-1])
-        return result
+        return np.maximum(most, steps[-1])
 
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)

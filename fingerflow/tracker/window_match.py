@@ -72,8 +72,7 @@ def compare(then: Array, now: Array) -> Alike:
 
 def _mean_product(first: Array, second: Array) -> Array:
     """Return the means (N,) of the products of two arrays (N, m) along their rows."""
-    result: Array = np.einsum("nm,nm->n", first, second) / first.shape[1]
-    return result
+    return np.einsum("nm,nm->n", first, second) / first.shape[1]
 
 
 def deformed_alike(

@@ -71,8 +71,7 @@ def contact_threshold(
     ):
         return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
     compute = partial(_threshold, median_px, radius, stride_px)
-    result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, gain)
-    return result
+    return in_pieces(compute, frames_at_once(frames), frames, light, black, gain)
 
 
 def _threshold(

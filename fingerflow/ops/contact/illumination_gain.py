@@ -56,8 +56,7 @@ def _blocks(lines: Tensor, block: int) -> Tensor:
     rows = block // sizes.LINE_STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
     down = torch.cat((cut, cut * cut), dim=1).unflatten(2, (-1, rows)).sum(3)
-    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(2)
-    return result
+    return down.unflatten(3, (-1, block)).sum(4).flatten(2)
 
 
 def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:

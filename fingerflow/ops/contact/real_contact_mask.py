@@ -46,8 +46,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
     if median_px <= LARGEST_MAJORITY and _compiled.serves(frames, light, black, share):
         return _compiled(frames, light, black, share, median_px)
     compute = partial(_mask, median_px)
-    result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
-    return result
+    return in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
 
 
 def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, lit: Tensor, share: Tensor) -> Tensor:

@@ -110,12 +110,11 @@ def area_medians(
                 radius=gauge_length / 2,
             )
         )
-    result: AreaMedians = in_pieces(
+    return in_pieces(
         partial(_medians_of_known, gauge_length / 2, measure),
         _FRAMES,
         *(*frame, reference, displacement, covariance, among, fields, std),
     )
-    return result
 
 
 def _medians_of_known(
@@ -143,8 +142,7 @@ def _medians_of_known(
         index = valid.nonzero().squeeze(1)
         points, count = [None if tensor is None else tensor.index_select(1, index) for tensor in points], len(index)
     compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
-    result: AreaMedians = in_pieces(compute, at_once, center, semi_axes, angle, *points)
-    return result
+    return in_pieces(compute, at_once, center, semi_axes, angle, *points)
 
 
 def _medians(
@@ -240,8 +238,7 @@ def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
     falling = torch.where(valid, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
     # Both ranks are the same where the count is odd.
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
-    result: Tensor = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
-    return result
+    return falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
 
 
 class _NearestFields(NamedTuple):
@@ -307,8 +304,7 @@ def _closeness_weights(
     by_slopes = products(sensitivity, slopes[:, None])
     variance = (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
     away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
-    result: Tensor = (1 - away).clamp_min(0).square()
-    return result
+    return (1 - away).clamp_min(0).square()
 
 
 def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
@@ -326,16 +322,14 @@ def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share:
     around = torch.cat((around, products(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
     columns = (products(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
-    result: Tensor = (sums[:, :, :, :2] * positions[:, None, None]).sum(3) - sums[:, :, :, 2]
-    return result
+    return (sums[:, :, :, :2] * positions[:, None, None]).sum(3) - sums[:, :, :, 2]
 
 
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
     """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to displacement gradients."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
     parts = sensitivity_parts(xx, xy, yx, yy, measure)
-    result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
-    return result
+    return torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
 
 
 def _check(

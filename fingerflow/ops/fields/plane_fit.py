@@ -154,8 +154,7 @@ def gradient_covariance(fit: PlaneFit, positions: Tensor, covariance: Tensor, ra
     bread, filling = symmetric(fit.inverse)[:, None], torch.cat((xx, xy, xy, yy), dim=2).unflatten(2, (2, 2))
     pairs = products(products(bread, filling), bread) / radius**2  # (B, 3, 2, 2, Q)
     full = pairs[:, (0, 1, 1, 2)].unflatten(1, (2, 2))  # (B, i, k, j, l, Q)
-    result: Tensor = full.permute(0, 5, 1, 3, 2, 4)
-    return result
+    return full.permute(0, 5, 1, 3, 2, 4)
 
 
 def squares(pair: Tensor) -> Tensor:
@@ -176,8 +175,7 @@ def _product(rows: Tensor, matrix: Tensor) -> Tensor:
     takes ONNX runtimes half the time for few rows, but torch twice the time.
     """
     if matrix.shape[0] == 1 and rows.shape[0] != 1:
-        result: Tensor = _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
-        return result
+        return _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
     if rows.shape[1] == 1 or not torch.compiler.is_exporting():
         return rows @ matrix.mT
     return components_first(matrix @ rows.mT)

@@ -108,5 +108,4 @@ def query_gradients(points: Tensor, values: Tensor, queries: Tensor, gauge_lengt
     (positions, targets), (valid, valid_targets) = (tensor.split(sizes, dim=2) for tensor in both)
     usable = valid & finite(sum_rows(values.mT))
     fitted = fit_planes(positions, values.mT, targets, usable, radius)
-    gradient: Tensor = torch.where(fitted.known & valid_targets, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
-    return gradient
+    return torch.where(fitted.known & valid_targets, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))

@@ -82,8 +82,7 @@ def triangle_strain(
 
     def take_corners(values: Tensor) -> Tensor:
         """Gather values (B, N) of points at the corners of the triangles, as (3, M, B)."""
-        result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
-        return result
+        return values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
 
     def gradient(values: Tensor) -> tuple[Tensor, Tensor]:
         first, second, third = take_corners(values)

@@ -74,8 +74,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
 
 def _network_median(frames: Tensor, size: int) -> Tensor:
     program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
-    result: Tensor = in_pieces(functools.partial(_run, program), frames_at_once(frames), frames)
-    return result
+    return in_pieces(functools.partial(_run, program), frames_at_once(frames), frames)
 
 
 @kernels.constant_to_compiler

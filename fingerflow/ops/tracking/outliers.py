@@ -145,8 +145,7 @@ def _gather_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
     else:
         there = rows.index_select(2, number)
     count = index.shape[1]
-    result: tuple[Tensor, ...] = there.reshape(batch, len(values) * count, points).split(count, dim=1)
-    return result
+    return there.reshape(batch, len(values) * count, points).split(count, dim=1)
 
 
 def _sum_over_neighbours(values: Tensor) -> Tensor:

@@ -142,13 +142,11 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
     if torch.compiler.is_exporting():  # transforms of small patches take ONNX runtimes six times as long
         columns = [patch[:, :, shift : shift + size] for shift in range(span)]
         sums = [(column[:, down : down + size] * template).sum((1, 2)) for down in range(span) for column in columns]
-        stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
-        return stacked
+        return torch.stack(sums, dim=1).unflatten(1, (span, span))
     shape = patch.shape[-2:]
     # `conj` is not used: torch 2.13 loses a lazy conjugation in an op that is called from compiled code.
     spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
-    sums_of_all: Tensor = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
-    return sums_of_all
+    return torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:

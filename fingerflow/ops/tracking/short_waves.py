@@ -73,5 +73,4 @@ def _variance_of_noise(start: Tensor, covariance: Tensor, numbers: Tensor, windo
     noisy = start + signs * deviation
     inputs = start[None], noisy, covariance.expand(len(signs), *covariance.shape), numbers[None], still
     corrected = correct_points(*inputs, window, _NARROW * window)
-    result: Tensor = (corrected.points - noisy).square().mean(0)
-    return result
+    return (corrected.points - noisy).square().mean(0)

@@ -84,8 +84,7 @@ def along_y(weights: Tensor, size: int) -> Tensor:
     # its row.
     line = functional.pad(_smoothed(weights), (0, side + 1 - TAPS - 2))
     bands = line[:, None].expand(TAPS, size, side + 1).flatten(1)[:, : size * side]
-    result: Tensor = (weights @ bands).unflatten(-1, (size, side))
-    return result
+    return (weights @ bands).unflatten(-1, (size, side))
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:

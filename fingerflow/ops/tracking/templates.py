@@ -63,8 +63,7 @@ class Templates(NamedTuple):
     @property
     def window(self) -> int:
         """Return the side n of the template windows, px."""
-        result: int = round(self.samples.shape[-1] ** 0.5)
-        return result
+        return round(self.samples.shape[-1] ** 0.5)
 
     def of(self, chosen: Tensor) -> "Templates":
         """Return the templates of the points with indices `chosen` (B, L), int64."""
@@ -256,8 +255,7 @@ def take_rows(tensor: Tensor, chosen: Tensor) -> Tensor:
     batch, count = tensor.shape[:2]
     index = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
     # Copying whole rows is many times as fast as gathering their elements.
-    result: Tensor = tensor.flatten(0, 1).index_select(0, index.flatten()).unflatten(0, chosen.shape)
-    return result
+    return tensor.flatten(0, 1).index_select(0, index.flatten()).unflatten(0, chosen.shape)
 
 
 def replaced(tracks: TrackedPoints, again: TrackedPoints, chosen: Tensor, mask: Tensor) -> TrackedPoints:
@@ -300,8 +298,7 @@ def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
 def inverse_2x2(matrix: Tensor) -> Tensor:
     """Return the inverses of matrices (..., 2, 2); not finite where a matrix is singular."""
     a, b, c, d = matrix.flatten(-2).unbind(-1)
-    result: Tensor = torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
-    return result
+    return torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
 
 
 def _sample_straight(image: Tensor, position: Tensor, wide: int) -> tuple[Tensor, Tensor]:

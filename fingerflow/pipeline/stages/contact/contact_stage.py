@@ -180,8 +180,7 @@ class ContactStage(Stage):
     def _sampled_frames(self) -> NDArray[np.intp]:
         usable = np.flatnonzero(self._usable)
         looks = np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int)
-        result: NDArray[np.intp] = usable[np.unique(looks)]
-        return result
+        return usable[np.unique(looks)]
 
     def first_and_largest(self, margin_px: int) -> Tensor:
         """Return the union (1, 1, h, w) of the gross contact masks in the first usable frame and in the frame with most

@@ -183,8 +183,7 @@ class DisplacementStage(Stage):
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
         is the result variable of the standard deviation.
         """
-        variance: NDArray[np.float32] = (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
-        return variance
+        return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
         """Return the covariance (n, N, 2, 2) mm^2 of the displacements of N points in n frames, without that by
@@ -299,8 +298,7 @@ class DisplacementStage(Stage):
         """
         if self._template == "previous":
             rest = np.square(1 - touch.share)  # squared weight of the frame before the touch
-            added: NDArray[np.float32] = abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
-            return added
+            return abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
         return touch.displacement_variance(now)
 
     def _find_errors_of_onset(self, moves_in: NDArray[np.bool_]) -> None:
@@ -370,8 +368,7 @@ def _crossing_variance(frames_per_mm: NDArray[np.floating]) -> Points:
     for a millimetre.
     """
     rough = BORDER_MM * frames_per_mm
-    result: Points = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
-    return result
+    return (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
 
 
 class _Fixed(NamedTuple):

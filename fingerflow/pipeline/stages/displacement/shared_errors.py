@@ -46,8 +46,7 @@ class OverlapErrors:
         """Return the pairs (K, 2) of points whose windows overlap."""
         valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
         near = cKDTree(self.positions_px[valid]).query_pairs(self.window_px, p=np.inf, output_type="ndarray")
-        result: Indices = valid[near].astype(np.int64)
-        return result
+        return valid[near].astype(np.int64)
 
     def between(self, first: Indices, second: Indices) -> NDArray[np.float32]:
         """Return the correlations (K,) of the displacement errors of points with those of other points."""
@@ -56,8 +55,7 @@ class OverlapErrors:
         distance = np.abs(self.positions_px[first] - self.positions_px[second]) / self.window_px
         later = np.minimum(abs(self.since[first] - self.since[second]), 2)
         common = np.clip(1 - distance, 0, 1).prod(-1) * np.take(_OF_ONSETS if self.by_onsets else _OF_FRAMES, later)
-        result: NDArray[np.float32] = np.nan_to_num(common * share[first] * share[second]).astype(np.float32)
-        return result
+        return np.nan_to_num(common * share[first] * share[second]).astype(np.float32)
 
     def variance_gain(self, gauge_px: float) -> NDArray[np.float32]:
         """Return the factor (P,) by which these correlations raise the variance of a gradient fitted around each point.
@@ -75,8 +73,7 @@ class OverlapErrors:
         weight = np.square(1 - np.square(offset).sum(1) / (gauge_px / 2) ** 2)
 
         def sums(values: Array) -> NDArray[np.float64]:
-            result: NDArray[np.float64] = np.bincount(first, values, size).astype(np.float64)
-            return result
+            return np.bincount(first, values, size).astype(np.float64)
 
         mass = sums(weight)
         between = np.full(len(self.positions_px), -1)

@@ -63,11 +63,9 @@ class SmoothingErrors:
         finite = np.isfinite(square)
         total = self._sum_neighbours(np.where(finite, square, 0.0))
         weight = self._sum_neighbours(finite.astype(np.float64))
-        result: NDArray[np.float64] = np.maximum(total, 0) / np.maximum(weight, 1e-12)
-        return result
+        return np.maximum(total, 0) / np.maximum(weight, 1e-12)
 
     def _sum_neighbours(self, values: Array) -> Array:
         """Return the weighted sums (n, 2, N) of values (n, 2, N) over the neighbours of each point."""
         frames, fields, points = values.shape
-        sums: Array = (self._weights @ values.reshape(frames * fields, points).T).T.reshape(values.shape)
-        return sums
+        return (self._weights @ values.reshape(frames * fields, points).T).T.reshape(values.shape)

@@ -60,14 +60,12 @@ class Inputs:
     def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from px of the topographic view to mm on the glass."""
         matrix = self.topography_to_contact
-        result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
-        return result
+        return (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
 
     def on_topography(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
         matrix = self.topography_to_contact
-        result: NDArray[np.float64] = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
-        return result
+        return (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
 
     @property
     def topography_mm_per_px(self) -> float:
@@ -82,8 +80,7 @@ class Inputs:
         """Crop frames (..., H, W) to a view; return the negative of the contact view if contact appears bright in it,
         so that contact is dark in every picture from which contact is measured.
         """
-        result: NDArray[Any] = self._darken_contact(view.crop(frames), view)
-        return result
+        return self._darken_contact(view.crop(frames), view)
 
     def _darken_contact(self, counts: Any, view: View) -> Any:
         return negative(counts, self.recording.bit_depth) if self._is_bright(view) else counts
@@ -106,8 +103,7 @@ class Inputs:
         """Return the background of a view, recorded without a finger, as (1, 1, h, w) float32; its negative as in
         `counts`.
         """
-        picture: Tensor = self._darken_contact(self._still(self.scene.background.frames, view), view)
-        return picture
+        return self._darken_contact(self._still(self.scene.background.frames, view), view)
 
     def dark(self, view: View) -> Tensor | None:
         """Return an image (1, 1, h, w) of the view recorded in darkness, as float32; None if none was recorded, or if

@@ -15,8 +15,7 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     first, flat = np.arange(0, ordered.size, ordered.shape[-1]).reshape(count.shape), ordered.ravel()
     last = len(flat) - 1  # upper bound of the index, which may lie beyond the end where all values are NaN
     low, high = (flat[np.minimum(first + rank, last)] for rank in (np.maximum(count - 1, 0) // 2, count // 2))
-    result: NDArray[np.float64] = np.where(count > 0, (low + high) / 2, np.nan).astype(np.float64)
-    return result
+    return np.where(count > 0, (low + high) / 2, np.nan).astype(np.float64)
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:

@@ -59,8 +59,7 @@ class SkinSurface:
             moved = moved.copy()
             block = self._bend[np.ix_(lost, lost)]
             moved[lost] = np.linalg.lstsq(block, -self._bend[np.ix_(lost, ~lost)] @ moved[~lost], rcond=1e-12)[0]
-        result: NDArray[np.float32] = self._weights @ moved.astype(np.float32)
-        return result
+        return self._weights @ moved.astype(np.float32)
 
 
 def _kernel(squared: Points) -> Points:

@@ -64,8 +64,7 @@ class SlipGrid:
         """Interpolate cell values, (rows, columns) or (rows, columns, C), linearly to the fine grid."""
         rows, columns = values.shape[:2]
         size = (columns * _FINE, rows * _FINE)
-        result: Field = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)
-        return result
+        return cv2.resize(values, size, interpolation=cv2.INTER_LINEAR).astype(np.float32, copy=False)
 
     def fine_mask(self, cells: Mask) -> Mask:
         """Convert a mask of cells to a mask on the fine grid."""

@@ -127,14 +127,12 @@ class BorderFunctions:
 
         def sum_pairs(weights: Array) -> Array:
             pairs = (x * weights[:, None]) @ y.mT
-            sums: Array = pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
-            return sums
+            return pairs.reshape(len(pairs), -1).take((i[:, None] + i) * x.shape[1] + j[:, None] + j, axis=1)
 
         def sum_moved(weighed: Array) -> Array:
             # Multiply each component by each power of x, and the result by each power of y.
             low = x[:, None, : _DEGREE + 1] * weighed[:, :, None]
-            sums: Array = (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
-            return sums
+            return (low @ y[:, None, : _DEGREE + 1].mT)[:, :, i, j]
 
         weighed = moved * weight[:, None]
         smooth, functions = len(self._mixed), len(self._mixed) + harmonic * self._harmonics.shape[1]

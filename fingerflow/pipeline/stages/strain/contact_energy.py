@@ -163,8 +163,7 @@ class ContactEnergy:
             larger, _, more = self._field_energies(field, wider)
             shares = np.append(shares, (larger + np.trace(more, axis1=1, axis2=2)) / energy[refitted] - 1)
         self._by_border[moves] = float(shares[-1])
-        result: Array = shares[np.searchsorted(refitted, np.arange(len(energy)), side="right")]
-        return result
+        return shares[np.searchsorted(refitted, np.arange(len(energy)), side="right")]
 
     def _field_energies(self, field: BorderFields, points: "_Points") -> tuple[Array, Array, Array]:
         """Return the elastic energies (n,) of displacement fields, their gradients (n, K, 2) in the K fit coefficients,
@@ -256,5 +255,4 @@ def _border_motion(points: "_Points", since_growth: Array, depth: Array) -> tupl
 def perimeter(semi_axes: Array) -> Array:
     """Return the perimeters (n,) mm of ellipses with semi-axes (n, 2) mm (Ramanujan 1914)."""
     sums, turned = semi_axes.sum(1), semi_axes[:, ::-1]
-    result: Array = np.pi * (3 * sums - np.sqrt((3 * semi_axes + turned).prod(1)))
-    return result
+    return np.pi * (3 * sums - np.sqrt((3 * semi_axes + turned).prod(1)))

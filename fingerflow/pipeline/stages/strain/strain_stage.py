@@ -165,8 +165,7 @@ class StrainStage(Stage):
         again = torch.where(smooth.isfinite(), smooth, displacement)
         exact = np.zeros((*moved.shape, 2), np.float32)
         first, second = (self._triangle_strain(field, exact, touching).energy for field in (displacement, again))
-        result: NDArray[np.float64] = (first - second).clamp_min(0).cpu().numpy()
-        return result
+        return (first - second).clamp_min(0).cpu().numpy()
 
     def _sum_up(
         self, batch: Batch, touching: NDArray[np.bool_], density: NDArray[np.floating], between: NDArray[np.float64],
@@ -194,8 +193,7 @@ class StrainStage(Stage):
         def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
             then = np.concatenate([self.results["position"][slice(k, k + 1)] for k in grown.tolist()])
-            moved: NDArray[np.float64] = position[rows] - then[number]
-            return moved
+            return position[rows] - then[number]
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
         fitted = np.isfinite(whole.energy)
@@ -233,8 +231,7 @@ class StrainStage(Stage):
         (ax, ay), (bx, by) = second - first, third - first
         areas = abs(ax * by - ay * bx) / 2
         inside = np.where(touching, np.where(np.isfinite(areas), areas, self._areas), 0.0).sum(1)
-        result: NDArray[np.float64] = np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
-        return result
+        return np.fmax(np.pi * border.semi_axes.prod(1) - inside, 0.0)
 
     def _sum_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the sum (n, M, ...) of values at points (n, N, ...) over the three corners of each triangle.
@@ -286,8 +283,7 @@ def border_density(
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
         mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
-    result: NDArray[np.float64] = np.nan_to_num(mean)
-    return result
+    return np.nan_to_num(mean)
 
 
 def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -154,20 +154,17 @@ class NewSkin:
         return result
 
     def _on_contact(self, position: Points) -> Points:
-        result: Points = position @ self._matrix[:, :2].T + self._matrix[:, 2]
-        return result
+        return position @ self._matrix[:, :2].T + self._matrix[:, 2]
 
     def _middle(self, touching: Mask) -> Points:
         lines = touching.sum(0), touching.sum(1)  # number of touching cells by column, and by row
         total = lines[0].sum()
-        result: Points = np.array([counts @ np.arange(len(counts)) / total for counts in lines]) * self._cell * _STEP
-        return result
+        return np.array([counts @ np.arange(len(counts)) / total for counts in lines]) * self._cell * _STEP
 
     def _in(self, touching: Mask, at: Points) -> Mask:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
         inside = (row >= 0) & (column >= 0) & (row < touching.shape[0]) & (column < touching.shape[1])
-        result: Mask = inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
-        return result
+        return inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
 
     def _is_new(self, at: Points, nearest: NDArray[np.integer], points: SeededPoints) -> Mask:
         """Return the mask (K,) of positions `at` (K, 2) px of the contact view whose skin lay outside the region in
@@ -181,8 +178,7 @@ class NewSkin:
         inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
         regions = np.stack(self.searched)
         had = regions[points.seeding[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
-        result: Mask = ~(inside & had)
-        return result
+        return ~(inside & had)
 
     def _on_topography(self, cells: Mask) -> Mask:
         side = self._cell * _STEP
@@ -213,5 +209,4 @@ def _cell_centres(number: NDArray[np.integer], cell_px: int) -> Points:
 
     Every `_STEP`-th cell is sampled.
     """
-    result: Points = (number * _STEP + 0.5) * cell_px - 0.5
-    return result
+    return (number * _STEP + 0.5) * cell_px - 0.5
