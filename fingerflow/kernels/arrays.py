@@ -122,7 +122,7 @@ DATA_OFFSET = _data_offset()
 
 def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     """Return the inverses (..., 2, 2) of 2 x 2 NumPy matrices; not finite for a singular matrix."""
-    a, b, c, d = (matrix[..., row, column] for row in range(2) for column in range(2))
+    (a, b), (c, d) = np.moveaxis(matrix, (-2, -1), (0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         result: NDArray[Any] = np.stack((d, -b, -c, a), -1).reshape(matrix.shape) / (a * d - b * c)[..., None, None]
     return result

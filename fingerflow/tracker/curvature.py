@@ -46,6 +46,6 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
 
     slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.
-    squares = sum(np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2))
+    squares = sum([np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2)])
     result[:, valid] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
     return result

@@ -72,7 +72,7 @@ def advected(
     """
     valid = np.isfinite(positions + reference).all(1) & (onset >= 0)
     counts = valid & (onset > onset[valid].min(initial=np.iinfo(np.int32).max))
-    here = np.flatnonzero(counts)
+    here = counts.nonzero()[0]
     entered = np.zeros(len(onset), dtype=bool)
     entered[here] = _entered_by_motion(position, here, onset[here], reference[here], gauge_mm, border)
     return extend_to_neighbours(entered, positions, counts, NEAR * gauge_mm)
@@ -92,13 +92,13 @@ def _entered_by_motion(
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames].take(here, axis=1)
         # Each component separately, as NumPy is slow over an axis of two.
-        way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))
+        way_x, way_y = rows[..., 0] - reference[:, 0], rows[..., 1] - reference[:, 1]
         moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.select(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
         far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
         row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
-        decided = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
+        decided = (far.any(0) | (before.any(0) & np.isnan(way))).nonzero()[0]
         way[decided], inside[decided] = moved[row[decided], decided], depth[row[decided], decided]
     return (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
 
@@ -109,7 +109,7 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
 
     Only neighbours within `reach_mm` count.
     """
-    candidates = np.flatnonzero(among)
+    candidates = among.nonzero()[0]
     if len(candidates) <= _VOTERS or not entered.any():
         return entered
     away = np.sum((positions[candidates, None] - positions[None, candidates]) ** 2, axis=-1)
@@ -175,7 +175,7 @@ class EntryGradients:
         course = np.concatenate((self._before, now))
         self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
-            enter = np.flatnonzero(self._onset == frame)
+            enter = (self._onset == frame).nonzero()[0]
             steps = self._steps[enter]
             change = now[k, enter] - course[self.BEFORE + k - steps, enter]
             self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
@@ -237,7 +237,7 @@ class Entries:
         self._frames += 1
         if not begins.any() and not self.entered.any():
             return None
-        queries = np.flatnonzero((begins | self.entered) & np.isfinite(position).all(1))
+        queries = ((begins | self.entered) & np.isfinite(position).all(1)).nonzero()[0]
         valid = np.isfinite(self._seeded).all(1)
         if not len(queries) or not valid.any():
             return None
@@ -255,7 +255,7 @@ class Entries:
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
         onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)
-        rows = np.flatnonzero(onset >= 0)
+        rows = (onset >= 0).nonzero()[0]
         if len(rows):
             past = self._position[:, rows][order]
             motion = (onset[rows], self._reference[rows], self._gauge, self._border.select(order))

@@ -33,7 +33,7 @@ def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArra
     original = np.array([first.setdefault(keys[k], k) if usable[k] else k for k in range(frames)], np.intp)
     repeated = np.zeros(frames, dtype=bool)
     repeated[1:] = usable[1:] & (original[1:] == original[:-1])
-    separate = iter(np.flatnonzero((original < np.arange(frames)) & ~repeated).tolist())
+    separate = iter(((original < np.arange(frames)) & ~repeated).nonzero()[0].tolist())
     end = 0
     for frame in separate:
         if frame < end:

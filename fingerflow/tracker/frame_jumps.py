@@ -153,7 +153,7 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     # Frames that may begin a jump, judged by their distance from the frame right before them.
     likely = np.zeros(frames, dtype=bool)
     likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
-    good = iter(np.flatnonzero(usable & ~jumps).tolist())
+    good = iter((usable & ~jumps).nonzero()[0].tolist())
     last = next(good, frames)
     for frame in good:
         if frame <= last:
@@ -254,7 +254,7 @@ def _far_at_end(
     result = np.zeros(len(distances), dtype=bool)
     if len(distances) <= NEARBY:  # too few steps to estimate usual ones
         return result
-    last = np.flatnonzero(usable)[-LONGEST - 1 :].tolist()
+    last = usable.nonzero()[0][-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
         limit = Ordinary(ordinary.noise, np.fmax(ordinary.limit, _LEAST_AT_END))

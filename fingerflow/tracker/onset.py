@@ -44,7 +44,7 @@ class Touching(NamedTuple):
         which is exact.
         """
         rest = np.square(1 - self.share)  # squared weight of the frame before the touch
-        then, earlier = (np.where(variance > 0, variance, now) for variance in (self.variance, self.earlier))
+        then, earlier = [np.where(variance > 0, variance, now) for variance in (self.variance, self.earlier)]
         since = now + np.square(self.share) * then
         return (np.where(self.begins, rest * now, since) + rest * earlier) / 2
 
@@ -91,19 +91,19 @@ class Touches:
             border: of the apparent contact.
         """
         before = np.concatenate((self._before, position))
-        borders = Border(*(np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)))
+        borders = Border(*[np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)])
         variances = np.concatenate((self._variance_before, variance))
         self._before, self._border_before = before[-1:].copy(), borders.select(slice(-1, None))
         self._variance_before = variances[-1:].copy()
         steps, goes_on = len(frames), self.length > 0
         touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
         start_position = np.repeat(np.where(goes_on[:, None], self.position, np.nan)[None], steps, axis=0)
-        share, spread, earlier = (
+        share, spread, earlier = [
             np.repeat(np.where(goes_on, values, np.float32(np.nan))[None], steps, axis=0)
             for values in (self.share, self.variance, self.earlier)
-        )
+        ]
         # Skip the points with a lasting touch and those out of contact in all of these frames, which are most.
-        active = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
+        active = ((self.length < LASTING) & (goes_on | covered.any(0))).nonzero()[0]
         if not len(active):
             return Touching(start_position, share, spread, earlier, touching, begins)
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
@@ -115,7 +115,7 @@ class Touches:
         begin = (length == 1) & (np.concatenate((self.length[None, active], length[:-1])) == 0)
         touching[:, active], begins[:, active] = length > 0, begin
         at_border, passed = _border_crossings(before, borders, begins)
-        came = np.flatnonzero(begin.any(0) & (self.first[active] < 0))
+        came = (begin.any(0) & (self.first[active] < 0)).nonzero()[0]
         first, points = begin[:, came].argmax(0), active[came]
         self.first[points], self.first_position[points] = frames[first], at_border[first, points]
         began = np.maximum.accumulate(np.where(begin, number, 0), axis=0)
@@ -149,9 +149,8 @@ def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[A
         return position[1:], share
     frame, point = np.nonzero(begins)
     now, before = position[frame + 1, point], position[frame, point]
-    outside, inside = (
-        border.select(row).inside(points[:, None])[:, 0] for row, points in ((frame, before), (frame + 1, now))
-    )
+    outside = border.select(frame).inside(before[:, None])[:, 0]
+    inside = border.select(frame + 1).inside(now[:, None])[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.where(inside > outside, np.clip(outside / (outside - inside), 0, 1), 0.5)
     valid = np.isfinite(before).all(-1)

@@ -48,7 +48,7 @@ class PointMotion(NamedTuple):
         The speed is the median, by component, over the eight nearest points that were found; 0 if there are fewer.
         """
         motion = PointMotion.at_rest(points)
-        seen, new = np.flatnonzero(self.missing == 0), np.flatnonzero(motion.valid)
+        seen, new = (self.missing == 0).nonzero()[0], motion.valid.nonzero()[0]
         if len(seen) >= _AROUND:
             distance = np.square(points[new, None] - self.position[None, seen]).sum(-1)
             nearest = seen[np.argpartition(distance, _AROUND - 1, axis=1)[:, :_AROUND]]
@@ -73,7 +73,7 @@ class PointMotion(NamedTuple):
         """
         points = points.copy()
         valid = is_finite(points)
-        lost = np.flatnonzero(~valid)
+        lost = (~valid).nonzero()[0]
         missing = np.zeros_like(self.missing)
         if len(lost):
             missing[lost] = np.minimum(self.missing[lost] + frames, _NEVER)

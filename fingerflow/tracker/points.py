@@ -332,7 +332,7 @@ class Points:
         if not np.array_equal(guess, expected, equal_nan=True):
             # By now the frames in between are known, and a prediction from them is closer.
             guess = expected
-            rows = np.flatnonzero(lost)
+            rows = lost.nonzero()[0]
             tracked = replaced(tracked, rows, self._track_image(image, guess[rows], rows))
             lost &= lost_points(tracked.status[0])
         searched = None
@@ -361,7 +361,9 @@ class Points:
         if not extra:
             return corrected
         seeded = slice(len(self))
-        return Corrected(select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
+        return Corrected(
+            select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:])
+        )
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -413,7 +415,7 @@ class Points:
         much = shift > UPDATE_PX
         for pending in self._pending:
             much[pending.rows] = False
-        rows = np.flatnonzero(much)
+        rows = much.nonzero()[0]
         if len(rows):
             later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))

@@ -56,7 +56,7 @@ def recover(
     searched = np.zeros(len(searchable), dtype=bool)
     left = searchable & lost_points(points.status[0])
     for _ in range(ROUNDS):
-        rows = np.flatnonzero(left & lost_points(points.status[0]))
+        rows = (left & lost_points(points.status[0])).nonzero()[0]
         if not len(rows):
             break
         sample = rows
@@ -73,7 +73,7 @@ def recover(
             break
         positions = by_neighbours(points)
         away = np.abs(positions - guess).max(-1) > _NEARER  # False where the position is unknown
-        predicted = np.flatnonzero(searchable & lost_points(points.status[0]) & away)
+        predicted = (searchable & lost_points(points.status[0]) & away).nonzero()[0]
         if len(predicted):
             points = replaced(points, predicted, track(positions[predicted], predicted))
             searched[predicted] = True

@@ -79,17 +79,15 @@ class SlipFlag:
         if not len(self._touched):
             self._touched = np.full(points.shape, np.nan)
         # Use complex numbers, since NumPy takes several times as long over an axis of two.
-        position, touched = (
-            np.ascontiguousarray(points, np.float64).view(np.complex128)[:, 0],
-            self._touched.view(np.complex128)[:, 0],
-        )
+        position = np.ascontiguousarray(points, np.float64).view(np.complex128)[:, 0]
+        touched = self._touched.view(np.complex128)[:, 0]
         finite = np.isfinite(position)
         covered = covered.astype(bool, copy=False)
         begins = covered & finite & np.isnan(touched)
         if begins.any():
             touched[begins] = position[begins]
         touched[~covered] = np.nan
-        used = np.flatnonzero(finite & np.isfinite(touched) & np.isfinite(std))
+        used = (finite & np.isfinite(touched) & np.isfinite(std)).nonzero()[0]
         residual, ahead, spread, noise = math.nan, math.nan, math.nan, math.nan
         if len(used) >= _FEWEST:
             residual = rigid_residual_rms(touched[used], position[used])

@@ -100,7 +100,7 @@ class Verification:
         finite = np.sort(loss[np.isfinite(loss)])
         usual = _USUAL * finite[(len(finite) - 1) // 2] if len(finite) else 0.0
         limit = np.clip(usual, _ALIKE, _MOST) + _NOISE * noise_part
-        suspect = np.flatnonzero(loss > limit)
+        suspect = (loss > limit).nonzero()[0]
         if len(suspect):
             # Fit the deformation: skin deforms unevenly near the border, and a correct subset may then exceed the
             # limit.
@@ -131,7 +131,7 @@ class Verification:
         residuals = np.sort(alike.residual[np.isfinite(alike.residual)])
         if len(residuals):
             usual = max(float(residuals[(len(residuals) - 1) // 2]), math.sqrt(2) * noise)
-            suspect = np.flatnonzero(alike.largest > _PEAK * usual)
+            suspect = (alike.largest > _PEAK * usual).nonzero()[0]
             if len(suspect):
                 present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
                 fit = shifted_alike(self._first[suspect], sample, *present)

@@ -102,7 +102,7 @@ def deformed_alike(
             slopes.append((ahead - behind) / (2 * _BESIDE))
         by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
         unknown = np.concatenate((by_warp, -first[..., None], -constant), -1)
-        valid = np.flatnonzero(np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1))
+        valid = (np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1)).nonzero()[0]
         if not len(valid):
             break
         warp = warp.copy()
