@@ -158,11 +158,11 @@ class NativeEngine:
         return run("sample_windows", images=images, image_index=number, **grid)
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        places, moved, asked = (np.ascontiguousarray(one, np.float64) for one in (points[None], values, queries[None]))
+        arrays = [np.ascontiguousarray(array, np.float64) for array in (points[None], values, queries[None])]
         noise = None if variance is None else variance.astype(np.float64)[..., None]
         radius = gauge / 2
         found = local_gradients(
-            *(places, moved, asked, noise),
+            *(arrays[0], arrays[1], arrays[2], noise),
             radius=radius,
             least_spread=MINIMUM_SPREAD * radius,
             minimum_points=MINIMUM_POINTS,

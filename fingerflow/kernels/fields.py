@@ -31,12 +31,16 @@ def local_gradients(
     Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
     C) share a dtype, float32 or float64. B is that of the results, or 1.
     """
-    fitted = {"points": points, "values": values, "queries": queries, "noise": noise}
-    batches = [array.shape[0] for array in fitted.values() if array is not None]
+    batches = [
+        array.shape[0] for array in (points, values, queries, noise) if array is not None and array.shape[0] != 1
+    ]
     value, gradient, covariance, counts, offset = run(
         "local_gradients",
-        **fitted,
-        batch=next((batch for batch in batches if batch != 1), 1),
+        points=points,
+        values=values,
+        queries=queries,
+        noise=noise,
+        batch=batches[0] if batches else 1,
         minimum_points=minimum_points,
         radius=radius,
         least_spread=least_spread,

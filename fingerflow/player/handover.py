@@ -29,12 +29,13 @@ class Channel(Generic[T]):
         self._items = deque(items)
         self._size = size
         self._take = self._items.pop if newest_first else self._items.popleft
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()  # taken by itself: a condition takes its lock by two calls of Python
+        self._changed = threading.Condition(self._lock)
         self._closed = False
 
     def put(self, item: T) -> bool:
         """Append an item after waiting for free space; return False, without appending, if the channel is closed."""
-        with self._changed:
+        with self._lock:
             while len(self._items) >= self._size and not self._closed:
                 self._changed.wait()
             if not self._closed:
@@ -44,7 +45,7 @@ class Channel(Generic[T]):
 
     def put_newest(self, item: T) -> T | None:
         """Append an item without waiting; if the queue is full, remove and return the oldest item, else return None."""
-        with self._changed:
+        with self._lock:
             left = self._items.popleft() if len(self._items) >= self._size else None
             self._items.append(item)
             self._changed.notify_all()
@@ -52,7 +53,7 @@ class Channel(Generic[T]):
 
     def get(self, wait: bool = True) -> T | None:
         """Return the next item; None if the queue is empty and closed, or is empty and `wait` is False."""
-        with self._changed:
+        with self._lock:
             while wait and not self._items and not self._closed:
                 self._changed.wait()
             item = self._take() if self._items else None
@@ -65,7 +66,7 @@ class Channel(Generic[T]):
 
     def close(self) -> None:
         """Close the queue: no further items are accepted, and all waiting threads continue."""
-        with self._changed:
+        with self._lock:
             self._closed = True
             self._changed.notify_all()
 

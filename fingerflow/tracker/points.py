@@ -361,9 +361,7 @@ class Points:
         if not extra:
             return corrected
         seeded = slice(len(self))
-        return Corrected(
-            select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:])
-        )
+        return Corrected(select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
