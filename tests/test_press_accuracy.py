@@ -4,6 +4,7 @@ divergence.
 The press has 300 frames of two 512 x 640 views.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from fingerflow.cli.synthetic_recordings import simulate
 from fingerflow.graphs import FieldsGraph
 from fingerflow.ops import green_lagrange, triangle_gradients
 from fingerflow.synthetic import Press, Truth
+from fingerflow.synthetic.comparison_with_truth import compare
 
 pytestmark = pytest.mark.long  # tests/pipeline/stages/test_reference.py has a small press
+ROOT = Path(__file__).resolve().parents[1]
 FRAMES = range(36, 300, 12)  # contacts of 8 mm^2 and more
 
 
@@ -32,6 +35,48 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
     folder: Path = tmp_path_factory.mktemp("press") / "press"
     simulate("press", folder)
     return process(load_scene(folder / "scene.toml"))
+
+
+#: Rows of the table in docs/accuracy.md, with the quantities of the demo's table and how many numbers a cell states.
+STATED = {
+    "position of a point": ("position of a point, last frame",),
+    "real contact area": ("real contact area",),
+    "gross contact area": ("gross contact area",),
+    "axes of its ellipse": ("semi-major axis", "semi-minor axis"),
+    "median divergence": ("median divergence",),
+    "median curl": ("median curl",),
+    "median strain": ("median strain exx", "median strain eyy", "median strain exy"),
+}
+
+
+def numbers(text: str) -> list[float]:
+    """Return the magnitudes of the numbers in a text."""
+    return [abs(float(number)) for number in re.findall(r"[-+]?\d+(?:\.\d+)?", text.replace("10 mm²", ""))]
+
+
+def agree(stated: float, measured: float) -> bool:
+    """Return whether a rounded number is the measured one to 10 %, or to half a unit of its second decimal."""
+    return abs(stated - measured) <= max(0.1 * measured, 0.05)
+
+
+def test_pages_state_the_table_of_the_demo(result: xr.Dataset) -> None:
+    """README and docs/accuracy.md state the errors that `make demo` prints."""
+    rows = {row.quantity: numbers(row.error) for row in compare(result, Press())}
+    page = (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
+    for name, quantities in STATED.items():
+        cells = next(line for line in page.splitlines() if line.startswith(f"| {name} |")).split("|")[2:4]
+        for cell, place in zip(cells, (0, -1), strict=True):
+            measured = [rows[quantity][place] for quantity in quantities]
+            stated = numbers(cell.partition("(")[0].partition(" of ")[0])
+            wanted = measured if len(stated) == len(measured) else [max(measured)]
+            assert not stated or all(map(agree, stated, wanted)), (name, stated, measured)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    sentence = readme[readme.index("The press of `make demo`") : readme.index("300 frames are processed")]
+    press = [rows[f"{name} contact area"] for name in ("real", "gross")]
+    measured = [rows["position of a point, last frame"][0], *press[0], *press[1], *rows["median divergence"]]
+    stated = numbers(sentence.replace(" of 34", ""))
+    assert len(stated) == len(measured)
+    assert all(map(agree, stated, measured)), (stated, measured)
 
 
 def test_positions(result: xr.Dataset, truth: Truth) -> None:
