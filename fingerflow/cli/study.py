@@ -21,7 +21,7 @@ Scheduler = Annotated[
     ),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default one a core.")]
-Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
+Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as '03_*' for participant 03.")]
 
 
 @study.command()

@@ -55,7 +55,7 @@ def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = F
 
     Args:
         manifest: the study.
-        only: a pattern of names of trials such as "p03_*"; the others are left as they are.
+        only: a pattern of names of trials such as "03_*"; the others are left as they are.
         retry_failed: include failed trials of which nothing has changed.
 
     Raises FingerflowError if `only` matches no trial.
