@@ -61,22 +61,22 @@ def stress(
         ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
     """
     edges, pressure, traction = _check_load(edges, pressure, traction)
-    place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
-    if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
+    lateral, depth = torch.broadcast_tensors(*(torch.as_tensor(value, dtype=torch.float64) for value in (y, z)))
+    if not bool(((depth > 0) & (depth < torch.inf) & lateral.isfinite()).all()):
         raise ValueError(
-            f"y from {float(place.min())} and z from {float(depth.min())}: give finite places with z > 0; the surface "
-            "itself has sigma_z = -pressure and tau_yz = -traction"
+            f"y from {float(lateral.min())} and z from {float(depth.min())}: give finite places with z > 0; the "
+            "surface itself has sigma_z = -pressure and tau_yz = -traction"
         )
     at_once = max(1, _PAIRS_AT_ONCE // max(1, edges.numel()))
     parts = []
-    for along, down in zip(place.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
+    for along, down in zip(lateral.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
         first, second = along - edges[..., None, :-1], along - edges[..., None, 1:]
         of = _integrals(first, second, edges.diff(dim=-1)[..., None, :], down)
         pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
         over_strips = partial(torch.einsum, "...km,...m->...k")
         parts.append(torch.stack([over_strips(of_p, pressure) + over_strips(of_q, traction) for of_p, of_q in pairs]))
     whole = -torch.cat(parts, -1) / math.pi
-    return Stress(*whole.reshape(*whole.shape[:-1], *place.shape))
+    return Stress(*whole.reshape(*whole.shape[:-1], *lateral.shape))
 
 
 class _Kernels(NamedTuple):
@@ -135,7 +135,7 @@ def _odd_series(value: Tensor, sign: float) -> Tensor:
 
 
 def _check_load(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-    edges, pressure = (torch.as_tensor(given, dtype=torch.float64) for given in (edges, pressure))
+    edges, pressure = (torch.as_tensor(value, dtype=torch.float64) for value in (edges, pressure))
     traction = torch.zeros_like(pressure) if traction is None else torch.as_tensor(traction, dtype=torch.float64)
     for name, load in (("pressure", pressure), ("traction", traction)):
         strips = (edges.shape[-1] if edges.ndim else 1) - 1

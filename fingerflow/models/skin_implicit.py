@@ -156,13 +156,13 @@ def _try_step(
     c, share, start = C * step, step / duration, state.nodes
 
     def stage(
-        rubbed: Array, origin: Array, known: Array, guess: Array, at: Array
+        rubbed: Array, origin: Array, base: Array, guess: Array, at: Array
     ) -> tuple[Array, Array, Array, Arrow] | None:
-        found = _newton(chain, mu, rubbed, origin, known, guess, at, c, tolerance)
-        if found is None:
+        solution = _newton(chain, mu, rubbed, origin, base, guess, at, c, tolerance)
+        if solution is None:
             return None
-        nodes, rubbing, arrow = found
-        return nodes, rubbing, (nodes - known) / c, arrow
+        nodes, rubbing, arrow = solution
+        return nodes, rubbing, (nodes - base) / c, arrow
 
     first = stage(
         *(state.friction, start, start + c * state.velocity, start + GAMMA * step * state.velocity),
@@ -191,13 +191,13 @@ def _newton(
     mu: Array,
     rubbed: Array,
     origin: Array,
-    known: Array,
+    base: Array,
     guess: Array,
     load: Array,
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve an implicit step, damping (X - known) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
+    """Solve an implicit step, damping (X - base) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
     Newton's method from a guess; return X, the friction forces (N,) and the last matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
@@ -214,7 +214,7 @@ def _newton(
         forces = elastic_forces(chain, nodes)
         forces[:-1, 0] -= rubbing.force
         forces[-1] += load
-        side = chain.dampers * (known - nodes) + c * forces
+        side = chain.dampers * (base - nodes) + c * forces
         arrow = Arrow(chain, nodes, rubbing, c)
         moved = arrow.solve(side)
         nodes = nodes + moved

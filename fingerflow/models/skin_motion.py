@@ -21,7 +21,7 @@ _FIRST_STEP = 1e-6  # s, length of the first time step
 class Motion:
     """State of motion of many chains (...) of N elements, with elapsed time and number of steps; float64, SI units."""
 
-    place: Tensor  # (..., N, 2) m, positions of the elements
+    position: Tensor  # (..., N, 2) m, positions of the elements
     bone: Tensor  # (..., 2) m, displacement of the bone
     rubbed: Tensor  # (..., N) N, friction force, positive where it opposes motion along +x
     step: Tensor  # (...) s, length of the next step
@@ -30,10 +30,10 @@ class Motion:
 
     def single(self, index: int) -> State:
         """Return a copy of the state of one chain, selected by its flat index; the velocity is left out."""
-        count = self.place.shape[-2]
-        place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
+        count = self.position.shape[-2]
+        position, bone = self.position.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]
-        return State(torch.cat((place, bone)).numpy(), rubbed.numpy(), step=float(self.step.reshape(-1)[index]))
+        return State(torch.cat((position, bone)).numpy(), rubbed.numpy(), step=float(self.step.reshape(-1)[index]))
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def advance_chains(
         return stacked.reshape((*chains.shape, *stacked.shape[1:]))
 
     return Motion(
-        place=batched(state.nodes[:-1] for state in ends),
+        position=batched(state.nodes[:-1] for state in ends),
         bone=batched(state.nodes[-1] for state in ends),
         rubbed=batched(state.friction for state in ends),
         step=batched(state.step for state in ends),

@@ -63,8 +63,8 @@ def viscoelastic_strain(
     left, gained = torch.exp(-delays)[:, None], early * elastic[:-1] + late * elastic[1:]
     strain = torch.zeros_like(elastic[0])
     strains = [strain]
-    for kept, added in zip(left, gained, strict=True):
-        strain = kept * strain + added
+    for decay, added in zip(left, gained, strict=True):
+        strain = decay * strain + added
         strains.append(strain)
     return Strain(*torch.stack(strains, 1))
 
