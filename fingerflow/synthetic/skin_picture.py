@@ -109,18 +109,20 @@ class PictureTexture:
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
-def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a synthetic press or slide (`kind`) of the finger whose fingerprint is in an image, with the contact as
+def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
+    """Return a press or slide (`scene_class`) of the finger whose fingerprint is in an image, with the contact as
     close as possible to the centre of the print.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
     """
     texture = PictureTexture(Path(picture), dpi)
-    plain = kind()
+    plain = scene_class()
     # Skin under the edge of the contact: at the start and, if the finger travels, where skin enters at the front.
     ellipses = {frame: plain.truth.ellipse(frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)}
-    edges = [plain.truth.material(one.edge(64), frame) for frame, one in ellipses.items() if one is not None]
+    edges = [
+        plain.truth.material(ellipse.edge(64), frame) for frame, ellipse in ellipses.items() if ellipse is not None
+    ]
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
     half = np.array(texture.size) / 2
