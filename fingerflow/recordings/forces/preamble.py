@@ -35,11 +35,11 @@ def without_preamble(path: Path, text: str) -> Content:
     Raises FingerflowError for a LabVIEW file of several segments.
     """
     if _END_OF_HEADER in text:
-        return _of_labview(path, text)
+        return _read_labview(path, text)
     lines, cells, widths = [], [], []
     for line in islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT):
         if is_read(line.group()):
-            row = cells_of(line.group(), separator_of(line.group()))
+            row = split_cells(line.group(), find_separator(line.group()))
             lines.append(line)
             cells.append(row)
             widths.append(len(row) if is_numeric(row) else 0)
@@ -58,7 +58,7 @@ def without_preamble(path: Path, text: str) -> Content:
     return Content(text[lines[first - 1 - is_units].start() :])
 
 
-def _of_labview(path: Path, text: str) -> Content:
+def _read_labview(path: Path, text: str) -> Content:
     *headers, body = text.split(_END_OF_HEADER)
     if len(headers) > 2:
         raise FingerflowError(
@@ -91,14 +91,14 @@ def is_read(line: str) -> bool:
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
-def separator_of(line: str) -> str | None:
+def find_separator(line: str) -> str | None:
     """Return the separator between the cells of a line: comma, semicolon or tab, or None if blanks separate them."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)
 
 
-def cells_of(line: str, separator: str | None) -> list[str]:
+def split_cells(line: str, separator: str | None) -> list[str]:
     """Return the cells of a line, stripped of blanks and quotes; empty cells at the end of the line are dropped."""
     cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
     while cells and not cells[-1]:
