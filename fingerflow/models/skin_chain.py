@@ -175,7 +175,7 @@ def _undeformed_chains(
     tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values())]
     if any(value.requires_grad for value in tensors):
         raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
-    chains = Chains.of(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
+    chains = Chains.build(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()
 
 

@@ -41,19 +41,6 @@ class State:
     rejected: int = 0
 
 
-@dataclass(frozen=True)
-class Load:
-    """Load on the bone, the force along x and z in N, at the start and the end of a time interval, in which it changes
-    linearly.
-    """
-
-    first: Array  # (2,) N at the beginning
-    last: Array  # (2,) N at the end
-
-    def at(self, share: float) -> Array:
-        return self.first + share * (self.last - self.first)
-
-
 class Arrow:
     """Arrow-shaped matrix D + c K of an implicit step of a skin chain, with damping D and stiffness K (the negative
     derivative of forces), factored on construction.
@@ -105,14 +92,17 @@ def net_forces(chain: Chain, state: State, load: Array) -> Array:
     return forces
 
 
-def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
+def advance(
+    chain: Chain, state: State, mu: Array, load: Array, duration: float, tolerance: float, rest: float
+) -> float:
     """Advance the state of one chain in place by ``duration`` s, or until the absolute unbalanced forces sum to
     ``rest`` N; return the elapsed time (s).
 
-    ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
-    early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
+    ``mu`` (N,) is each element's friction coefficient. ``load`` (2, 2) is the force, N, along x and z on the bone at
+    the start and at the end of ``duration``; it changes linearly. ``tolerance`` (m) bounds the position error of one
+    step. It ends early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
     """
-    state.velocity = net_forces(chain, state, load.at(0.0)) / chain.dampers
+    state.velocity = net_forces(chain, state, _interpolate_load(load, 0.0)) / chain.dampers
     time = 0.0
     for _ in range(MOST_STEPS):
         left = duration - time
@@ -126,13 +116,17 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
             state.steps += 1
             if time >= duration * (1 - 1e-12):
                 return duration
-            if np.abs(net_forces(chain, state, load.at(time / duration))).sum() <= rest:
+            if np.abs(net_forces(chain, state, _interpolate_load(load, time / duration))).sum() <= rest:
                 return time
         else:
             state.rejected += 1
         if state.step < SHORTEST_S:
             break
     return time
+
+
+def _interpolate_load(load: Array, share: float) -> Array:
+    return load[0] + share * (load[1] - load[0])
 
 
 def _step_factor(error: float) -> float:
@@ -146,7 +140,7 @@ def _step_factor(error: float) -> float:
 
 
 def _try_step(
-    chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
+    chain: Chain, state: State, mu: Array, load: Array, begin: float, step: float, duration: float, tolerance: float
 ) -> float:
     """Try one time step of `step` s and keep the new state if its position error is within the tolerance, m; return the
     ratio of error to tolerance.
@@ -166,14 +160,14 @@ def _try_step(
 
     first = stage(
         *(state.friction, start, start + c * state.velocity, start + GAMMA * step * state.velocity),
-        load.at(begin + GAMMA * share),
+        _interpolate_load(load, begin + GAMMA * share),
     )
     if first is None:
         return np.inf
     middle, rubbing, velocity, _ = first
     second = stage(
         *(rubbing, middle, TO_LATER * middle - TO_EARLIER * start, middle + (1 - GAMMA) * step * velocity),
-        load.at(begin + share),
+        _interpolate_load(load, begin + share),
     )
     if second is None:
         return np.inf

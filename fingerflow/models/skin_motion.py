@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.models.skin_forces import Chain, half_circle
-from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, Load, State, advance, net_forces
+from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, State, advance, net_forces
 from fingerflow.models.skin_parameters import SkinParameters
 
 # Names of a chain's parameters, in the order of `Chains.numbers`.
@@ -48,7 +48,7 @@ class Chains:
     width: Tensor  # (...) m, width across the chain
 
     @staticmethod
-    def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
+    def build(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
         """Return a batch of chains of ``count`` elements each; the parameters of ``skin`` are broadcast to the batch
         shape ``shape``.
         """
@@ -112,7 +112,7 @@ def advance_chains(
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape).reshape(batch).tolist()
     ends, times = [], []
     for k in range(batch):
-        state, load = start.single(k), Load(*force[k])
+        state, load = start.single(k), force[k]
         time = advance(chains.single(k), state, mu[k], load, duration, tolerance, rests[k])
         if state.step < SHORTEST_S or state.steps + state.rejected >= MOST_STEPS:
             raise RuntimeError(
