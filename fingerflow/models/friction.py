@@ -14,30 +14,18 @@ V = F^2 / (2 sigma_0) is an energy that is never created, for every n >= 0: dV =
 of 1 - u. A falling limit reduces F and V without work; a rising limit changes neither.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 
-class Friction(NamedTuple):
-    """Friction forces (N,) on N elements, and derivatives of these forces with respect to x and z of the elements.
-
-    x is along the plate, z above it.
-    """
-
-    force: Array
-    along: Array
-    above: Array
-
-
 def dahl_friction(
     before: Array, old: Array, position: Array, steep: Array, stiffness: float = 500.0, exponent: float = 0.7
-) -> Friction:
+) -> tuple[Array, Array, Array]:
     """Compute the friction force of Dahl's model on N elements that move from positions `old` to `position` (N, 2), m,
-    over a plate at z = 0, from the force `before` this movement and the friction limit per depth, `steep`.
+    over a plate at z = 0, from the force `before` this movement and the friction limit per depth, `steep`; return the
+    forces (N,) and their derivatives with respect to x and z of the elements.
 
     The closed form is taken at the mean of the limits before and after, which makes the error of a changing limit third
     order. The result is clamped to the last limit, so the force never exceeds it.
@@ -55,12 +43,12 @@ def dahl_friction(
     slid = position[on, 0] - old[on, 0]
     force, along, above = np.zeros((3, len(position)))
     force[on], along[on], above[on] = _on_plate(before[on], slid, limit[on], last[on], steep[on], stiffness, exponent)
-    return Friction(force, along, above)
+    return force, along, above
 
 
 def _on_plate(
     before: Array, slid: Array, limit: Array, last: Array, steep: Array, stiffness: float, exponent: float
-) -> Friction:
+) -> tuple[Array, Array, Array]:
     """Compute the friction of `dahl_friction` for K elements on the plate that slid by `slid` (K,) m under the mean
     limit `limit` and the last limit `last`, (K,) N.
     """
@@ -87,8 +75,5 @@ def _on_plate(
     )
     over = np.abs(after) > last
     end_sign = np.where(after < 0, -1.0, 1.0)
-    return Friction(
-        force=np.clip(after, -last, last),
-        along=np.where(done | over, 0.0, along),
-        above=np.where(over, -end_sign * steep, -of_limit * steep / 2),
-    )
+    above = np.where(over, -end_sign * steep, -of_limit * steep / 2)
+    return np.clip(after, -last, last), np.where(done | over, 0.0, along), above

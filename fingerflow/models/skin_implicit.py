@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
-from fingerflow.models.friction import Friction, dahl_friction
+from fingerflow.models.friction import dahl_friction
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces, tissue_slopes
 
 GAMMA = 2 - np.sqrt(2.0)
@@ -50,7 +50,7 @@ class Arrow:
     unknown.
     """
 
-    def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float) -> None:
+    def __init__(self, chain: Chain, nodes: Array, along: Array, above: Array, c: float) -> None:
         count = len(chain.reference)
         xx, xz, zz = (c * slope for slope in tissue_slopes(chain, nodes))
         link = c * chain.membrane
@@ -58,9 +58,9 @@ class Arrow:
         links[[0, -1]] -= link
         band = np.zeros((7, 2 * count), order="F")  # as LAPACK has it: row 4 + i - j, column j
         band[2, 2:] = band[6, :-2] = -link
-        band[4, ::2] = xx + links + c * rubbing.along
+        band[4, ::2] = xx + links + c * along
         band[4, 1::2] = zz + links + c * np.where(nodes[:-1, 1] < 0, chain.contact, 0.0)
-        band[3, 1::2] = xz + c * rubbing.above
+        band[3, 1::2] = xz + c * above
         band[5, ::2] = xz
         self._factors = dgbtrf(band, 2, 2, overwrite_ab=1)[:2]
         # Columns of the bone; its rows are their transpose, since the springs' matrices are symmetric.
@@ -198,23 +198,23 @@ def _newton(
     iteration does not converge.
     """
 
-    def slid(nodes: Array) -> Friction:
+    def slid(nodes: Array) -> tuple[Array, Array, Array]:
         steep = mu * chain.contact
         return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
 
     nodes = guess
     for _ in range(MOST_ITERATIONS):
-        rubbing = slid(nodes)
+        rubbing, along, above = slid(nodes)
         forces = elastic_forces(chain, nodes)
-        forces[:-1, 0] -= rubbing.force
+        forces[:-1, 0] -= rubbing
         forces[-1] += load
         side = chain.dampers * (base - nodes) + c * forces
-        arrow = Arrow(chain, nodes, rubbing, c)
+        arrow = Arrow(chain, nodes, along, above, c)
         moved = arrow.solve(side)
         nodes = nodes + moved
         most = np.abs(moved).max()
         if not most < 1.0:  # m: the iteration diverges
             return None
         if most <= NEWTON * tolerance:
-            return nodes, slid(nodes).force, arrow
+            return nodes, slid(nodes)[0], arrow
     return None
