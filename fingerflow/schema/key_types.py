@@ -25,8 +25,9 @@ class WrongValue(Exception):
     """Error for an invalid value of a key; the message continues the text "KEY is VALUE: "."""
 
 
+@dataclass(frozen=True)
 class KeyType:
-    """Type of a key."""
+    """Type of a key; types of one class with the same limits are equal."""
 
     @property
     def words(self) -> str:
@@ -92,7 +93,6 @@ class NumberType(KeyType):
         }
 
 
-@dataclass(frozen=True)
 class Switch(KeyType):
     """Type of a key that takes true or false."""
 
@@ -107,7 +107,6 @@ class Switch(KeyType):
         return {"input": "switch"}
 
 
-@dataclass(frozen=True)
 class Text(KeyType):
     """Type of a key that takes any text."""
 
@@ -219,7 +218,6 @@ class Each(KeyType):
         return {"input": "signs"} if self.among else super().form()
 
 
-@dataclass(frozen=True)
 class TimeRange(KeyType):
     """Type of a key that takes an interval [t0, t1] in s from the trigger, with t0 before t1."""
 
@@ -295,7 +293,6 @@ class File(KeyType):
         return {"input": "file"}
 
 
-@dataclass(frozen=True)
 class PixelRange(KeyType):
     """Type of a key that takes a half-open range [first, end) of pixels."""
 
@@ -332,7 +329,6 @@ class Pair(KeyType):
         return x, y
 
 
-@dataclass(frozen=True)
 class CornersType(KeyType):
     """Type of a key that takes a polygon [[x, y], ...] with three or more corners, in px of a view."""
 
@@ -351,7 +347,6 @@ class CornersType(KeyType):
         return corners
 
 
-@dataclass(frozen=True)
 class TransformType(KeyType):
     """Type of a key that takes an invertible affine transform [[a, b, x], [c, d, y]]."""
 
