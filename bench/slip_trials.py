@@ -46,9 +46,9 @@ class LawSlipMotion(LinearSlipMotion):
     def stuck_radius(self, progress: Tensor) -> Tensor:
         return super().stuck_radius(progress) if self.linear else PartialSlipMotion.stuck_radius(self, progress)
 
-    def _slip_at(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
+    def _slip(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
         if self.law == "rounded":
-            return super()._slip_at(radius, stuck, jumped)
+            return super()._slip(radius, stuck, jumped)
         beyond = (radius.clamp(max=1) - stuck).clamp(min=0)
         if self.law == "x ln 1/x":
             return _STEEP * self.creep * beyond * (1 - torch.log(beyond + _SHORTEST))

@@ -42,7 +42,7 @@ def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arra
 
     The measured one is NaN where the contact is under 5 mm².
     """
-    chain = 1e3 * press.chain_at(since_onset(press.chain).mean_within(INNER))
+    chain = 1e3 * press.interpolate_chain(since_onset(press.chain).mean_within(INNER))
     large = np.nan_to_num(result["gross_contact_area"].values) > 5
     return np.where(large, _measured_inner(result), np.nan), chain
 
@@ -53,8 +53,10 @@ def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arr
     The measured one is NaN where the contact is under 3 mm².
     """
     seen = since_onset(press.chain)
-    large = press.chain_at(seen.contact_area) > 3e-6
-    return np.where(large, 1e3 * result["median_divergence"].values, np.nan), 1e3 * press.chain_at(seen.area_median)
+    large = press.interpolate_chain(seen.contact_area) > 3e-6
+    return np.where(large, 1e3 * result["median_divergence"].values, np.nan), 1e3 * press.interpolate_chain(
+        seen.area_median
+    )
 
 
 def _row(press: ChainPress) -> Row:

@@ -62,15 +62,15 @@ def _find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii:
         )
     smallest = max(radii[0] * min(image.shape), RING_RADII_PX[0])
     largest = radii[1] * min(image.shape)
-    found: list[Disc] = []
+    discs: list[Disc] = []
     for center, radius in _candidates(image, smallest, largest):
         disc = fit_disc(image, center, radius)
         if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_in_background(empty, disc):
-            found.append(disc)
-    found.sort(key=lambda disc: -disc.significance)
+            discs.append(disc)
+    discs.sort(key=lambda disc: -disc.significance)
     separate: list[Disc] = []
-    for disc in found:
-        if all(_distance(disc, other) > max(disc.radius_px, other.radius_px) for other in separate):
+    for disc in discs:
+        if all(_distance(disc, kept_disc) > max(disc.radius_px, kept_disc.radius_px) for kept_disc in separate):
             separate.append(disc)
     return separate
 
@@ -106,8 +106,8 @@ def _is_in_background(background: Array | None, disc: Disc) -> bool:
     )
 
 
-def _distance(disc: Disc, other: Disc) -> float:
-    return float(np.hypot(disc.center[0] - other.center[0], disc.center[1] - other.center[1]))
+def _distance(first: Disc, second: Disc) -> float:
+    return float(np.hypot(first.center[0] - second.center[0], first.center[1] - second.center[1]))
 
 
 def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tuple[float, float], float]]:

@@ -76,7 +76,7 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
         near = np.hypot(*(middle - center)) < 0.6 * radius_px and 0.5 < radius / radius_px < 2
         if not near or (middle < 0).any() or (middle > np.array(image.shape[::-1]) - 1).any():
             return None
-    kept = weights > 0
+    inliers = weights > 0
     distances, jacobian = _distances(points, middle, inverse)
     curvatures, directions = np.linalg.eigh(inverse)
     contrast, strength = unwrapped.step()
@@ -84,9 +84,9 @@ def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Dis
         center=(float(middle[0]), float(middle[1])),
         semi_axes_px=(float(1 / curvatures[0]), float(1 / curvatures[1])),
         angle=float(np.arctan2(directions[1, 0], directions[0, 0]) % np.pi),
-        center_sigma_px=_center_sigma(distances[kept], jacobian[kept], angles[kept]),
-        edge_rms_px=float(np.sqrt(np.mean(distances[kept] ** 2))),
-        coverage=float(kept.sum() / len(unwrapped.angles)),
+        center_sigma_px=_center_sigma(distances[inliers], jacobian[inliers], angles[inliers]),
+        edge_rms_px=float(np.sqrt(np.mean(distances[inliers] ** 2))),
+        coverage=float(inliers.sum() / len(unwrapped.angles)),
         contrast=contrast,
         significance=float(strength * np.sqrt(radius)),
     )

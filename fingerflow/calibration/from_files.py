@@ -39,11 +39,11 @@ def calibrate_files(
     Raises:
         FingerflowError: as `calibrate`; a file cannot be read or written, would replace an input, or is not ours.
     """
-    output, given = Path(output), dict(views or {})
-    if target is None and "topography" in given:
+    output, chosen = Path(output), dict(views or {})
+    if target is None and "topography" in chosen:
         raise FingerflowError("a topography view needs a target: without one the calibration is a scale alone")
-    inputs = [None if one is None else Path(one) for one in (ring, target, background)]
-    ring_frame, target_frame, empty_frame = (None if one is None else _first_frame(one) for one in inputs)
+    inputs = [None if file is None else Path(file) for file in (ring, target, background)]
+    ring_frame, target_frame, empty_frame = (None if file is None else _first_frame(file) for file in inputs)
     assert ring_frame is not None
     rows, columns = ring_frame.shape
     half = 0 if target is None else columns // 2
@@ -51,9 +51,9 @@ def calibrate_files(
     if target is not None:
         halves["topography"] = View((0, rows), (0, half))
     try:
-        found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+        calibration = calibrate(target_frame, ring_frame, {**halves, **chosen}, hole_radius_mm, empty_frame)
     except FingerflowError as error:
-        raise FingerflowError(f"{', '.join(str(one) for one in inputs if one)}: {error}") from None
+        raise FingerflowError(f"{', '.join(str(file) for file in inputs if file)}: {error}") from None
     picture = output.with_suffix(".png")
     for path in (output, picture):
         spare(path, *inputs)
@@ -62,12 +62,12 @@ def calibrate_files(
     keep_others(picture, lambda _: output.exists() and is_calibration(output), overwrite)
 
     def write_both(part: Path) -> None:
-        part.write_text(found.to_toml(), encoding="utf-8")
-        write_atomically(picture, lambda part: draw_overlay(part, found, target_frame, ring_frame))
+        part.write_text(calibration.to_toml(), encoding="utf-8")
+        write_atomically(picture, lambda part: draw_overlay(part, calibration, target_frame, ring_frame))
 
     # Write both files or neither: once the image is written, only the calibration file remains to be renamed.
     write_atomically(output, write_both)
-    return found
+    return calibration
 
 
 def _first_frame(path: Path) -> Array:

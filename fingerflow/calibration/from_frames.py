@@ -45,8 +45,8 @@ def calibrate(
             f"the view {missing[0]!r} is missing; views given: {', '.join(map(repr, views)) or 'none'}. A registration "
             f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
         )
-    given = {"ring": ring, "target": target, "background": background}
-    frames = {name: _grey(frame) for name, frame in given.items() if frame is not None}
+    inputs = {"ring": ring, "target": target, "background": background}
+    frames = {name: _grey(frame) for name, frame in inputs.items() if frame is not None}
     for name, frame in frames.items():
         if frame.shape != frames["ring"].shape:
             raise FingerflowError(
@@ -96,27 +96,27 @@ def _size(frame: Array) -> str:
 
 
 def _listed(discs: list[Disc]) -> str:
-    places = "; ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f}) radius {disc.radius_px:.0f}" for disc in discs)
-    return f"{len(discs)} at (x, y) px {places}" if discs else "none"
+    positions = "; ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f}) radius {disc.radius_px:.0f}" for disc in discs)
+    return f"{len(discs)} at (x, y) px {positions}" if discs else "none"
 
 
 def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Transform | None) -> tuple[str, ...]:
-    found = []
+    warnings = []
     if hole.axis_ratio < LEAST_HOLE_AXIS_RATIO:
-        found.append(
+        warnings.append(
             f"the hole of the ring is an ellipse, axes {hole.axis_ratio:.3f} to 1: the scale differs by direction; is "
             f"the ring flat on the glass?"
         )
     if similarity is not None and similarity.rms_px > MOST_SIMILARITY_RMS_PX:
-        found.append(
+        warnings.append(
             f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; one of them "
             f"is oblique or distorted"
         )
     for name, side in (("topography", 0), ("contact", 1)):
         for disc in (pair[side] for pair in pairs):
             if disc.center_sigma_px > MOST_CENTER_SIGMA_PX:
-                found.append(
+                warnings.append(
                     f"the centre of the disc at ({disc.center[0]:.0f}, {disc.center[1]:.0f}) px of the {name} view is "
                     f"uncertain by {disc.center_sigma_px:.2f} px: its edge is ragged or blurred"
                 )
-    return tuple(found)
+    return tuple(warnings)

@@ -121,7 +121,7 @@ def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]
     tall = double_area >= LEAST_HEIGHT * longest
     if not tall.any():
         raise FingerflowError(
-            f"the discs at {_places(discs)} px are collinear: no triangle of them is higher than {LEAST_HEIGHT} of its "
+            f"discs at {_centres(discs)} px are collinear: no triangle of them is higher than {LEAST_HEIGHT} of its "
             f"longest side. Use a target with three discs that are not on a line"
         )
     result: NDArray[np.int64] = indices[tall]
@@ -151,7 +151,7 @@ def _best_pair(
 
     proper_score, mirrored_score = score(proper), score(mirrored)
     first, second = np.unravel_index(np.argmax(proper_score), proper_score.shape)
-    places = f"one view has discs at {_places(from_discs)}, the other at {_places(to_discs)} px"
+    discs = f"one view has discs at {_centres(from_discs)}, the other at {_centres(to_discs)} px"
     mirror = np.unravel_index(np.argmax(mirrored_score), mirrored_score.shape)
     if (
         mirrored_score[mirror] > proper_score[first, second]
@@ -160,21 +160,21 @@ def _best_pair(
         pairs = zip(from_triples[mirror[0]], to_triples[mirror[1]], strict=True)
         from_points, to_points = zip(*((from_discs[a].center, to_discs[b].center) for a, b in pairs), strict=True)
         raise FingerflowError(
-            f"the target is mirrored from one view to the other ({places}). Where one view is seen in a mirror, write "
+            f"the target is mirrored from one view to the other ({discs}). Where one view is seen in a mirror, write "
             f"the transform into [calibration] of the scene yourself, topography_to_contact = "
             f"{fit_affine(from_points, to_points).matrix.tolist()}; where none is, check that both views show the same "
             f"side of the target"
         )
     if proper_score[first, second] == 0:
         raise FingerflowError(
-            f"no three discs form the same triangle in both views ({places}). Check the pixel ranges of the views, and "
+            f"no three discs form the same triangle in both views ({discs}). Check the pixel ranges of the views, and "
             f"that the frame shows the registration target"
         )
     same_discs = (np.sort(to_triples, axis=1) == np.sort(to_triples[second])).all(axis=1)
     rivals = np.delete(proper_score[first] * same_discs, second)
     if rivals.size and rivals.max() > AMBIGUOUS * proper_score[first, second]:
         raise FingerflowError(
-            f"the discs can be paired in more than one way ({places}): the triangle looks the same when it is turned. "
+            f"the discs can be paired in more than one way ({discs}): the triangle looks the same when it is turned. "
             f"Use a target with sides or discs of different sizes"
         )
     return from_triples[first], to_triples[second]
@@ -185,8 +185,8 @@ def _log_radii_and_weights(discs: list[Disc]) -> tuple[Array, Array]:
 
 
 def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[Disc, Disc]]:
-    places = np.array([second.center for _, second in pairs])
-    offsets = places - places.mean(axis=0)
+    positions = np.array([second.center for _, second in pairs])
+    offsets = positions - positions.mean(axis=0)
     largest = int(np.argmax([first.radius_px * second.radius_px for first, second in pairs]))
     # With the y axis pointing down, the angle from x towards y grows clockwise.
     angles = np.arctan2(offsets[:, 1], offsets[:, 0])
@@ -194,5 +194,5 @@ def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[
     return [pairs[index] for index in order]
 
 
-def _places(discs: list[Disc]) -> str:
+def _centres(discs: list[Disc]) -> str:
     return ", ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f})" for disc in discs)

@@ -11,7 +11,7 @@ from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, NumberType, Several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
-from fingerflow.schema.scene import line_of
+from fingerflow.schema.scene import line_number
 from fingerflow.schema.scene_check import TableCheck
 from fingerflow.schema.scene_tables import ContactCells, GaugeSettings, PointSettings
 
@@ -60,11 +60,11 @@ class _Check(TableCheck):
 
     def check_rules(self) -> None:
         """Check that views have room for the points, and that a graph that searches has a reach."""
-        height, width, points = map(self.value_at, ("views.height", "views.width", "tracking.points"))
+        height, width, points = map(self.find_value, ("views.height", "views.width", "tracking.points"))
         if height and width and points and points > height * width // 16:
             size = f"views of {height} x {width} px hold no more than {height * width // 16}"
             self.record_conflict("tracking.points", size)
-        if self.value_at("tracking.search_px") == 0:
+        if self.find_value("tracking.search_px") == 0:
             self.record_conflict("tracking.search_px", "the graph search of a bundle needs a reach; give at least 1")
 
 
@@ -91,8 +91,8 @@ def parse_recipe(written: Mapping[str, Any], path: Path = Path("recipe"), text: 
     """Return the recipe with the given tables and keys, parsed from the file `path` with this text; raise errors as
     :func:`load_recipe`.
     """
-    check, tables = _Check(written, path.parent, "process"), SceneTable(keys=keys_of(Recipe), made=Recipe)
+    check, tables = _Check(written, path.parent, "process"), SceneTable(keys=keys_of(Recipe), settings=Recipe)
     check.values = check.table((), tables, written)
     check.check_rules()
-    check.raise_problems(lambda keys: f"{path}, line {line_of(text, keys)}")
+    check.raise_problems(lambda keys: f"{path}, line {line_number(text, keys)}")
     return tables.build(check.values)

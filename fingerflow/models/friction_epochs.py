@@ -73,7 +73,7 @@ def friction_epochs(
             that frequency, fewer than 8 samples per half period, or normal forces that are nowhere positive.
     """
     signals = {"normal": normal, "tangential": tangential, "position": position, "amplitude": amplitude}
-    at, ratio, place, height = _check_trace(time, signals, edges)
+    at, ratio, along, height = _check_trace(time, signals, edges)
     step = float(at[-1] - at[0]) / (len(at) - 1)
     half = 0.5 / modulation_hz
     if half < _LEAST_SAMPLES * step:
@@ -82,7 +82,7 @@ def friction_epochs(
             f"{2 * _LEAST_SAMPLES * modulation_hz:g} Hz or more"
         )
     width = max(1, min(round(half / step / _PARTS / 2), (len(at) - 1) // 2))
-    sliding = savgol_filter(place, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
+    sliding = savgol_filter(along, 2 * width + 1, polyorder=1, deriv=1, delta=step) < -least_speed
     first, last = [], []
     rises, speed = _fit_modulation(at, height, modulation_hz)
     for begin in rises:
@@ -91,7 +91,7 @@ def friction_epochs(
             first.append(start)
             last.append(stop)
     bins = np.searchsorted(edges.numpy(), height, side="right") - 1
-    kept = [
+    chosen = [
         [
             start + np.flatnonzero((bins[start:stop] == k) & np.isfinite(ratio[start:stop]))
             for k in range(len(edges) - 1)
@@ -99,9 +99,9 @@ def friction_epochs(
         for start, stop in zip(first, last, strict=True)
     ]
     shape = (len(first), len(edges) - 1)
-    quartiles = [[_median_and_iqr(ratio[some], speed[some]) for some in row] for row in kept]
+    quartiles = [[_median_and_iqr(ratio[samples], speed[samples]) for samples in row] for row in chosen]
     of = torch.tensor(quartiles, dtype=torch.float64).reshape(*shape, 2)
-    count = torch.tensor([[len(some) for some in row] for row in kept], dtype=torch.int64).reshape(shape)
+    count = torch.tensor([[len(samples) for samples in row] for row in chosen], dtype=torch.int64).reshape(shape)
     begins, ends = (torch.tensor(list(map(int, indices)), dtype=torch.int64) for indices in (first, last))
     return FrictionEpochs(begins, ends, edges, of[..., 0], of[..., 1], count)
 
@@ -154,13 +154,13 @@ def _check_trace(
     for name, signal in signals.items():
         if signal.shape != time.shape:
             raise ValueError(f"{name} is {tuple(signal.shape)} beside {len(time)} times: give one sample a time")
-    at, normal, tangential, place, height = (
+    at, normal, tangential, along, height = (
         np.asarray(signal.detach().cpu(), dtype=np.float64) for signal in (time, *signals.values())
     )
     steps = np.diff(at)
     if not steps.min() > 0 or steps.max() - steps.min() > 0.01 * steps.mean():
         raise ValueError(f"steps of time go from {steps.min():g} to {steps.max():g} s: resample to even ones")
-    for name, values in (("position", place), ("amplitude", height)):
+    for name, values in (("position", along), ("amplitude", height)):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} is not known at {(~np.isfinite(values)).sum()} samples: fill or cut them")
     if edges.ndim != 1 or len(edges) < 2 or not bool((edges.diff() > 0).all()):
@@ -168,4 +168,4 @@ def _check_trace(
     usable = normal > 0
     if not usable.any():
         raise ValueError(f"the normal force is at most {np.nanmax(normal):g} N: pressing must be positive")
-    return at, np.where(usable, np.abs(tangential) / np.where(usable, normal, 1.0), np.nan), place, height
+    return at, np.where(usable, np.abs(tangential) / np.where(usable, normal, 1.0), np.nan), along, height

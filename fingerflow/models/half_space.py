@@ -61,38 +61,28 @@ def stress(
         ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
     """
     edges, pressure, traction = _check_load(edges, pressure, traction)
-    place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
-    if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
+    lateral, depth = torch.broadcast_tensors(*(torch.as_tensor(value, dtype=torch.float64) for value in (y, z)))
+    if not bool(((depth > 0) & (depth < torch.inf) & lateral.isfinite()).all()):
         raise ValueError(
-            f"y from {float(place.min())} and z from {float(depth.min())}: give finite places with z > 0; the surface "
-            "itself has sigma_z = -pressure and tau_yz = -traction"
+            f"y from {float(lateral.min())} and z from {float(depth.min())}: give finite places with z > 0; the "
+            "surface itself has sigma_z = -pressure and tau_yz = -traction"
         )
     at_once = max(1, _PAIRS_AT_ONCE // max(1, edges.numel()))
     parts = []
-    for along, down in zip(place.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
+    for along, down in zip(lateral.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
         first, second = along - edges[..., None, :-1], along - edges[..., None, 1:]
-        of = _integrals(first, second, edges.diff(dim=-1)[..., None, :], down)
-        pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
+        z_rr, zzz, zz_r, rrr = _integrals(first, second, edges.diff(dim=-1)[..., None, :], down)
+        pairs = ((z_rr, rrr), (zzz, zz_r), (zz_r, z_rr))
         over_strips = partial(torch.einsum, "...km,...m->...k")
         parts.append(torch.stack([over_strips(of_p, pressure) + over_strips(of_q, traction) for of_p, of_q in pairs]))
     whole = -torch.cat(parts, -1) / math.pi
-    return Stress(*whole.reshape(*whole.shape[:-1], *place.shape))
+    return Stress(*whole.reshape(*whole.shape[:-1], *lateral.shape))
 
 
-class _Kernels(NamedTuple):
-    """Integrals (..., points, M), over each of M load strips, of four stress kernels in R, the distance between point
-    and load, and its components r along the surface and z in depth.
-    """
-
-    z_rr: Tensor  # integral of 2 z r^2 / R^4
-    zzz: Tensor  # integral of 2 z^3 / R^4
-    zz_r: Tensor  # integral of 2 z^2 r / R^4
-    rrr: Tensor  # integral of 2 r^3 / R^4
-
-
-def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
-    """Integrate the four stress kernels of `_Kernels` over load strips of a given width, from each point's signed
-    distances along the surface to the first and second edge of a strip and its depth z.
+def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Integrate four stress kernels over load strips of a given width, from each point's signed distances along the
+    surface to the first and second edge of a strip and its depth z; return the integrals (..., points, M) of 2 z r^2,
+    2 z^3, 2 z^2 r and 2 r^3, over R^4 each.
     """
     first_squared, second_squared = first * first + z * z, second * second + z * z
     both = (first_squared * second_squared).sqrt()
@@ -119,7 +109,7 @@ def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kern
     # sinh h - h is the same series as theta - sin theta with all signs positive.
     careful = 2 * sinh * (half * half + sine_half) - 2 * _odd_series(torch.where(near_one, h, 0.0), 1.0)
     rrr = torch.where(near_one, careful, 2 * h - zz_r)
-    return _Kernels(excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr)
+    return excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr
 
 
 def _odd_series(value: Tensor, sign: float) -> Tensor:
@@ -135,7 +125,7 @@ def _odd_series(value: Tensor, sign: float) -> Tensor:
 
 
 def _check_load(edges: Tensor, pressure: Tensor, traction: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-    edges, pressure = (torch.as_tensor(given, dtype=torch.float64) for given in (edges, pressure))
+    edges, pressure = (torch.as_tensor(value, dtype=torch.float64) for value in (edges, pressure))
     traction = torch.zeros_like(pressure) if traction is None else torch.as_tensor(traction, dtype=torch.float64)
     for name, load in (("pressure", pressure), ("traction", traction)):
         strips = (edges.shape[-1] if edges.ndim else 1) - 1

@@ -82,10 +82,10 @@ class PressedChain:
         Edges (..., M + 1) are in m, pressure and traction (..., M) in Pa. Raises ValueError if nothing touches.
         """
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
-        found = touched.nonzero().flatten()
-        if not len(found):
+        indices = touched.nonzero().flatten()
+        if not len(indices):
             raise ValueError("no element touches the plate: there is no load to look under")
-        first, last = max(1, int(found[0])), min(len(touched) - 2, int(found[-1]))
+        first, last = max(1, int(indices[0])), min(len(touched) - 2, int(indices[-1]))
         x = self.position[..., first - 1 : last + 2, 0]
         inside = slice(first, last + 1)
         return (x[..., 1:] + x[..., :-1]) / 2, self.pressure[..., inside], self.traction[..., inside]
@@ -151,14 +151,16 @@ def follow(
     down, along = _trace("load_n", load_n, len(time)), _trace("tangential_n", tangential_n, len(time))
     chains, state = _undeformed_chains(friction, parameters, elements, down[0], along[0])
     before, coefficient = _load(chains.shape, down[0], along[0]), _coefficient(friction, chains)
-    found = [_pressed_chain(chains, state, coefficient, before)]
+    states = [_pressed_chain(chains, state, coefficient, before)]
     for k, step in enumerate(steps.tolist(), 1):
         after = _load(chains.shape, down[k], along[k])
         loads = torch.stack((before, after), -2)
         state = advance_chains(chains, state, coefficient, loads, step, tolerance_m, 0.0)
         before = after
-        found.append(_pressed_chain(chains, state, coefficient, after))
-    return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
+        states.append(_pressed_chain(chains, state, coefficient, after))
+    return PressedChain(
+        *(torch.stack([getattr(pressed, field.name) for pressed in states]) for field in fields(PressedChain))
+    )
 
 
 def _undeformed_chains(
@@ -173,7 +175,7 @@ def _undeformed_chains(
     tensors = [torch.as_tensor(value) for value in (*loads, friction, *vars(of).values())]
     if any(value.requires_grad for value in tensors):
         raise ValueError("a press has no gradient: detach its friction, parameters and loads, and difference presses")
-    chains = Chains.of(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
+    chains = Chains.build(of, elements, torch.broadcast_shapes(*(value.shape for value in tensors)))
     return chains, chains.undeformed()
 
 
@@ -200,9 +202,9 @@ def _trace(name: str, value: Number, count: int) -> Tensor:
 def _coefficient(friction: Number, chains: Chains) -> Tensor:
     """Check a friction coefficient, and return it for each element of all chains (..., N)."""
     coefficient = torch.as_tensor(friction, dtype=torch.float64)
-    known = (coefficient >= 0) & (coefficient < math.inf)
-    if not bool(known.all()):
-        raise ValueError(f"friction {float(coefficient[~known].flatten()[0])}: a coefficient is 0 or more")
+    valid = (coefficient >= 0) & (coefficient < math.inf)
+    if not bool(valid.all()):
+        raise ValueError(f"friction {float(coefficient[~valid].flatten()[0])}: a coefficient is 0 or more")
     return coefficient[..., None].expand(*chains.shape, chains.reference.shape[-2])
 
 
@@ -210,9 +212,9 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
     """Return the complete state of chains (forces, pressure, strain, divergence, contact, balance) for a state of
     motion `at`, friction coefficients (..., N), and a load (..., 2) on the bone, N.
     """
-    x, z = at.place.unbind(-1)
+    x, z = at.position.unbind(-1)
     reference = chains.reference
-    displacement = at.place - reference
+    displacement = at.position - reference
     force = chains.contact[..., None] * (-z).clamp_min(0)
     touching = force > CONTACT_N
     length = _between_neighbours(x)
@@ -220,13 +222,13 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
     slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
     # Hoop strain u / x: the odd part of u about the axis, divided by the distance from it; on the axis it is the slope.
     across = reference[..., 0] - reference[..., 0].flip(-1)
-    apart = displacement[..., 0] - displacement[..., 0].flip(-1)
+    opposite = displacement[..., 0] - displacement[..., 0].flip(-1)
     middle = across == 0
-    hoop = torch.where(middle, slope, apart / torch.where(middle, 1.0, across))
+    hoop = torch.where(middle, slope, opposite / torch.where(middle, 1.0, across))
     on_plate = _share_on_plate(force, touching) * x.diff(dim=-1)
     weight = (torch.nn.functional.pad(on_plate, (1, 0)) + torch.nn.functional.pad(on_plate, (0, 1))) / 2
     return PressedChain(
-        position=at.place,
+        position=at.position,
         displacement=displacement,
         normal_force=force,
         friction_force=-at.rubbed,
@@ -252,7 +254,7 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
     length has no jumps.
     """
     padded = torch.nn.functional.pad(force, (1, 1))
-    before, own, after = padded[..., :-3], force[..., :-1], force[..., 1:]
+    before, here, after = padded[..., :-3], force[..., :-1], force[..., 1:]
     behind = padded[..., 3:]
 
     def beyond(last: Tensor, inside: Tensor) -> Tensor:
@@ -260,8 +262,8 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
         return torch.where(falls, last / torch.where(falls, inside - last, 1.0), 0.5).clamp(max=1)
 
     left, right = touching[..., :-1], touching[..., 1:]
-    one = torch.where(left, beyond(own, before), beyond(after, behind))
-    return torch.where(left & right, 1.0, torch.where(left | right, one, 0.0))
+    partial = torch.where(left, beyond(here, before), beyond(after, behind))
+    return torch.where(left & right, 1.0, torch.where(left | right, partial, 0.0))
 
 
 def _between_neighbours(values: Tensor) -> Tensor:

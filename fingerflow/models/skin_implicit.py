@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
-from fingerflow.models.friction import Friction, dahl_friction
+from fingerflow.models.friction import dahl_friction
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces, tissue_slopes
 
 GAMMA = 2 - np.sqrt(2.0)
@@ -41,19 +41,6 @@ class State:
     rejected: int = 0
 
 
-@dataclass(frozen=True)
-class Load:
-    """Load on the bone, the force along x and z in N, at the start and the end of a time interval, in which it changes
-    linearly.
-    """
-
-    first: Array  # (2,) N at the beginning
-    last: Array  # (2,) N at the end
-
-    def at(self, share: float) -> Array:
-        return self.first + share * (self.last - self.first)
-
-
 class Arrow:
     """Arrow-shaped matrix D + c K of an implicit step of a skin chain, with damping D and stiffness K (the negative
     derivative of forces), factored on construction.
@@ -63,7 +50,7 @@ class Arrow:
     unknown.
     """
 
-    def __init__(self, chain: Chain, nodes: Array, rubbing: Friction, c: float) -> None:
+    def __init__(self, chain: Chain, nodes: Array, along: Array, above: Array, c: float) -> None:
         count = len(chain.reference)
         xx, xz, zz = (c * slope for slope in tissue_slopes(chain, nodes))
         link = c * chain.membrane
@@ -71,9 +58,9 @@ class Arrow:
         links[[0, -1]] -= link
         band = np.zeros((7, 2 * count), order="F")  # as LAPACK has it: row 4 + i - j, column j
         band[2, 2:] = band[6, :-2] = -link
-        band[4, ::2] = xx + links + c * rubbing.along
+        band[4, ::2] = xx + links + c * along
         band[4, 1::2] = zz + links + c * np.where(nodes[:-1, 1] < 0, chain.contact, 0.0)
-        band[3, 1::2] = xz + c * rubbing.above
+        band[3, 1::2] = xz + c * above
         band[5, ::2] = xz
         self._factors = dgbtrf(band, 2, 2, overwrite_ab=1)[:2]
         # Columns of the bone; its rows are their transpose, since the springs' matrices are symmetric.
@@ -105,14 +92,17 @@ def net_forces(chain: Chain, state: State, load: Array) -> Array:
     return forces
 
 
-def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
+def advance(
+    chain: Chain, state: State, mu: Array, load: Array, duration: float, tolerance: float, rest: float
+) -> float:
     """Advance the state of one chain in place by ``duration`` s, or until the absolute unbalanced forces sum to
     ``rest`` N; return the elapsed time (s).
 
-    ``mu`` (N,) is each element's friction coefficient. ``tolerance`` (m) bounds the position error of one step. It ends
-    early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
+    ``mu`` (N,) is each element's friction coefficient. ``load`` (2, 2) is the force, N, along x and z on the bone at
+    the start and at the end of ``duration``; it changes linearly. ``tolerance`` (m) bounds the position error of one
+    step. It ends early where the step length falls below 1e-13 s or 100,000 steps do not reach the end.
     """
-    state.velocity = net_forces(chain, state, load.at(0.0)) / chain.dampers
+    state.velocity = net_forces(chain, state, _interpolate_load(load, 0.0)) / chain.dampers
     time = 0.0
     for _ in range(MOST_STEPS):
         left = duration - time
@@ -126,13 +116,17 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
             state.steps += 1
             if time >= duration * (1 - 1e-12):
                 return duration
-            if np.abs(net_forces(chain, state, load.at(time / duration))).sum() <= rest:
+            if np.abs(net_forces(chain, state, _interpolate_load(load, time / duration))).sum() <= rest:
                 return time
         else:
             state.rejected += 1
         if state.step < SHORTEST_S:
             break
     return time
+
+
+def _interpolate_load(load: Array, share: float) -> Array:
+    return load[0] + share * (load[1] - load[0])
 
 
 def _step_factor(error: float) -> float:
@@ -146,7 +140,7 @@ def _step_factor(error: float) -> float:
 
 
 def _try_step(
-    chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
+    chain: Chain, state: State, mu: Array, load: Array, begin: float, step: float, duration: float, tolerance: float
 ) -> float:
     """Try one time step of `step` s and keep the new state if its position error is within the tolerance, m; return the
     ratio of error to tolerance.
@@ -156,24 +150,24 @@ def _try_step(
     c, share, start = C * step, step / duration, state.nodes
 
     def stage(
-        rubbed: Array, origin: Array, known: Array, guess: Array, at: Array
+        rubbed: Array, origin: Array, base: Array, guess: Array, at: Array
     ) -> tuple[Array, Array, Array, Arrow] | None:
-        found = _newton(chain, mu, rubbed, origin, known, guess, at, c, tolerance)
-        if found is None:
+        solution = _newton(chain, mu, rubbed, origin, base, guess, at, c, tolerance)
+        if solution is None:
             return None
-        nodes, rubbing, arrow = found
-        return nodes, rubbing, (nodes - known) / c, arrow
+        nodes, rubbing, arrow = solution
+        return nodes, rubbing, (nodes - base) / c, arrow
 
     first = stage(
         *(state.friction, start, start + c * state.velocity, start + GAMMA * step * state.velocity),
-        load.at(begin + GAMMA * share),
+        _interpolate_load(load, begin + GAMMA * share),
     )
     if first is None:
         return np.inf
     middle, rubbing, velocity, _ = first
     second = stage(
         *(rubbing, middle, TO_LATER * middle - TO_EARLIER * start, middle + (1 - GAMMA) * step * velocity),
-        load.at(begin + share),
+        _interpolate_load(load, begin + share),
     )
     if second is None:
         return np.inf
@@ -191,36 +185,36 @@ def _newton(
     mu: Array,
     rubbed: Array,
     origin: Array,
-    known: Array,
+    base: Array,
     guess: Array,
     load: Array,
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Arrow] | None:
-    """Solve an implicit step, damping (X - known) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
+    """Solve an implicit step, damping (X - base) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
     Newton's method from a guess; return X, the friction forces (N,) and the last matrix.
 
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.
     """
 
-    def slid(nodes: Array) -> Friction:
+    def slid(nodes: Array) -> tuple[Array, Array, Array]:
         steep = mu * chain.contact
         return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
 
     nodes = guess
     for _ in range(MOST_ITERATIONS):
-        rubbing = slid(nodes)
+        rubbing, along, above = slid(nodes)
         forces = elastic_forces(chain, nodes)
-        forces[:-1, 0] -= rubbing.force
+        forces[:-1, 0] -= rubbing
         forces[-1] += load
-        side = chain.dampers * (known - nodes) + c * forces
-        arrow = Arrow(chain, nodes, rubbing, c)
+        side = chain.dampers * (base - nodes) + c * forces
+        arrow = Arrow(chain, nodes, along, above, c)
         moved = arrow.solve(side)
         nodes = nodes + moved
         most = np.abs(moved).max()
         if not most < 1.0:  # m: the iteration diverges
             return None
         if most <= NEWTON * tolerance:
-            return nodes, slid(nodes).force, arrow
+            return nodes, slid(nodes)[0], arrow
     return None

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.models.skin_forces import Chain, half_circle
-from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, Load, State, advance, net_forces
+from fingerflow.models.skin_implicit import MOST_STEPS, SHORTEST_S, State, advance, net_forces
 from fingerflow.models.skin_parameters import SkinParameters
 
 # Names of a chain's parameters, in the order of `Chains.numbers`.
@@ -21,7 +21,7 @@ _FIRST_STEP = 1e-6  # s, length of the first time step
 class Motion:
     """State of motion of many chains (...) of N elements, with elapsed time and number of steps; float64, SI units."""
 
-    place: Tensor  # (..., N, 2) m, positions of the elements
+    position: Tensor  # (..., N, 2) m, positions of the elements
     bone: Tensor  # (..., 2) m, displacement of the bone
     rubbed: Tensor  # (..., N) N, friction force, positive where it opposes motion along +x
     step: Tensor  # (...) s, length of the next step
@@ -30,10 +30,10 @@ class Motion:
 
     def single(self, index: int) -> State:
         """Return a copy of the state of one chain, selected by its flat index; the velocity is left out."""
-        count = self.place.shape[-2]
-        place, bone = self.place.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
+        count = self.position.shape[-2]
+        position, bone = self.position.reshape(-1, count, 2)[index], self.bone.reshape(-1, 1, 2)[index]
         rubbed = self.rubbed.reshape(-1, count)[index]
-        return State(torch.cat((place, bone)).numpy(), rubbed.numpy(), step=float(self.step.reshape(-1)[index]))
+        return State(torch.cat((position, bone)).numpy(), rubbed.numpy(), step=float(self.step.reshape(-1)[index]))
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Chains:
     width: Tensor  # (...) m, width across the chain
 
     @staticmethod
-    def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
+    def build(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
         """Return a batch of chains of ``count`` elements each; the parameters of ``skin`` are broadcast to the batch
         shape ``shape``.
         """
@@ -112,7 +112,7 @@ def advance_chains(
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape).reshape(batch).tolist()
     ends, times = [], []
     for k in range(batch):
-        state, load = start.single(k), Load(*force[k])
+        state, load = start.single(k), force[k]
         time = advance(chains.single(k), state, mu[k], load, duration, tolerance, rests[k])
         if state.step < SHORTEST_S or state.steps + state.rejected >= MOST_STEPS:
             raise RuntimeError(
@@ -127,7 +127,7 @@ def advance_chains(
         return stacked.reshape((*chains.shape, *stacked.shape[1:]))
 
     return Motion(
-        place=batched(state.nodes[:-1] for state in ends),
+        position=batched(state.nodes[:-1] for state in ends),
         bone=batched(state.nodes[-1] for state in ends),
         rubbed=batched(state.friction for state in ends),
         step=batched(state.step for state in ends),

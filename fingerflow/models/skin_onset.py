@@ -71,12 +71,12 @@ def since_onset(press: PressedChain) -> SinceOnset:
     later, earlier = height.gather(0, first), height.gather(0, before)
     falls = earlier > later
     share = torch.where(falls, later / torch.where(falls, later - earlier, 1.0), 0.0).clamp(0, 1)
-    place = outward.gather(0, first) + share * (outward.gather(0, before) - outward.gather(0, first))
-    moved = torch.where(inside, outward - place, torch.nan)
-    place = place.expand_as(outward)
-    slope = _slope(moved, place, x.shape[-1] % 2 == 1)
-    on_axis = place < 1e-3 * _SYMMETRY * half.amax(0).clamp_min(1e-4)[..., None]
-    hoop = torch.where(on_axis, slope, moved / torch.where(on_axis, 1.0, place))
+    onset = outward.gather(0, first) + share * (outward.gather(0, before) - outward.gather(0, first))
+    moved = torch.where(inside, outward - onset, torch.nan)
+    onset = onset.expand_as(outward)
+    slope = _slope(moved, onset, x.shape[-1] % 2 == 1)
+    on_axis = onset < 1e-3 * _SYMMETRY * half.amax(0).clamp_min(1e-4)[..., None]
+    hoop = torch.where(on_axis, slope, moved / torch.where(on_axis, 1.0, onset))
     field = slope + hoop
     between = (outward[..., 1:] + outward[..., :-1]) / 2
     outer = torch.cat((torch.where(inside[..., 1:], between, half[..., None]), half[..., None]), -1)
@@ -98,8 +98,8 @@ def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
     """
     mirrored = slice(1, 2) if centred else slice(0, 1)
     value = torch.cat((-values[..., mirrored], values), -1)
-    place = torch.cat((-at[..., mirrored], at), -1)
-    steps, lengths = value.diff(dim=-1), place.diff(dim=-1)
+    radii = torch.cat((-at[..., mirrored], at), -1)
+    steps, lengths = value.diff(dim=-1), radii.diff(dim=-1)
     inner = steps / lengths
     both = (steps[..., :-1] + steps[..., 1:]) / (lengths[..., :-1] + lengths[..., 1:])
     both = torch.cat((both, torch.full_like(inner[..., -1:], torch.nan)), -1)

@@ -7,19 +7,11 @@ states 100 Hz. This equation's Poisson ratio is not printed; 0.4 is the paper's 
 """
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 RECEPTOR_DEPTHS_M = (1.2e-3, 2e-3)  # depths of the paper's mechanoreceptors
-
-
-class Strain(NamedTuple):
-    """Strain along y and z, dimensionless, extension positive."""
-
-    along_y: Tensor
-    along_z: Tensor
 
 
 def viscoelastic_strain(
@@ -30,9 +22,9 @@ def viscoelastic_strain(
     young_modulus: Tensor | float = 1.1e6,
     rate: Tensor | float = 100.0,
     poisson_ratio: Tensor | float = 0.4,
-) -> Strain:
-    """Compute the strain (T, ...) along y and z of a Kelvin-Voigt solid under stresses (T, ...), Pa, that are linear
-    between the times (T,), s; it is exact for any time step.
+) -> tuple[Tensor, Tensor]:
+    """Compute the strain (T, ...), extension positive, along y and along z of a Kelvin-Voigt solid under
+    stresses (T, ...), Pa, that are linear between the times (T,), s; it is exact for any time step.
 
     The strain is 0 at the first time, whatever the stress is then.
 
@@ -63,10 +55,11 @@ def viscoelastic_strain(
     left, gained = torch.exp(-delays)[:, None], early * elastic[:-1] + late * elastic[1:]
     strain = torch.zeros_like(elastic[0])
     strains = [strain]
-    for kept, added in zip(left, gained, strict=True):
-        strain = kept * strain + added
+    for decay, added in zip(left, gained, strict=True):
+        strain = decay * strain + added
         strains.append(strain)
-    return Strain(*torch.stack(strains, 1))
+    along_y, along_z = torch.stack(strains, 1)
+    return along_y, along_z
 
 
 def _step_weights(delay: Tensor) -> tuple[Tensor, Tensor]:

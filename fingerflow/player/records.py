@@ -45,10 +45,10 @@ class RecordLayout:
 
     def __init__(self, points: int, forces: Sequence[str] = ()) -> None:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
-        self.fields = [_entry(one, one.kind, ()) for one in (*_OWN, *(VARIABLES[name] for name in forces))]
+        self.fields = [_entry(one, one.dtype, ()) for one in (*_OWN, *(VARIABLES[name] for name in forces))]
         for variable in (VARIABLES[name] for name in RESULTS):
             # The tracker computes in single precision, so floats are stored with 4 bytes.
-            kind = "f4" if variable.kind.startswith("f") else variable.kind
+            kind = "f4" if variable.dtype.startswith("f") else variable.dtype
             self.fields.append(_entry(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
         self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])
 

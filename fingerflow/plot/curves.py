@@ -179,7 +179,7 @@ def _draw(
     """
     axes = given_or_new(axes)
     variable = VARIABLES[curves[0].variable]
-    label = variable.with_unit(words) if words else variable.axis_label
+    label = variable.add_unit(words) if words else variable.axis_label
     x = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
         known = np.isfinite(values) & np.isfinite(x.values)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fingerflow.schema.key_types import Choice
-from fingerflow.schema.keys import SceneKey, SceneTable, keys_of, words_of
+from fingerflow.schema.keys import SceneKey, SceneTable, key_words, keys_of
 from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.views import Region
 
@@ -47,7 +47,7 @@ def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above:
         if value is None or name == "topography_to_contact":  # `transform_rows` shows the transform
             continue
         key = keys.get(name, keys_of(Region).get(name))
-        words, unit = words_of(name, key) if key else (name.replace("_", " "), "")
+        words, unit = key_words(name, key) if key else (name.replace("_", " "), "")
         if isinstance(value, Mapping):
             sides = ("rows", "columns")
             if set(sides) <= set(value):

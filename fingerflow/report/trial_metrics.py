@@ -34,7 +34,7 @@ METRICS = (
 def label_of(metric: str) -> str:
     """Return the axis label of a metric; `_difference` in its name stands for comparison minus reference."""
     own = NUMBERS[metric.removesuffix(DIFFERENCE)]
-    return own.with_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
+    return own.add_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
 
 
 def _defined(metric: str) -> str:

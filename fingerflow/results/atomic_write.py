@@ -23,16 +23,20 @@ def spare(output: Path, *inputs: Path | None) -> None:
     in an input folder of frames, where it would be read as a frame. An input may name a data set within its file
     ("file::dataset").
     """
-    for given in inputs:
-        file = None if given is None else Path(str(given).split("::")[0])
+    for source in inputs:
+        file = None if source is None else Path(str(source).split("::")[0])
         if file is None or not file.exists():
             continue
         if file.is_dir():
             taken = output.suffix.lower() in _PICTURES and output.resolve().parent == file.resolve()
         else:
             partners = _PARTNERS.get(file.suffix.lower(), ())
-            beside = [one for one in file.parent.iterdir() if one.stem == file.stem and one.suffix.lower() in partners]
-            taken = output.exists() and any(output.samefile(one) for one in (file, *beside))
+            companions = [
+                candidate
+                for candidate in file.parent.iterdir()
+                if candidate.stem == file.stem and candidate.suffix.lower() in partners
+            ]
+            taken = output.exists() and any(output.samefile(candidate) for candidate in (file, *companions))
         if taken:
             raise FingerflowError(
                 f"{output} is an input of this command, or among its frames, and would be replaced; give another output"

@@ -14,8 +14,8 @@ _OF_POSITIONS = "position_std_px"
 _AT_ONCE = 64  # number of frames overwritten at a time
 
 
-def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
-    """Return definitions of the result variables `known`; for a lossy codec, those of standard deviations say that the
+def stated(variables: Mapping[str, Variable], codec: str | None) -> dict[str, Variable]:
+    """Return definitions of result variables; for a lossy codec, those of standard deviations say that the
     values are NaN or too small.
 
     A codec that predicts frames from each other leaves position errors that persist and that neighbours share. Neither
@@ -24,30 +24,30 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
     deviations are NaN, so that no figure, table or hypothesis test uses them.
 
     Args:
-        known: variables by name.
+        variables: variables by name.
         codec: codec that predicts frames from each other (`Recording.takes_from_other_frames`); None for none.
     """
     if codec is None:
-        return dict(known)
-    said = {
-        name: replace(known[name], long_name=f"{known[name].long_name}: NaN, not known of frames in {codec}")
-        for name in _withheld(known)
+        return dict(variables)
+    restated = {
+        name: replace(variables[name], long_name=f"{variables[name].long_name}: NaN, not known of frames in {codec}")
+        for name in _withheld(variables)
     }
-    position = known[_OF_POSITIONS]
+    position = variables[_OF_POSITIONS]
     too_small = f"{position.long_name} by noise alone: 2 to 10 times too small for frames in {codec}"
-    return {**known, **said, _OF_POSITIONS: replace(position, long_name=too_small)}
+    return {**variables, **restated, _OF_POSITIONS: replace(position, long_name=too_small)}
 
 
-def withhold(store: Store, known: Mapping[str, Variable]) -> None:
+def withhold(store: Store, variables: Mapping[str, Variable]) -> None:
     """Set all standard deviations in a store of results to NaN, except that of positions, which later computations need
     as a weight.
     """
-    for name in _withheld(known):
+    for name in _withheld(variables):
         if name in store:
             values = store[name]
             for first in range(0, values.shape[0], _AT_ONCE):
                 values[first : first + _AT_ONCE] = np.nan
 
 
-def _withheld(known: Mapping[str, Variable]) -> list[str]:
-    return [name for name in known if name.endswith("_std")]
+def _withheld(variables: Mapping[str, Variable]) -> list[str]:
+    return [name for name in variables if name.endswith("_std")]

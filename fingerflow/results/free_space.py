@@ -26,7 +26,7 @@ def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> 
     sizes |= {"frame": frames, "point": points, "triangle": 2 * points}
     return float(
         sum(
-            np.dtype(variable.kind).itemsize * np.prod([sizes.get(dim, 1) for dim in variable.dims], dtype=float)
+            np.dtype(variable.dtype).itemsize * np.prod([sizes.get(dim, 1) for dim in variable.dims], dtype=float)
             for variable in variables
         )
     )

@@ -14,7 +14,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.results.result import is_result, load_result
 from fingerflow.results.tables.archives import is_zarr_result
-from fingerflow.results.tables.columns import by_track
+from fingerflow.results.tables.columns import track_table
 from fingerflow.schema.scene import Scene, scene_of_settings
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.schema.views import View
@@ -57,7 +57,7 @@ def layers_of_result(path: str) -> list[Layer]:
     if "position_px" not in result:
         return layers
     shown = [name for name in ("divergence", "curl", "subset_correlation") if name in result]
-    table = by_track(result, shown)
+    table = track_table(result, shown)
     rows = table.rows.copy()
     rows[:, 1] -= float(result["frame"][0])
     layers.append((rows[:, :4], {"name": "tracks", "visible": False}, "tracks"))
@@ -65,9 +65,9 @@ def layers_of_result(path: str) -> list[Layer]:
     points: dict[str, Any] = {"name": "points", "size": 4, "border_width": 0, "face_color": "#ffd54f"}
     if "divergence" in shown:
         heading = VARIABLES["divergence"].shown_unit.heading("divergence")
-        known = np.isfinite(features[heading])
-        rows, features = rows[known], {name: values[known] for name, values in features.items()}
-        end = float(np.quantile(np.abs(features[heading]), _COLOURED)) if known.any() else 1.0
+        valid = np.isfinite(features[heading])
+        rows, features = rows[valid], {name: values[valid] for name, values in features.items()}
+        end = float(np.quantile(np.abs(features[heading]), _COLOURED)) if valid.any() else 1.0
         points |= {"name": heading, "face_color": heading, "face_colormap": "RdBu", "face_contrast_limits": (-end, end)}
     layers.append((rows[:, 1:4], {**points, "features": features}, "points"))
     return layers
@@ -80,12 +80,12 @@ def _views(result: xr.Dataset, scene: Scene) -> list[Layer]:
     contact, topography = scene.views.get("contact"), scene.views.topography
     layers = []
     if contact is not None and contact != topography:
-        data, settings, kind = _image(frames, contact, "contact view")
+        data, settings, layer_type = _image(frames, contact, "contact view")
         to_contact = np.vstack((json.loads(result.attrs["topography_to_contact"]), (0, 0, 1)))
         affine = np.eye(4)
         # Axes in napari's order (y, x) instead of (x, y).
         affine[1:, 1:] = np.linalg.inv(to_contact)[np.ix_((1, 0, 2), (1, 0, 2))]
-        layers.append((data, {**settings, "affine": affine, "visible": topography is None}, kind))
+        layers.append((data, {**settings, "affine": affine, "visible": topography is None}, layer_type))
     if topography is not None:
         layers.append(_image(frames, topography, "topography view"))
     return layers

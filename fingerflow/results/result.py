@@ -95,8 +95,11 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
     """
     described = set(described)
     with h5py.File(path) as file:
-        found = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
-        variables = {name: StoredValues(one[()], _attributes(one) if name in described else {}) for name, one in found}
+        stored = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
+        variables = {
+            name: StoredValues(dataset[()], _attributes(dataset) if name in described else {})
+            for name, dataset in stored
+        }
         return Own(variables, _attributes(file))
 
 

@@ -48,9 +48,9 @@ class Store(ABC):
     are not written yet are NaN, or 0 for integers.
     """
 
-    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        """Prepare an empty store for a number of `frames`; only variables that `known` defines may be created in it."""
-        self._known = known
+    def __init__(self, variables: Mapping[str, Variable], frames: int) -> None:
+        """Prepare an empty store for a number of `frames`; only these `variables` may be created in it."""
+        self._variables = variables
         self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
         self._values: dict[str, Values] = {}
 
@@ -59,7 +59,7 @@ class Store(ABC):
         of dimensions that are new to the store.
         """
         self._sizes.update(sizes)
-        variable = self._known[name]
+        variable = self._variables[name]
         of_it = {**variable.attributes(), **(attributes or {})}
         values = self._values[name] = self._new(variable, tuple(self._sizes[dim] for dim in variable.dims), of_it)
         return values
@@ -76,8 +76,8 @@ class Store(ABC):
         """
         before, self._sizes[dim] = self._sizes[dim], size
         for name in list(self._values):
-            if dim in self._known[name].dims:
-                self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
+            if dim in self._variables[name].dims:
+                self._lengthen(name, self._variables[name].dims.index(dim), before, size, fills.get(name))
 
     def __getitem__(self, name: str) -> Values:
         return self._values[name]
@@ -107,8 +107,8 @@ class MemoryStore(Store):
 
     dataset: xr.Dataset
 
-    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        super().__init__(known, frames)
+    def __init__(self, variables: Mapping[str, Variable], frames: int) -> None:
+        super().__init__(variables, frames)
         self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
 
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
@@ -118,9 +118,9 @@ class MemoryStore(Store):
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
         dims, values, attributes = self._arrays[name]
-        empty, kind = _fill(self._known[name])
+        empty, dtype = _fill(self._variables[name])
         shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
-        more = np.full(shape, empty if fill is None else fill, kind)
+        more = np.full(shape, empty if fill is None else fill, dtype)
         self._values[name] = longer = np.concatenate((values, more), axis=axis)
         self._arrays[name] = (dims, longer, attributes)
 
@@ -146,8 +146,8 @@ class FileStore(Store):
     the numbers of a small recording.
     """
 
-    def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
-        super().__init__(known, frames)
+    def __init__(self, variables: Mapping[str, Variable], frames: int, path: Path) -> None:
+        super().__init__(variables, frames)
         check_write(path, 0)
         self._path = path
         self._file = h5py.File(path, "w", track_order=True)
@@ -161,22 +161,22 @@ class FileStore(Store):
         self._file.close()
 
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
-        fill, kind = _fill(variable)
-        layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
+        fill, dtype = _fill(variable)
+        layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(dtype).kind == "f" else {}
         if any(dim in _GROWING for dim in variable.dims):
             sides = zip(variable.dims, shape, strict=True)
             layout["maxshape"] = tuple(None if dim in _GROWING else size for dim, size in sides)
-        frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
+        frame_bytes = int(np.prod(shape[1:])) * np.dtype(dtype).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // held), _CHUNK_FRAMES)
             sides = zip(variable.dims[1:], shape[1:], strict=True)
             layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
-            if np.dtype(kind).kind != "f":
+            if np.dtype(dtype).kind != "f":
                 layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
-        stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
+        stored = self._add(variable.name, variable.dims, shape=shape, dtype=dtype, **layout)
         if layout.get("fillvalue") is not None:
-            attributes = {"_FillValue": np.full(1, fill, kind), **attributes}
+            attributes = {"_FillValue": np.full(1, fill, dtype), **attributes}
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}
         _describe(stored, attributes)
@@ -188,10 +188,10 @@ class FileStore(Store):
         values.resize(size, axis)
         if fill is not None:
             for first in range(0, values.shape[0], _CHUNK_FRAMES):
-                some = slice(first, first + _CHUNK_FRAMES)
-                rows = values[some]
+                chunk = slice(first, first + _CHUNK_FRAMES)
+                rows = values[chunk]
                 rows[(slice(None),) * axis + (slice(before, None),)] = fill
-                values[some] = rows
+                values[chunk] = rows
 
     def check_room(self, needed: float) -> None:
         check_disk(self._path, needed)
@@ -220,21 +220,21 @@ class FileStore(Store):
         for dim, number in numbers.items():
             size = self._sizes[dim]
             if dim in self._datasets:
-                scales[dim], said = self._datasets[dim], dim
+                scales[dim], label = self._datasets[dim], dim
             else:
                 # Give the dimension a fixed size, as nothing grows any more. For an unlimited dimension h5netcdf
                 # queries all its variables repeatedly, which takes longer than the rest of opening the file.
                 scales[dim] = self._file.create_dataset(dim, (size,), ">f4", track_order=True)
-                said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
-            scales[dim].make_scale(said)
+                label = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
+            scales[dim].make_scale(label)
             _describe(scales[dim], {"_Netcdf4Dimid": number})
         for name, dims in self._dims.items():
             stored = self._datasets[name]
             _describe(stored, {"_Netcdf4Coordinates": np.array([numbers[dim] for dim in dims])})
             if name not in scales:
                 _describe(stored, {"_Netcdf4Dimid": numbers[dims[0]]})
-                for place, dim in enumerate(dims):
-                    stored.dims[place].attach_scale(scales[dim])
+                for axis, dim in enumerate(dims):
+                    stored.dims[axis].attach_scale(scales[dim])
         versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
         self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
 
@@ -260,19 +260,19 @@ class _Stored:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         frames, step = self._consecutive(index)
-        found: NDArray[Any] = self._variable[frames][::step]
-        return found
+        read: NDArray[Any] = self._variable[frames][::step]
+        return read
 
     def __setitem__(self, index: Any, values: Any) -> None:
         frames, step = self._consecutive(index)
         shape = (frames.stop - frames.start, *self.shape[1:])
-        given = np.broadcast_to(np.asarray(values, self._variable.dtype), shape)
-        check_write(self._path, given.nbytes)
-        if given.size:
+        block = np.broadcast_to(np.asarray(values, self._variable.dtype), shape)
+        check_write(self._path, block.nbytes)
+        if block.size:
             # Call HDF5 directly: h5py's indexing takes three times as long for the few frames of a batch.
             part = self._variable.id.get_space()
             part.select_hyperslab((frames.start, *(0,) * (len(shape) - 1)), shape)
-            self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(given[::step]))
+            self._variable.id.write(h5s.create_simple(shape), part, np.ascontiguousarray(block[::step]))
 
     def _consecutive(self, index: Any) -> tuple[slice, int]:
         """Convert consecutive frame numbers, given as a slice or a list, to an ascending slice and a step: 1 if they
@@ -292,4 +292,4 @@ class _Stored:
 
 def _fill(variable: Variable) -> tuple[float, str]:
     """Return fill value and data type for the elements of the array of a variable that are not written yet."""
-    return (np.nan if variable.kind.startswith("f") else 0), variable.kind
+    return (np.nan if variable.dtype.startswith("f") else 0), variable.dtype

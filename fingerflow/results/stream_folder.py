@@ -74,9 +74,9 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
     """
     records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
-    for one in header["fields"]:
-        name, dims = one["name"], tuple(one["dims"])
-        unit = shown_unit(name, str(one["unit"]))
+    for field in header["fields"]:
+        name, dims = field["name"], tuple(field["dims"])
+        unit = shown_unit(name, str(field["unit"]))
         if dims == FRAME:
             columns[unit.heading(name)] = unit.factor * records[name]
         elif len(dims) == 2 and dims[1] in LABELS:
@@ -111,11 +111,11 @@ class Sink:
 
     def open(self) -> None:
         """Create the results folder with all files, or raise PlayerError and create nothing."""
-        with self._said():
+        with self._explained():
             self._make()
         self._made = True
         try:
-            with self._said():
+            with self._explained():
                 self._events = PatientFile(self.folder / "events.jsonl")
                 self._records = PatientFile(self.folder / "records.bin")
         except PlayerError:
@@ -179,7 +179,7 @@ class Sink:
         self._records.write(record.data)
         due = time.perf_counter() - self._synced >= 1
         if due or len(self._records) >= _AT_ONCE:
-            with self._said():
+            with self._explained():
                 self._flush(self._records)
                 if due:
                     self._synced = time.perf_counter()
@@ -196,7 +196,7 @@ class Sink:
         """
         assert self._events is not None
         line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
-        with self._said():
+        with self._explained():
             self._events.write((json.dumps(line) + "\n").encode())
             self._events.flush()
 
@@ -204,7 +204,7 @@ class Sink:
         """Write all buffered records to the disk and close all files. Raises PlayerError where that fails."""
         if self._records is None or self._events is None:
             return
-        with self._said():
+        with self._explained():
             try:
                 self._flush(self._records, wait=True)
                 self._events.flush(wait=True)
@@ -214,7 +214,7 @@ class Sink:
                 self._events.close()
 
     @contextlib.contextmanager
-    def _said(self) -> Iterator[None]:
+    def _explained(self) -> Iterator[None]:
         try:
             yield
         except FileExistsError:

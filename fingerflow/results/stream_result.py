@@ -43,9 +43,9 @@ def open_stream(folder: str | Path) -> xr.Dataset:
 def _labelled(results: StreamResults) -> xr.Dataset:
     chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
     variables = {
-        name: (one.dims, values, _attributes(one, results.header))
+        name: (variable.dims, values, _attributes(variable, results.header))
         for name, values in _values(results, chosen).items()
-        if (one := _VARIABLES.get(name)) is not None
+        if (variable := _VARIABLES.get(name)) is not None
     }
     used = {name for dims, _, _ in variables.values() for name in dims}
     coordinates: dict[str, Any] = {
@@ -62,31 +62,31 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
     """
     records, header = results.records, results.header
     points = max(chosen, default=0)
-    found: dict[str, Array] = {}
+    arrays: dict[str, Array] = {}
     for name in records.dtype.names or ():
         variable = _VARIABLES.get(name)
         if variable is not None:
             # Cut to the largest number of points found, as the records have space for more.
-            found[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
-    if "position_px" in found:
+            arrays[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
+    if "position_px" in arrays:
         matrix = np.array(header["topography_to_contact"])
-        on_glass = found["position_px"] @ matrix[:, :2].T + matrix[:, 2]
-        found["position"] = on_glass * header["mm_per_px"]
-    if "status" in found:
-        tracked = found["status"] == _TRACKED
-        of_restart = np.array([0, *chosen])[np.clip(found["restart"], 0, len(chosen))]
+        on_glass = arrays["position_px"] @ matrix[:, :2].T + matrix[:, 2]
+        arrays["position"] = on_glass * header["mm_per_px"]
+    if "status" in arrays:
+        tracked = arrays["status"] == _TRACKED
+        of_restart = np.array([0, *chosen])[np.clip(arrays["restart"], 0, len(chosen))]
         with np.errstate(invalid="ignore", divide="ignore"):
             share = tracked.sum(1) / of_restart
-        usable = records["frame_status"] == 0 if "frame_status" in found else True
-        found["tracked_share"] = np.where(usable, share, np.nan)
-        if "forward_backward_error" in found:
-            found["forward_backward_median"] = _medians(np.where(tracked, found["forward_backward_error"], np.nan))
-    for name, one in _VARIABLES.items():
-        if one.formula is not None and name not in found and found.keys() >= set(one.of):
+        usable = records["frame_status"] == 0 if "frame_status" in arrays else True
+        arrays["tracked_share"] = np.where(usable, share, np.nan)
+        if "forward_backward_error" in arrays:
+            arrays["forward_backward_median"] = _medians(np.where(tracked, arrays["forward_backward_error"], np.nan))
+    for name, variable in _VARIABLES.items():
+        if variable.formula is not None and name not in arrays and arrays.keys() >= set(variable.of):
             # A quotient with the divisor 0 is NaN or infinite, without a warning.
             with np.errstate(divide="ignore", invalid="ignore"):
-                found[name] = one.formula(*(found[other] for other in one.of))
-    return found
+                arrays[name] = variable.formula(*(arrays[source] for source in variable.of))
+    return arrays
 
 
 def _medians(values: Array) -> Array:

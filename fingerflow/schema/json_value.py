@@ -13,7 +13,7 @@ def json_value(value: Any) -> Any:
     if hasattr(value, "tolist"):  # arrays and scalars of NumPy have this method
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): json_value(one) for name, one in value.items()}
+        return {str(name): json_value(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [json_value(one) for one in value]
+        return [json_value(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from fingerflow.schema.keys import SceneKey, SceneTable, words_of
+from fingerflow.schema.keys import SceneKey, SceneTable, key_words
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.scene_tables import SCENE, views_of
 
@@ -33,10 +33,10 @@ def key_list() -> list[ListedKey]:
 
 def _keys(entry: SceneKey | SceneTable, name: str) -> Iterator[ListedKey]:
     if isinstance(entry, SceneTable):
-        for key, one in entry.keys.items():
-            yield from _keys(one, f"{name}.{key}")
+        for key, inner in entry.keys.items():
+            yield from _keys(inner, f"{name}.{key}")
         return
     default = "" if entry.default is None else json.dumps(entry.default)
-    _, unit = words_of(name.rpartition(".")[2], entry)
+    _, unit = key_words(name.rpartition(".")[2], entry)
     words = f"{entry.type.words} {unit}".rstrip()
     yield ListedKey(name, words, default, ", ".join(sorted(entry.needed_by)), entry.help)

@@ -25,8 +25,9 @@ class WrongValue(Exception):
     """Error for an invalid value of a key; the message continues the text "KEY is VALUE: "."""
 
 
+@dataclass(frozen=True)
 class KeyType:
-    """Type of a key."""
+    """Type of a key; types of one class with the same limits are equal."""
 
     @property
     def words(self) -> str:
@@ -56,14 +57,14 @@ class NumberType(KeyType):
     @property
     def words(self) -> str:
         limits = ((">", self.above), ("≥", self.least), ("≤", self.most), ("<", self.below))
-        said = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
-        return f"{'odd ' if self.odd else ''}{'whole ' if self.whole else ''}number {said}".strip()
+        bounds = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
+        return f"{'odd ' if self.odd else ''}{'whole ' if self.whole else ''}number {bounds}".strip()
 
     def convert(self, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
             quoted = isinstance(value, str) and re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", value)
-            kind = "a whole number" if self.whole else "a number"
-            raise WrongValue(f"it should be {kind}{', without quotes' if quoted else ''}")
+            expected = "a whole number" if self.whole else "a number"
+            raise WrongValue(f"it should be {expected}{', without quotes' if quoted else ''}")
         try:
             number = value if self.whole else float(value)
         except OverflowError:
@@ -92,7 +93,6 @@ class NumberType(KeyType):
         }
 
 
-@dataclass(frozen=True)
 class Switch(KeyType):
     """Type of a key that takes true or false."""
 
@@ -107,7 +107,6 @@ class Switch(KeyType):
         return {"input": "switch"}
 
 
-@dataclass(frozen=True)
 class Text(KeyType):
     """Type of a key that takes any text."""
 
@@ -131,7 +130,7 @@ class Choice(KeyType):
 
     @property
     def words(self) -> str:
-        shown = [f'"{one}"' if isinstance(one, str) else str(one) for one in self.choices]
+        shown = [f'"{choice}"' if isinstance(choice, str) else str(choice) for choice in self.choices]
         return " or ".join([*shown, *([] if self.number is None else [self.number.words])])
 
     def convert(self, value: Any) -> Any:
@@ -160,7 +159,7 @@ class Several(KeyType):
         return f"list of {either(self.choices)}"
 
     def convert(self, value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list | tuple) or not all(one in self.choices for one in value):
+        if not isinstance(value, list | tuple) or not all(item in self.choices for item in value):
             raise WrongValue(f"it should be a list of {either(self.choices)}")
         return tuple(value)
 
@@ -205,21 +204,20 @@ class Each(KeyType):
         if isinstance(value, list) and value:
             return tuple(map(self._number, value))
         if not isinstance(value, int | float):
-            one, example = ("1, -1", "[-1, 1]") if self.among else ("a number", "[2.5, 4]")
-            raise WrongValue(f"it should be {one} or a list with one for each channel, such as {example}")
+            single, example = ("1, -1", "[-1, 1]") if self.among else ("a number", "[2.5, 4]")
+            raise WrongValue(f"it should be {single} or a list with one for each channel, such as {example}")
         return self._number(value)
 
     def _number(self, value: Any) -> float:
         number = NumberType().convert(value)
         if self.among and number not in self.among:
-            raise WrongValue(f"it should be {' or '.join(f'{one:g}' for one in self.among)}")
+            raise WrongValue(f"it should be {' or '.join(f'{choice:g}' for choice in self.among)}")
         return number
 
     def form(self) -> dict[str, Any]:
         return {"input": "signs"} if self.among else super().form()
 
 
-@dataclass(frozen=True)
 class TimeRange(KeyType):
     """Type of a key that takes an interval [t0, t1] in s from the trigger, with t0 before t1."""
 
@@ -251,7 +249,7 @@ class Moment(KeyType):
         return " or ".join([*(f'"{word}"' for word in self.choices), 'a frame, or a time such as "0.25 s"'])
 
     def convert(self, value: Any) -> str | int:
-        if value in self.choices or seconds_of(value) is not None:
+        if value in self.choices or parse_seconds(value) is not None:
             return str(value)
         if type(value) is int and value >= 0:
             return value
@@ -295,7 +293,6 @@ class File(KeyType):
         return {"input": "file"}
 
 
-@dataclass(frozen=True)
 class PixelRange(KeyType):
     """Type of a key that takes a half-open range [first, end) of pixels."""
 
@@ -306,9 +303,9 @@ class PixelRange(KeyType):
             raise WrongValue("it should be a list of two whole numbers, [first, end)")
         if len(value) != 2:
             raise WrongValue(f"it should have at {'most' if len(value) > 2 else 'least'} 2 items, not {len(value)}")
-        for place, item in enumerate(value, start=1):
+        for position, item in enumerate(value, start=1):
             if type(item) is not int:
-                raise WrongValue(f"item {place} should be a whole number")
+                raise WrongValue(f"item {position} should be a whole number")
         first, end = value
         if not 0 <= first < end:
             raise WrongValue("two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]")
@@ -332,7 +329,6 @@ class Pair(KeyType):
         return x, y
 
 
-@dataclass(frozen=True)
 class CornersType(KeyType):
     """Type of a key that takes a polygon [[x, y], ...] with three or more corners, in px of a view."""
 
@@ -351,7 +347,6 @@ class CornersType(KeyType):
         return corners
 
 
-@dataclass(frozen=True)
 class TransformType(KeyType):
     """Type of a key that takes an invertible affine transform [[a, b, x], [c, d, y]]."""
 
@@ -371,7 +366,7 @@ class TransformType(KeyType):
         return matrix
 
 
-def type_of(hint: Any, stated: KeyType | None) -> KeyType:
+def key_type(hint: Any, stated: KeyType | None) -> KeyType:
     """Return the type of a key: that stated with its field, or else what its annotation `hint` says. Of a number the
     range is stated, and the annotation says whether it is whole.
     """
@@ -387,13 +382,13 @@ def type_of(hint: Any, stated: KeyType | None) -> KeyType:
     return types.get(plain, number)
 
 
-def seconds_of(moment: Any) -> float | None:
+def parse_seconds(moment: Any) -> float | None:
     """Return the time in s from the trigger in a text such as "0.25 s"; None for a word or a frame number."""
-    found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
-    return None if found is None else float(found.group(1))
+    match = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
+    return None if match is None else float(match.group(1))
 
 
 def either(words: Iterable[object]) -> str:
     """Return words as a text of alternatives, in the form "'a', 'b' or 'c'"."""
-    *others, last = map(repr, words)
-    return f"{', '.join(others)} or {last}" if others else last
+    *rest, last = map(repr, words)
+    return f"{', '.join(rest)} or {last}" if rest else last

@@ -7,7 +7,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, get_args, get_type_hints
 
-from fingerflow.schema.key_types import BOTH, NOBODY, KeyType, Reader, type_of
+from fingerflow.schema.key_types import BOTH, NOBODY, KeyType, Reader, key_type
 
 _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # units by the endings of key names
 
@@ -58,7 +58,7 @@ class SceneTable:
     needed_by: frozenset[Reader] = NOBODY
     sample: Any = None
     keys: Mapping[str, "SceneKey | SceneTable"] = field(default_factory=dict)
-    made: Any = None
+    settings: Any = None
     optional: bool = False
 
     def left_out(self) -> dict[str, Any] | None:
@@ -70,7 +70,7 @@ class SceneTable:
         if values is None:
             return None
         built = {name: key.build(values[name]) for name, key in self.keys.items() if isinstance(key, SceneTable)}
-        return self.made(**{**values, **built})
+        return self.settings(**{**values, **built})
 
 
 def key(help: str, default: Any = None, type: KeyType | None = None, **facts: Any) -> Any:
@@ -89,24 +89,24 @@ def table(help: str, needed_by: frozenset[Reader] = NOBODY, sample: Any = None, 
 
 
 @cache
-def keys_of(made: Any) -> dict[str, SceneKey | SceneTable]:
+def keys_of(settings: Any) -> dict[str, SceneKey | SceneTable]:
     """Return the keys and tables that the fields of a data class of settings define, by name."""
     keys: dict[str, SceneKey | SceneTable] = {}
-    hints = get_type_hints(made)
-    for one in fields(made):
-        entry, hint = one.metadata.get("entry"), hints[one.name]
+    hints = get_type_hints(settings)
+    for attribute in fields(settings):
+        entry, hint = attribute.metadata.get("entry"), hints[attribute.name]
         if isinstance(entry, SceneKey):
-            keys[one.name] = replace(entry, type=type_of(hint, entry.type))
+            keys[attribute.name] = replace(entry, type=key_type(hint, entry.type))
         elif entry is not None:
             inner: Any = next(part for part in (hint, *get_args(hint)) if is_dataclass(part))
-            keys[one.name] = replace(entry, keys=keys_of(inner), made=inner, optional=inner is not hint)
+            keys[attribute.name] = replace(entry, keys=keys_of(inner), settings=inner, optional=inner is not hint)
     return keys
 
 
-def words_of(name: str, key: SceneKey | SceneTable) -> tuple[str, str]:
+def key_words(name: str, key: SceneKey | SceneTable) -> tuple[str, str]:
     """Return the words for a key and its unit, such as "depth" and "mm" for `depth_mm`: its label or, without one, its
     name; the unit is "" if the key has none.
     """
-    label, own = (key.label, key.unit) if isinstance(key, SceneKey) else ("", "")
+    label, unit = (key.label, key.unit) if isinstance(key, SceneKey) else ("", "")
     end = next((end for end in _UNITS if name.endswith(end)), "")
-    return label or name.removesuffix(end).replace("_", " "), own or _UNITS.get(end, "")
+    return label or name.removesuffix(end).replace("_", " "), unit or _UNITS.get(end, "")

@@ -48,9 +48,9 @@ def ellipse_runs(
     b^2 <= 1 is a quadratic in x.
     """
     p, q = math.cos(angle), math.sin(angle)
-    one, other = 1 / semi_axes[0] ** 2, 1 / semi_axes[1] ** 2
-    square, mixed = p * p * one + q * q * other, p * q * (one - other)
-    straight = q * q * one + p * p * other
+    along, across = 1 / semi_axes[0] ** 2, 1 / semi_axes[1] ** 2
+    square, mixed = p * p * along + q * q * across, p * q * (along - across)
+    straight = q * q * along + p * p * across
     for row in range(height):
         y = row - center[1]
         root = mixed * mixed * y * y - square * (straight * y * y - 1)

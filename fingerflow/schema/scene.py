@@ -53,10 +53,12 @@ def scene_of_text(text: str, path: Path, reader: Reader = "process") -> Scene:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None
-    return _scene(SceneCheck(written, path.parent, reader), path, lambda keys: f"{path}, line {line_of(text, keys)}")
+    return _scene(
+        SceneCheck(written, path.parent, reader), path, lambda keys: f"{path}, line {line_number(text, keys)}"
+    )
 
 
-def scene_from(written: Mapping[str, Any], path: Path, place: str, reader: Reader = "process") -> Scene:
+def scene_from(written: Mapping[str, Any], path: Path, origin: str, reader: Reader = "process") -> Scene:
     """Return the scene with the given tables and keys, `written`, which is one of several scenes in the file `path`.
 
     Args:
@@ -68,7 +70,7 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str, reader: Reade
     Raises:
         FingerflowError: as `load_scene`.
     """
-    return _scene(SceneCheck(written, path.parent, reader), path, lambda _: place)
+    return _scene(SceneCheck(written, path.parent, reader), path, lambda _: origin)
 
 
 def scene_of_settings(settings: str) -> Scene:
@@ -77,19 +79,21 @@ def scene_of_settings(settings: str) -> Scene:
     Raises:
         FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
     """
-    said = json.loads(settings)
-    path = Path(said.pop("path"))
-    kind = said.setdefault("kind", default_kind(said))
-    shown = KINDS[kind].all_views if kind in KINDS else ()
-    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # scene files hold no roles
-    said["calibration"].pop("file", None)  # the other settings already hold the values of this file
-    return scene_from(_without_none(said), path, "settings of the result")
+    stored = json.loads(settings)
+    path = Path(stored.pop("path"))
+    scene_kind = stored.setdefault("kind", default_kind(stored))
+    shown = KINDS[scene_kind].all_views if scene_kind in KINDS else ()
+    stored["views"] = {
+        name: view for name, view in stored["views"].items() if name in shown
+    }  # scene files hold no roles
+    stored["calibration"].pop("file", None)  # the other settings already hold the values of this file
+    return scene_from(_without_none(stored), path, "settings of the result")
 
 
 def _without_none(value: Any) -> Any:
     """Remove all keys with the value None from settings, since the scene file did not have them."""
     if isinstance(value, dict):
-        return {name: _without_none(one) for name, one in value.items() if one is not None}
+        return {name: _without_none(entry) for name, entry in value.items() if entry is not None}
     return value
 
 
@@ -101,7 +105,7 @@ def _scene(check: SceneCheck, path: Path, place_of: Callable[[Keys], str]) -> Sc
     return Scene(path=path, kind=check.kind, views=Views(views), given=frozenset(check.given), **tables)
 
 
-def line_of(text: str, keys: Keys) -> int:
+def line_number(text: str, keys: Keys) -> int:
     """Return the line number of a key in the text of a scene file; if absent, of the nearest enclosing table, or 1."""
     table: Keys = ()
     longest, result = 0, 1
@@ -109,13 +113,13 @@ def line_of(text: str, keys: Keys) -> int:
         header = re.match(r"\s*\[+([^\[\]]+)\]", line)
         setting = re.match(r"([^#=]+)=", line)
         if header:
-            place = table = _parts(header[1])
+            position = table = _parts(header[1])
         elif setting:
-            place = (*table, *_parts(setting[1]))
+            position = (*table, *_parts(setting[1]))
         else:
             continue
-        if longest < len(place) and place == keys[: len(place)]:
-            longest, result = len(place), number
+        if longest < len(position) and position == keys[: len(position)]:
+            longest, result = len(position), number
     return result
 
 
@@ -133,6 +137,6 @@ _SLIPS = {
 
 def toml_remedy(text: str, error: Exception) -> str:
     """Return what to do about the line that a parser of TOML refuses, if it shows one of the frequent slips."""
-    place = re.search(r"at line (\d+)", str(error))
-    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    match = re.search(r"at line (\d+)", str(error))
+    line = text.splitlines()[int(match[1]) - 1] if match else ""
     return next((remedy for slip, remedy in _SLIPS.items() if re.search(slip, line)), "correct it there")

@@ -32,7 +32,7 @@ class TableCheck:
         `folder`, that of the file.
         """
         self.written, self._folder, self._reader = written, folder, reader
-        self.said: dict[Keys, str] = {}
+        self.messages: dict[Keys, str] = {}
         self._missing: set[Keys] = set()
         self._meant: set[Keys] = set()  # likely intended keys of misspelt ones, which are not reported missing
         self.calibration: CalibrationFile | None = None
@@ -43,8 +43,8 @@ class TableCheck:
         """Return all problems found, as pairs of a dotted key and a message that continues a sentence which begins with
         it, without missing keys that a misspelt one was meant to be.
         """
-        found = (keys for keys in self.said if keys not in self._missing & self._meant)
-        return [(".".join(keys), self.said[keys]) for keys in found]
+        reported = (keys for keys in self.messages if keys not in self._missing & self._meant)
+        return [(".".join(keys), self.messages[keys]) for keys in reported]
 
     def raise_problems(self, place_of: Callable[[Keys], str]) -> None:
         """Raise FingerflowError with one line for each problem, if there are any; `place_of` returns the place of a key
@@ -54,32 +54,32 @@ class TableCheck:
         if lines:
             raise FingerflowError("\n".join(lines))
 
-    def refuse(self, keys: Keys, said: str) -> None:
+    def refuse(self, keys: Keys, message: str) -> None:
         """Record a problem of a key, unless it has one."""
-        self.said.setdefault(keys, said)
+        self.messages.setdefault(keys, message)
 
-    def table(self, place: Keys, table: SceneTable, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
+    def table(self, prefix: Keys, table: SceneTable, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
         """Return the validated values of a table at a place in the file, given what is written there."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for name, key in table.keys.items():
-            keys = (*place, name)
+            keys = (*prefix, name)
             if name not in written:
                 if self._reader in key.needed_by:
                     self.lacks(keys)
-                found[name] = key.left_out()
+                values[name] = key.left_out()
                 continue
             self.given.add(".".join(keys))
             value = written[name]
             if isinstance(key, SceneKey):
-                found[name] = self.value(keys, key, value)
+                values[name] = self.value(keys, key, value)
             elif isinstance(value, dict):
-                found[name] = self.table(keys, key, value)
+                values[name] = self.table(keys, key, value)
             else:
                 self.refuse(keys, f"is {value!r}: it should be a table")
         for name in written:
             if name not in table.keys:
-                self._unknown((*place, name), table, besides)
-        return found
+                self._unknown((*prefix, name), table, besides)
+        return values
 
     def lacks(self, keys: Keys) -> None:
         """Record that a key is missing."""
@@ -104,21 +104,21 @@ class TableCheck:
             if isinstance(key, SceneKey) and key.formerly == keys[-1]:
                 self.refuse(keys, f"is no longer a key: it is called {now!r} now")
                 return
-        known = sorted((*table.keys, *besides))
-        close = difflib.get_close_matches(keys[-1], known, n=1)
+        names = sorted((*table.keys, *besides))
+        close = difflib.get_close_matches(keys[-1], names, n=1)
         self._meant |= {(*keys[:-1], key) for key in close}
         hint = f"did you mean {close[0]!r}? " if close else ""
-        self.refuse(keys, f"is not a key; {hint}known here: {', '.join(known)}")
+        self.refuse(keys, f"is not a key; {hint}known here: {', '.join(names)}")
 
-    def record_conflict(self, key: str, said: str) -> None:
+    def record_conflict(self, key: str, message: str) -> None:
         """Record a problem of a key that conflicts with other keys; the message quotes the value in the scene file."""
         value: Any = self.written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
-        value = self.value_at(key) if value is None else value
-        self.refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
+        value = self.find_value(key) if value is None else value
+        self.refuse(tuple(key.split(".")), f"{_shown(value)}: {message}")
 
-    def value_at(self, key: str) -> Any:
+    def find_value(self, key: str) -> Any:
         """Return the validated value at a dotted path such as "forces.tangential"; None if missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
@@ -142,13 +142,13 @@ class SceneCheck(TableCheck):
         rest = {name: value for name, value in self.written.items() if name != "kind"}
         self.values = self.table((), SceneTable(keys=tables), rest, ("kind",))
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
-            self.values["views"][role] = self.value_at(f"views.{view}")
+            self.values["views"][role] = self.find_value(f"views.{view}")
         self._check_rules()
 
     # Rules between keys, which are named by their dotted paths. An error is reported for the first key of a rule.
 
     def _check_rules(self) -> None:
-        last, first = self.value_at("recording.last_frame"), self.value_at("recording.first_frame")
+        last, first = self.find_value("recording.last_frame"), self.find_value("recording.first_frame")
         if last is not None and first is not None and last < first:
             self.record_conflict(
                 "recording.last_frame",
@@ -156,12 +156,12 @@ class SceneCheck(TableCheck):
                 "out",
             )
         together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
-        for one, other, remedy in (
+        for key, partner, remedy in (
             ("trigger", "trigger_level", "add trigger_level = 2.5 in the channel's unit"),
             ("trigger_level", "trigger", "add trigger = with the channel's name"),
         ):
-            if f"forces.{one}" in self.given and f"forces.{other}" not in self.given:
-                self.record_conflict(f"forces.{one}", f"{together}; {remedy}")
+            if f"forces.{key}" in self.given and f"forces.{partner}" not in self.given:
+                self.record_conflict(f"forces.{key}", f"{together}; {remedy}")
         self._not_both("forces.tare", "forces.offset", "both say what the sensor reads without a load")
         for name in ("gain", "sign", "offset"):
             self._one_each(f"forces.{name}")
@@ -173,14 +173,14 @@ class SceneCheck(TableCheck):
                 self._not_both("stream.region", f"views.{view}.region", "both say where points are chosen")
         self._fits_the_views()
 
-    def _not_both(self, key: str, other: str, why: str) -> None:
-        if key in self.given and other in self.given:
-            self.record_conflict(key, f"it and {_name(other)} exclude each other: {why}")
+    def _not_both(self, key: str, rival: str, why: str) -> None:
+        if key in self.given and rival in self.given:
+            self.record_conflict(key, f"it and {_name(rival)} exclude each other: {why}")
 
     def _one_each(self, key: str) -> None:
         """Record a problem unless a list in `key` has one number for each force channel."""
-        value = self.value_at(key)
-        normal, tangential = self.value_at("forces.normal"), self.value_at("forces.tangential")
+        value = self.find_value(key)
+        normal, tangential = self.find_value("forces.normal"), self.find_value("forces.tangential")
         if not isinstance(value, tuple) or normal is None:
             return
         count = 1 + (len(tangential) if isinstance(tangential, tuple) else tangential is not None)
@@ -194,21 +194,21 @@ class SceneCheck(TableCheck):
             if "calibration" in self.given and scale not in self.given:
                 self.lacks(("calibration", "mm_per_px"))
             return
-        others = [_name(one) for one in (scale, transform) if one in self.given]
-        if others:
+        excluded = [_name(name) for name in (scale, transform) if name in self.given]
+        if excluded:
             # The conflict replaces other problems of this key, as the user may remove it.
-            self.said.pop(("calibration", "file"), None)
-            self.record_conflict(key, f"a file and {', '.join(others)} exclude each other; keep one of them")
+            self.messages.pop(("calibration", "file"), None)
+            self.record_conflict(key, f"a file and {', '.join(excluded)} exclude each other; keep one of them")
             return
-        found = self.calibration
-        if found is None:
+        calibration = self.calibration
+        if calibration is None:
             return
-        values = {scale: found.mm_per_px, **({transform: found.matrix} if found.matrix else {})}
-        for other, value in values.items():
-            self.given.add(other)
-            entry = SCENE["calibration"].keys[_name(other)]
+        values = {scale: calibration.mm_per_px, **({transform: calibration.matrix} if calibration.matrix else {})}
+        for name, value in values.items():
+            self.given.add(name)
+            entry = SCENE["calibration"].keys[_name(name)]
             assert isinstance(entry, SceneKey)
-            self.values["calibration"][_name(other)] = self.value(("calibration", _name(other)), entry, value)
+            self.values["calibration"][_name(name)] = self.value(("calibration", _name(name)), entry, value)
 
     def _inside(self, key: str, view: str) -> None:
         region, around = self._rectangle(key), self._rectangle(view)
@@ -220,8 +220,8 @@ class SceneCheck(TableCheck):
 
     def _one_shape(self, key: str) -> None:
         """Record a problem unless a region that is stated has exactly one of its possible keys."""
-        shapes = self.value_at(key)
-        wrong = any(".".join(keys).startswith(f"{key}.") for keys in self.said)
+        shapes = self.find_value(key)
+        wrong = any(".".join(keys).startswith(f"{key}.") for keys in self.messages)
         if key not in self.given or not shapes or wrong:
             return
         stated = [shape for shape in shapes if f"{key}.{shape}" in self.given]
@@ -237,7 +237,7 @@ class SceneCheck(TableCheck):
         key, scale, transform = "calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"
         views = {name: self._rectangle(f"views.{name}") for name in ("topography", "contact")}
         from_view, into_view = views.values()
-        if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self.said):
+        if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self.messages):
             return
         # Without a second view to map, the scale suffices: it holds for any part of the frame.
         if from_view == into_view and transform not in self.given:
@@ -267,8 +267,8 @@ class SceneCheck(TableCheck):
                     )
 
     def _rectangle(self, key: str) -> tuple[Pixels, Pixels] | None:
-        found = self.value_at(key)
-        rows, columns = (None, None) if found is None else (found.get("rows"), found.get("columns"))
+        rectangle = self.find_value(key)
+        rows, columns = (None, None) if rectangle is None else (rectangle.get("rows"), rectangle.get("columns"))
         return None if rows is None or columns is None else (rows, columns)
 
 

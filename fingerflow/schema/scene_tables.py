@@ -340,10 +340,10 @@ class Scene:
 
     def has(self, need: str) -> bool:
         """Return whether the scene has a value for a key, given as a dotted path such as "forces.tangential"."""
-        found: Any = self
+        value: Any = self
         for name in need.split("."):
-            found = found.get(name) if isinstance(found, Views) else getattr(found, name)
-            if found is None:
+            value = value.get(name) if isinstance(value, Views) else getattr(value, name)
+            if value is None:
                 return False
         return True
 
@@ -357,16 +357,16 @@ class Scene:
 def _plain(value: Any) -> Any:
     """Convert settings (data classes, mappings and paths) to JSON types."""
     if is_dataclass(value):
-        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
+        return {name: _plain(item) for name, item in value.items()}
     return str(value) if isinstance(value, Path | frozenset) else value
 
 
 #: Tables of a scene file other than [views], which depends on the kind of the scene.
 SCENE: dict[str, SceneTable] = {name: entry for name, entry in keys_of(Scene).items() if isinstance(entry, SceneTable)}
 #: A table of [views].
-VIEW = SceneTable(keys=keys_of(View), made=View, optional=True)
+VIEW = SceneTable(keys=keys_of(View), settings=View, optional=True)
 VIEW_HELP = {
     "contact": "view in which contact darkens the picture, or brightens it (contact.appears)",
     "topography": "view of the ridges; leave it out where there is none: areas only",
@@ -374,20 +374,20 @@ VIEW_HELP = {
 }
 
 
-def views_of(kind: Kind) -> SceneTable:
+def views_of(scene_kind: Kind) -> SceneTable:
     """Return the definition of the table [views] for a kind of scene, with a rectangle for each view."""
     views = {
-        name: replace(VIEW, help=VIEW_HELP.get(name, ""), needed_by=BOTH if name in kind.views else STREAM)
-        for name in kind.all_views
+        name: replace(VIEW, help=VIEW_HELP.get(name, ""), needed_by=BOTH if name in scene_kind.views else STREAM)
+        for name in scene_kind.all_views
     }
     return SceneTable("rectangles of the frame", BOTH, keys=views)
 
 
-def entry_at(dotted: str) -> SceneKey | SceneTable | None:
+def find_entry(dotted: str) -> SceneKey | SceneTable | None:
     """Return the definition of a key or table of scene files given with dots, such as `tracking.points`; None if there
     is no such key.
     """
-    found: SceneKey | SceneTable | None = SceneTable(keys=SCENE)
+    entry: SceneKey | SceneTable | None = SceneTable(keys=SCENE)
     for name in dotted.split("."):
-        found = found.keys.get(name) if isinstance(found, SceneTable) else None
-    return found
+        entry = entry.keys.get(name) if isinstance(entry, SceneTable) else None
+    return entry

@@ -54,13 +54,13 @@ def scene_text(
     if region:
         values["stream"] = {"region": _rectangle(region)}
     views = {"contact": contact, "topography": topography}
-    others = ", ".join(kind for kind in KINDS if kind != "press")
-    lines = [_commented('# kind = "press"', f"or {others}; slip is the default of a scene with a table [slip]")]
+    other_kinds = ", ".join(scene_kind for scene_kind in KINDS if scene_kind != "press")
+    lines = [_commented('# kind = "press"', f"or {other_kinds}; slip is the default of a scene with a table [slip]")]
     for name, table in SCENE.items():
         lines += ["", *_table_text(name, table, values.get(name))]
         if name == "recording":
-            for view, one in views_of(KINDS["press"]).keys.items():
-                lines += ["", *_table_text(f"views.{view}", one, _rectangle(views[view]))]
+            for view, rectangle in views_of(KINDS["press"]).keys.items():
+                lines += ["", *_table_text(f"views.{view}", rectangle, _rectangle(views[view]))]
     return _HEAD + "\n".join(lines) + "\n"
 
 
@@ -108,6 +108,6 @@ def _rectangle(view: View) -> dict[str, Any]:
 def _commented(text: str, comment: str) -> str:
     """Return a line of TOML followed by a comment; a long comment continues on further lines."""
     lines = textwrap.wrap(comment, _WIDTH - _COMMENT - 2)
-    beside = lines and len(text) + 4 + len(lines[0]) <= _WIDTH
-    first = f"{text:<{_COMMENT - 2}}  # {lines.pop(0)}" if beside else text
+    fits = lines and len(text) + 4 + len(lines[0]) <= _WIDTH
+    first = f"{text:<{_COMMENT - 2}}  # {lines.pop(0)}" if fits else text
     return "\n".join([first, *(" " * _COMMENT + f"# {line}" for line in lines)])

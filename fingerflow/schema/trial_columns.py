@@ -84,7 +84,7 @@ _OF_TRIAL = (
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
-def _at_moments(entry: AtMoments) -> Iterator[Variable]:
+def _moment_columns(entry: AtMoments) -> Iterator[Variable]:
     source = VARIABLES[entry.variable]
 
     def column(name: str, definition: str, label: str = "") -> Variable:
@@ -103,10 +103,10 @@ def _at_moments(entry: AtMoments) -> Iterator[Variable]:
 
 #: Numeric columns of the table of trials.
 NUMBERS: dict[str, Variable] = {
-    one.name: one
-    for one in (
+    column.name: column
+    for column in (
         *_OF_TRIAL,
-        *(column for one in AT_MOMENTS for column in _at_moments(one)),
+        *(column for entry in AT_MOMENTS for column in _moment_columns(entry)),
         *(
             Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
             for name in NORMALISED
@@ -116,15 +116,15 @@ NUMBERS: dict[str, Variable] = {
 #: Differences from the reference trial, added when the table is written, for trials that name one.
 DIFFERENCE = "_difference"
 DIFFERENCES: dict[str, Variable] = {
-    f"{one}{DIFFERENCE}": replace(
-        NUMBERS[one], name=f"{one}{DIFFERENCE}", long_name=f"{NUMBERS[one].long_name}; less that of the reference"
+    f"{name}{DIFFERENCE}": replace(
+        NUMBERS[name], name=f"{name}{DIFFERENCE}", long_name=f"{NUMBERS[name].long_name}; less that of the reference"
     )
-    for one in (*(one.name for one in _OF_TRIAL), *(one.name for one in AT_MOMENTS))
+    for name in (*(column.name for column in _OF_TRIAL), *(entry.name for entry in AT_MOMENTS))
 }
 #: Columns of the table of trials that are not numeric.
 FACTS: dict[str, Variable] = {
-    name: Variable(name, _TRIAL, "1", said)
-    for name, said in {
+    name: Variable(name, _TRIAL, "1", meaning)
+    for name, meaning in {
         "status": "measured, failed (no result), or not run",
         "reason": "why a trial has no result",
         "slip_verdict": "how the stuck area vanishes, of trials of tangential loading",

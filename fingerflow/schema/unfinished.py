@@ -20,10 +20,10 @@ def unfinished(path: Path) -> Path:
     stem, suffix = path.stem, path.suffix
     pattern = re.compile(rf"\.{re.escape(stem)}-{here}-(\d+)-[0-9a-f]{{8}}{re.escape(suffix)}")
     with contextlib.suppress(OSError):
-        for other in path.parent.iterdir():
-            found = pattern.fullmatch(other.name)
-            if found and not _is_running(int(found[1])):
-                remove(other)
+        for candidate in path.parent.iterdir():
+            match = pattern.fullmatch(candidate.name)
+            if match and not _is_running(int(match[1])):
+                remove(candidate)
     return path.with_name(f".{stem}-{here}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
 
 
@@ -33,9 +33,9 @@ def finish(part: Path, path: Path) -> None:
     The content is on the disk before the name, and the name before this returns. Raises OSError where the system
     refuses.
     """
-    for one in (*part.rglob("*"), part):
-        if one.is_file():
-            with one.open("r+b") as file:
+    for written in (*part.rglob("*"), part):
+        if written.is_file():
+            with written.open("r+b") as file:
                 os.fsync(file.fileno())
     part.replace(path)
     with contextlib.suppress(OSError):  # Windows cannot open folders, and some network disks cannot sync

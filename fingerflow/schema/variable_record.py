@@ -61,7 +61,7 @@ class Variable:
         dims: names of its dimensions.
         units: in UDUNITS notation; "1" if dimensionless.
         long_name: its definition.
-        kind: data type in NumPy notation.
+        dtype: data type in NumPy notation.
         equation: in plain text, with the symbols of `schema.variables.SYMBOLS`.
         shown_in: the unit in which people read it; None for that which belongs to `units`.
         needs: keys of the scene without which it is not computed.
@@ -75,7 +75,7 @@ class Variable:
     dims: tuple[str, ...]
     units: str
     long_name: str
-    kind: str = "f8"
+    dtype: str = "f8"
     equation: str = ""
     shown_in: ShownUnit | None = None
     needs: tuple[str, ...] = ()
@@ -102,13 +102,13 @@ class Variable:
     @property
     def axis_label(self) -> str:
         """Return an axis label with the shown unit, such as "median divergence (µm/mm)"."""
-        return self.with_unit(self.words)
+        return self.add_unit(self.words)
 
     def shown_values(self, values: Any) -> Any:
         """Convert values from the unit in the data set to the unit shown in figures and reports."""
         return self.shown_unit.factor * values
 
-    def with_unit(self, words: str) -> str:
+    def add_unit(self, words: str) -> str:
         """Return a label followed by the shown unit in brackets."""
         return self.shown_unit.heading(words)
 

@@ -14,7 +14,7 @@ from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.key_types import File
 from fingerflow.schema.keys import SceneKey
-from fingerflow.schema.scene_tables import entry_at
+from fingerflow.schema.scene_tables import find_entry
 from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.spreadsheet_cell import quoted_cell
 from fingerflow.schema.toml_value import toml_value
@@ -95,7 +95,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
         written = tomllib.loads(file.read_text(encoding="utf-8-sig"))
         values = dict(flattened(written))
         for name, value in values.items():
-            if isinstance(key := entry_at(name), SceneKey) and isinstance(key.type, File):
+            if isinstance(key := find_entry(name), SceneKey) and isinstance(key.type, File):
                 values[name] = relative(file.parent / value, folder)
         flat.append(values)
         rows.append(_guessed(file.parent.relative_to(folder) if file.stem == "scene" else file.relative_to(folder)))

@@ -75,7 +75,7 @@ class ChainPress(SyntheticScene):
         """
         return pressed_chain(*self._path)
 
-    def chain_at(self, values: Tensor) -> Array:
+    def interpolate_chain(self, values: Tensor) -> Array:
         """Interpolate a quantity of the simulated skin chain, given (T,) at its simulated times, to the times of the
         frames; NaN before contact.
         """
@@ -90,9 +90,9 @@ class ChainPress(SyntheticScene):
     def progress(self, time: Array) -> Array:
         share = self._share_of_rise(time)
         if self.steady:
-            share = _progress_at(share * self.force / self._path_force) / self._path_end
+            share = _invert_force_share(share * self.force / self._path_force) / self._path_end
         elif self._path_end < 1:
-            share = _progress_at(force_share(share) * self.force / self._path_force) / self._path_end
+            share = _invert_force_share(force_share(share) * self.force / self._path_force) / self._path_end
         return np.asarray(np.minimum(share, 1.0) + self._share_of_hold(time))
 
     def normal_force(self, time: Array) -> Array:
@@ -131,7 +131,7 @@ class ChainPress(SyntheticScene):
         """Return the time at which the simulated force reaches that of the press, as a share (0 to 1) of the simulated
         rise time.
         """
-        return float(_progress_at(np.asarray(self.force / self._path_force)))
+        return float(_invert_force_share(np.asarray(self.force / self._path_force)))
 
 
 @lru_cache(maxsize=4)
@@ -153,7 +153,7 @@ def force_share(progress: Array) -> Array:
     return np.asarray(np.sin(math.pi / 2 * progress) ** 2)
 
 
-def _progress_at(share: Array) -> Array:
+def _invert_force_share(share: Array) -> Array:
     """Return the progress, the share of the rise time, at which the force on the simulated skin chain reaches a share
     (0 to 1) of its full force.
     """
@@ -174,8 +174,8 @@ def _radial_motion(
     side = float(x[:, seen][:, -1].min())
     radius = np.linspace(0, side, _RADII + 1)
     share = np.empty((_TIMES, _RADII + 1))
-    for row, place in zip(share, x, strict=True):
-        moved = CubicSpline(place[seen], (place - undeformed)[seen])
+    for row, positions in zip(share, x, strict=True):
+        moved = CubicSpline(positions[seen], (positions - undeformed)[seen])
         row[0], row[1:] = moved(0.0, 1), moved(radius[1:]) / radius[1:]
     square = (500 * chain.contact_length.numpy()) ** 2
     return RadialMotion((0.0, 0.0), side, _coefficients(_smoothed(share)), _coefficients(_smoothed(square)))

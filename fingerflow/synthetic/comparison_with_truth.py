@@ -40,10 +40,10 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
     large = gross > 10
     looked = np.flatnonzero(large)[:: max(1, large.sum() // 30)]
-    some = np.zeros_like(large)
-    some[[*looked, last]] = True
-    real = np.array([truth.real_contact_area_mm2(i) if some[i] else np.nan for i in range(scene.n_frames)])
-    relative("real contact area", "mm²", result["real_contact_area"].values, real, some)
+    checked = np.zeros_like(large)
+    checked[[*looked, last]] = True
+    real = np.array([truth.real_contact_area_mm2(i) if checked[i] else np.nan for i in range(scene.n_frames)])
+    relative("real contact area", "mm²", result["real_contact_area"].values, real, checked)
     relative("gross contact area", "mm²", result["gross_contact_area"].values, gross, large)
     ellipses = [truth.ellipse(i) for i in range(scene.n_frames)]
     axes = np.array(
@@ -76,13 +76,13 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         ("median_strain", " exy", strain[2], [medians[i].exy for i in frames]),
     ):
         variable = VARIABLES[name]
-        found, expected = variable.shown_values(measured), variable.shown_values(np.array(true))
-        error = found - expected
+        computed, expected = variable.shown_values(measured), variable.shown_values(np.array(true))
+        error = computed - expected
         rows.append(
             Comparison(
                 f"{variable.words}{component}",
                 variable.shown_unit.name,
-                float(found[-1]),
+                float(computed[-1]),
                 float(expected[-1]),
                 f"{error[-1]:+.3g} (worst frame: {error[np.nanargmax(np.abs(error))]:+.3g})",
             )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic.ridge_pattern import Pattern, arch, loop, ridges, whorl
-from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
+from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_depth, pore_lattice
 
 PATTERNS: dict[str, Callable[[], Pattern]] = {"loop": loop, "whorl": whorl, "arch": arch}
 #: Radius of curvature, mm, of the ridges across the fingertip.
@@ -67,7 +67,7 @@ class FingerprintTexture:
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the skin's contrast, within (-1, 1) and bright on ridges, at material positions (x, y), in mm."""
         ridge = self.ridges(x, y)
-        contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._waves["pores"], x, y) * (self.pores / 32)
+        contrast = (1 - self.grain) * ridge - (ridge + 1) * pore_depth(self._waves["pores"], x, y) * (self.pores / 32)
         return add_waves(contrast, self._waves["grain"], self.grain / len(self._waves["grain"]), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class FingerprintTexture:
 
         Pores and the border of the contact narrow the ridges.
         """
-        height = self.ridges(x, y) - pores_at(self._waves["pores"], x, y) * (self.pores / 8)
+        height = self.ridges(x, y) - pore_depth(self._waves["pores"], x, y) * (self.pores / 8)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]
         uneven = add_waves(torch.zeros_like(x), waves, self.uneven / len(waves), x, y)

@@ -141,10 +141,10 @@ class PartialSlipMotion(SlideMotion):
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         travelled = self.travelled(progress)
         radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
-        slipped = travelled + self._slip_at(radius, self.stuck_radius(progress), self.jumped(progress))
+        slipped = travelled + self._slip(radius, self.stuck_radius(progress), self.jumped(progress))
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
-    def _slip_at(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
+    def _slip(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
         """Return the slip, mm, of skin at a radius relative to the contact's, for a stick region of relative radius
         `stuck` and a rim that has jumped by `jumped` mm in total.
         """
@@ -160,7 +160,7 @@ class PartialSlipMotion(SlideMotion):
         stuck, jumped = self.stuck_radius(at), self.jumped(at)
 
         def beyond(radius: float) -> float:
-            return float(self._slip_at(torch.tensor(radius, dtype=torch.float64), stuck, jumped)) - left
+            return float(self._slip(torch.tensor(radius, dtype=torch.float64), stuck, jumped)) - left
 
         return float(brentq(beyond, float(stuck), 1.0, xtol=1e-15)) if beyond(1.0) > 0 else 1.0
 

@@ -47,13 +47,13 @@ def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tenso
     levels, step = pattern
     level, density = levels(x, y)
     spacing = math.log(RATIO)
-    wanted = (torch.log(wave_number / density.clamp(min=1e-3)) / spacing).clamp(-5, 50)
-    nearest = torch.round(wanted)
+    exact = (torch.log(wave_number / density.clamp(min=1e-3)) / spacing).clamp(-5, 50)
+    nearest = torch.round(exact)
     even, odd, total = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
     for offset in (-1, 0, 1):
         number = nearest + offset
         # The weight is twice continuously differentiable, so that the end of a wave is not visible.
-        weight = (1 - ((wanted - number) / REACH).square()).clamp(min=0) ** 3
+        weight = (1 - ((exact - number) / REACH).square()).clamp(min=0) ** 3
         k = torch.exp(number * spacing)
         if step:
             k = torch.round(k / step).clamp(min=1) * step

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -30,20 +30,8 @@ BLUR = 0.7
 SURROUND = 8
 #: Least darkness of a touching pixel relative to the glass, as a share of the contrast between glass and ridges.
 LEAST = 0.35
-#: Slope of `Levels.touching` (1/mm) below which the level gives no distance from the edge of a ridge.
+#: Slope of the contact level (1/mm) below which the level gives no distance from the edge of a ridge.
 LEAST_SLOPE = 1.0
-
-
-class Levels(NamedTuple):
-    """Spline coefficients for contrast and contact in an image of a fingerprint, and the shape of the image.
-
-    `contrast` is the skin's; `touching`, positive where the skin touches, is scaled so that ridge and glass differ by
-    1.
-    """
-
-    contrast: Tensor
-    touching: Tensor
-    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -72,7 +60,7 @@ class PictureTexture:
     centre: tuple[float, float] = (0.0, 0.0)
     border: float = 0.15
     border_width: float = 0.5
-    _levels: Levels = field(init=False, repr=False, compare=False)
+    _levels: tuple[Tensor, Tensor, tuple[int, int]] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_levels", _levels(Path(self.picture), self.dpi))
@@ -85,42 +73,44 @@ class PictureTexture:
     @property
     def size(self) -> tuple[float, float]:
         """Return width and height of the image, mm, between the centres of its outermost pixels."""
-        rows, columns = self._levels.shape
+        _, _, (rows, columns) = self._levels
         return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the skin's contrast, within [-1, 1] and bright on ridges, at material positions (x, y), in mm."""
-        value, _, _ = _spline(self._levels.contrast, *self._pixels(x, y))
+        value, _, _ = _spline(self._levels[0], *self._pixels(x, y))
         return value.clamp_(-1, 1)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
         """Return the signed distance, mm, from positions (x, y) to the edge of the part of a ridge that touches the
         glass, positive inside; `depth` is the distance (mm) to the contact border, and ``share`` is ignored.
         """
-        value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
+        value, by_column, by_row = _spline(self._levels[1], *self._pixels(x, y))
         slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         return (value - self.border * loose) / slope
 
     def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Convert material positions (x, y), mm, to column and row, px, in the fingerprint image with added border."""
-        rows, columns = self._levels.shape
+        _, _, (rows, columns) = self._levels
         column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
-def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
-    """Return a synthetic press or slide (`kind`) of the finger whose fingerprint is in an image, with the contact as
+def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
+    """Return a press or slide (`scene_class`) of the finger whose fingerprint is in an image, with the contact as
     close as possible to the centre of the print.
 
     Raises:
         FingerflowError: as `PictureTexture`, or the image is smaller than the skin that comes into contact.
     """
     texture = PictureTexture(Path(picture), dpi)
-    plain = kind()
+    plain = scene_class()
     # Skin under the edge of the contact: at the start and, if the finger travels, where skin enters at the front.
     ellipses = {frame: plain.truth.ellipse(frame) for frame in (*range(0, plain.n_frames, 20), plain.n_frames - 1)}
-    edges = [plain.truth.material(one.edge(64), frame) for frame, one in ellipses.items() if one is not None]
+    edges = [
+        plain.truth.material(ellipse.edge(64), frame) for frame, ellipse in ellipses.items() if ellipse is not None
+    ]
     outline = np.concatenate(edges) - plain.contact_centre
     low, high = outline.min(axis=0), outline.max(axis=0)
     half = np.array(texture.size) / 2
@@ -139,7 +129,7 @@ def _contact_centroid(texture: PictureTexture) -> Plane:
     """Return the centroid (x, y), mm, of the touching ridges in a fingerprint image, relative to the centre of the
     image.
     """
-    rows, columns = texture._levels.shape
+    rows, columns = texture._levels[2]
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
@@ -147,7 +137,12 @@ def _contact_centroid(texture: PictureTexture) -> Plane:
 
 
 @lru_cache(maxsize=4)
-def _levels(picture: Path, dpi: float) -> Levels:
+def _levels(picture: Path, dpi: float) -> tuple[Tensor, Tensor, tuple[int, int]]:
+    """Return spline coefficients of the skin's contrast and of its contact level in an image of a fingerprint, and the
+    shape of the image.
+
+    The contact level is positive where the skin touches, and scaled so that ridge and glass differ by 1.
+    """
     grey = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if grey is None:
         reason = "cannot be read as a picture" if picture.exists() else "does not exist"
@@ -174,7 +169,7 @@ def _levels(picture: Path, dpi: float) -> Levels:
     full = np.quantile(spread, 0.8)
     skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
     skin *= _edge_weights(plane.shape[0], period)[:, None] * _edge_weights(plane.shape[1], period)
-    return Levels(_coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape)
+    return _coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape
 
 
 def _edge_weights(count: int, period: float) -> Plane:

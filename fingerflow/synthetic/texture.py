@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
+from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_depth, pore_lattice
 
 #: Largest relative change of the ridges' frequency due to one of the three undulations.
 UNDULATION = 0.09
@@ -53,7 +53,7 @@ class RidgeTexture:
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the optical contrast of the skin at material positions (x, y), in mm."""
         ridge = torch.cos(self.ridge_phase(x, y))
-        contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._pore_rows, x, y) * (self.pores / 32)
+        contrast = (1 - self.grain) * ridge - (ridge + 1) * pore_depth(self._pore_rows, x, y) * (self.pores / 32)
         return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
 
     def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:

@@ -77,12 +77,12 @@ class Truth:
     def material(self, positions: ArrayLike, frame: int) -> Array:
         """Return the material coordinates (mm) of the skin at positions (..., 2) on the glass in a frame."""
         x, y = _points(positions).unbind(-1)
-        return torch.stack(self.motion.material(x, y, self._at(frame)), dim=-1).numpy()
+        return torch.stack(self.motion.material(x, y, self._frame_progress(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
         """Return the positions (mm) on the glass of material points (..., 2) in a frame."""
         points = _points(material)
-        return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
+        return self._forward(points, self._frame_progress(frame).expand(points.shape[:-1]), points).numpy()
 
     def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
         """Return the topography pixels (..., 2) in frame `to_frame` of skin at given pixels in frame `from_frame`."""
@@ -160,8 +160,8 @@ class Truth:
         It exists also for skin advected across a stationary edge, and is NaN before the onset.
         """
         points = _points(material)
-        onset, place = self._onset(points)
-        return self._gradient_since(points, frame, onset, self._derivatives(place, onset)[0]).numpy()
+        onset, entry = self._onset(points)
+        return self._gradient_since(points, frame, onset, self._derivatives(entry, onset)[0]).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
         """Return the true medians of deformation over the apparent contact of a frame, from a square grid of positions.
@@ -176,9 +176,9 @@ class Truth:
         x, y, _ = _grid_around(ellipse, min(spacing_mm, min(ellipse.semi_axes) / 8))
         material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
         points = _points(material)
-        onset, place = self._onset(points)
-        displacement = self._displacement(points, frame, onset, place, reference).numpy()
-        (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, place, reference).numpy(), 0, -1)
+        onset, entry = self._onset(points)
+        displacement = self._displacement(points, frame, onset, entry, reference).numpy()
+        (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, entry, reference).numpy(), 0, -1)
         fields = (
             xx + yy,
             yx - xy,
@@ -191,7 +191,7 @@ class Truth:
 
     # Solvers
 
-    def _at(self, frame: int) -> Tensor:
+    def _frame_progress(self, frame: int) -> Tensor:
         return torch.tensor(self.progress[frame], dtype=torch.float64)
 
     def _pixel_centres(self) -> tuple[Tensor, Tensor]:
@@ -200,23 +200,23 @@ class Truth:
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         depth = ellipse.distance(x, y)
-        return torch.minimum(self.ridge_margin(*self.motion.material(x, y, self._at(frame)), depth), depth)
+        return torch.minimum(self.ridge_margin(*self.motion.material(x, y, self._frame_progress(frame)), depth), depth)
 
     def _displacement(
-        self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
+        self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None = None
     ) -> Tensor:
         if reference is not None:
-            place = self._forward(points, self._at(reference).expand(onset.shape), points)
-        moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place
-        return torch.where((onset <= self._at(frame))[..., None], moved, math.nan)
+            entry = self._forward(points, self._frame_progress(reference).expand(onset.shape), points)
+        moved = self._forward(points, self._frame_progress(frame).expand(onset.shape), points) - entry
+        return torch.where((onset <= self._frame_progress(frame))[..., None], moved, math.nan)
 
     def _gradient(
-        self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
+        self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None = None
     ) -> Tensor:
         if reference is not None:
             return self._gradient_since(points, frame, onset, self._deformation(points, reference))
-        forward, velocity = self._derivatives(place, onset)
-        slope, rate = self._depth_derivatives(place, onset)
+        forward, velocity = self._derivatives(entry, onset)
+        slope, rate = self._depth_derivatives(entry, onset)
         closing = (slope * velocity).sum(-1) + rate
         onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
         # Points inside at the start have their onset at progress 0, as do their neighbours.
@@ -230,13 +230,13 @@ class Truth:
         gradient ``reference``; NaN before their `onset` of contact, a progress.
         """
         gradient = self._deformation(points, frame) @ _inverse(reference) - torch.eye(2, dtype=torch.float64)
-        return torch.where((onset <= self._at(frame))[..., None, None], gradient, math.nan)
+        return torch.where((onset <= self._frame_progress(frame))[..., None, None], gradient, math.nan)
 
     def _deformation(self, points: Tensor, frame: int) -> Tensor:
         """Return the deformation gradient F (..., 2, 2), d position / d material coordinates, at material points in a
         frame.
         """
-        progress = self._at(frame).expand(points.shape[:-1])
+        progress = self._frame_progress(frame).expand(points.shape[:-1])
         return self._derivatives(self._forward(points, progress, points), progress)[0]
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
@@ -288,29 +288,29 @@ class Truth:
         steps = torch.linspace(0, 1, self.motion.entry_steps + 1, dtype=torch.float64)
         points = material.expand(len(steps), *material.shape)
         at = steps.reshape(-1, *(1,) * (material.ndim - 1)).expand(points.shape[:-1])
-        place = self._forward(points, at, points)
-        inside = self.motion.depth(place[..., 0], place[..., 1], at) > 0
+        entry = self._forward(points, at, points)
+        inside = self.motion.depth(entry[..., 0], entry[..., 1], at) > 0
         last = torch.argmax(inside.to(torch.uint8), dim=0)
         first = (last - 1).clamp(min=0)
         upper = torch.where(inside.any(dim=0), steps[last], math.nan)
         lower = torch.where(inside.any(dim=0), steps[first], math.nan)
 
         onset = upper
-        place = torch.gather(place, 0, last[None, ..., None].expand(1, *material.shape))[0]
+        entry = torch.gather(entry, 0, last[None, ..., None].expand(1, *material.shape))[0]
         for _ in range(60):
-            place = self._forward(material, onset, place)
-            depth = self.motion.depth(place[..., 0], place[..., 1], onset)
+            entry = self._forward(material, onset, entry)
+            depth = self.motion.depth(entry[..., 0], entry[..., 1], onset)
             upper = torch.where(depth > 0, onset, upper)
             lower = torch.where(depth > 0, lower, onset)
-            slope, rate = self._depth_derivatives(place, onset)
-            _, velocity = self._derivatives(place, onset)
+            slope, rate = self._depth_derivatives(entry, onset)
+            _, velocity = self._derivatives(entry, onset)
             guess = onset - depth / ((slope * velocity).sum(-1) + rate)
             guess = torch.where((guess < lower) | (guess > upper), (lower + upper) / 2, guess)
             settled = not ((guess - onset).abs() > TOLERANCE).any()
             onset = guess
             if settled:
                 break
-        return onset, self._forward(material, onset, place)
+        return onset, self._forward(material, onset, entry)
 
 
 def _points(values: ArrayLike) -> Tensor:

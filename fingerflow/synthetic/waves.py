@@ -43,7 +43,7 @@ def pore_lattice(first: float, second: float, generator: torch.Generator) -> Wav
     ]
 
 
-def pores_at(lattice: Waves, x: Tensor, y: Tensor) -> Tensor:
+def pore_depth(lattice: Waves, x: Tensor, y: Tensor) -> Tensor:
     """Return the dimensionless pore depth at positions (x, y), mm: 16 at the centre of a pore, 0 between pores."""
     (a_x, a_y, a_offset), (b_x, b_y, b_offset) = lattice
     rows = torch.cos((a_x * x).add(y, alpha=a_y).add(a_offset))

@@ -31,8 +31,8 @@ from fingerflow.synthetic.texture import RidgeTexture
 
 #: Classes that may occur in the settings of a synthetic scene.
 KINDS = {
-    kind.__name__: kind
-    for kind in (
+    scene_class.__name__: scene_class
+    for scene_class in (
         *(Press, ChainPress, Slide, PartialSlip, LinearSlip, Camera, Bump),
         *(RidgeTexture, FingerprintTexture, PictureTexture),
     )

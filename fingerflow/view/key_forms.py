@@ -5,8 +5,8 @@ validation.
 import re
 from typing import Any
 
-from fingerflow.schema.keys import SceneKey, words_of
-from fingerflow.schema.scene_tables import SCENE, VIEW_HELP, entry_at
+from fingerflow.schema.keys import SceneKey, key_words
+from fingerflow.schema.scene_tables import SCENE, VIEW_HELP, find_entry
 
 
 def forms() -> dict[str, dict[str, Any]]:
@@ -36,9 +36,9 @@ def field_name(key: str) -> str:
         return f"the {view} view"
     if table not in SCENE:
         return key
-    field = entry_at(key)
+    field = find_entry(key)
     if isinstance(field, SceneKey) and "." not in name:
-        return f"{table.capitalize()}: {words_of(name, field)[0]}"
+        return f"{table.capitalize()}: {key_words(name, field)[0]}"
     return key if name else table.capitalize()
 
 
@@ -65,7 +65,7 @@ def _named(found: re.Match[str]) -> str:
 
 
 def _form(name: str, key: SceneKey) -> dict[str, Any]:
-    words, unit = words_of(name, key)
+    words, unit = key_words(name, key)
     label = f"{words} ({unit})" if unit else words
     return {
         "name": name,

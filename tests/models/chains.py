@@ -5,13 +5,13 @@ import torch
 from scipy.integrate import solve_ivp
 
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces
-from fingerflow.models.skin_implicit import Load, State
+from fingerflow.models.skin_implicit import State
 from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import parameter_set
 
 
 def chain_of(elements: int = 41) -> Chain:
-    return Chains.of(parameter_set("lab"), elements, torch.Size(())).single(0)
+    return Chains.build(parameter_set("lab"), elements, torch.Size(())).single(0)
 
 
 def nodes_of(chain: Chain) -> Array:
@@ -23,9 +23,9 @@ def begun(chain: Chain) -> State:
     return State(nodes_of(chain), np.zeros(len(chain.reference)))
 
 
-def constant_load(newton: float, along: float = 0.0) -> Load:
+def constant_load(newton: float, along: float = 0.0) -> Array:
     force = np.array([along, -newton])
-    return Load(force, force)
+    return np.stack((force, force))
 
 
 def bent(chain: Chain, size: float = 3e-5) -> Array:

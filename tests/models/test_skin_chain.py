@@ -83,7 +83,7 @@ def test_the_same_rest_by_explicit_runge_kutta() -> None:
     chain = chain_of(elements=41)._replace(bone_damping=5.0)  # a slowly moving bone: longer steps are stable
     mu, load, implicit = np.full(41, 0.3), constant_load(3.0), begun(chain)
     skin_implicit.advance(chain, implicit, mu, load, 0.03, 1e-9, 0.0)
-    place, rubbed = runge_kutta(chain, mu, load.first, 0.03)
+    place, rubbed = runge_kutta(chain, mu, load[0], 0.03)
     assert np.abs(place - implicit.nodes[:-1]).max() < 1e-8
     assert np.abs(rubbed - implicit.friction).max() < 3e-5
     assert np.abs(place - chain.reference).max() > 1e-4
@@ -105,7 +105,7 @@ def test_energy_is_only_lost() -> None:
         lost += float(taken.sum())
         damped += float((chain.dampers * np.square(state.nodes - nodes)).sum()) / span
         nodes, rubbed = state.nodes, state.friction
-    work = float(load.first @ nodes[-1])
+    work = float(load[0] @ nodes[-1])
     assert lost > 0.003 * work > 0
     assert worst > -1e-4 * lost
     assert energy(chain, nodes) + damped + lost == pytest.approx(work, rel=0.02)

@@ -17,7 +17,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.dictionary import dictionary
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.results.tables import export_map, export_table
-from fingerflow.results.tables.grid_maps import maps_of
+from fingerflow.results.tables.grid_maps import interpolate_maps
 from fingerflow.schema.variable_record import IN_PERCENT
 
 FRAMES, POINTS, FIRST = 3, 200, 10
@@ -114,13 +114,13 @@ def test_one_switch_shows_deformation_in_percent(
     names, rows = read(tmp_path / "tracks.csv")
     assert names[4:] == ["divergence (%)", "displacement_x (µm)", "displacement_y (µm)"]
     np.testing.assert_allclose(rows[rows[:, 0] == 5, 4], 100 * result["divergence"][:, 5], rtol=1e-8)
-    maps = maps_of(result, "divergence", 0.2)
+    maps = interpolate_maps(result, "divergence", 0.2)
     assert "divergence in %" in maps.about
     assert VARIABLES["median_divergence_rate"].axis_label == "median divergence rate (%/s)"
     assert VARIABLES["divergence"].shown()["percent"] is None
     monkeypatch.delenv(IN_PERCENT)
     assert VARIABLES["divergence"].shown()["percent"] == {"unit": "%", "factor": 100.0}
-    np.testing.assert_allclose(maps_of(result, "divergence", 0.2).values, 10 * maps.values, rtol=1e-5)
+    np.testing.assert_allclose(interpolate_maps(result, "divergence", 0.2).values, 10 * maps.values, rtol=1e-5)
 
 
 def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_pat
 
 def test_a_linear_field_is_mapped_exactly(result: xr.Dataset) -> None:
     """A linear field is mapped exactly, to the rounding of float32, as interpolation is linear."""
-    maps = maps_of(result, "displacement", 0.2)
+    maps = interpolate_maps(result, "displacement", 0.2)
     assert maps.components == ("x", "y")
     x, y = np.meshgrid(maps.x, maps.y)
     truth = np.stack([x, y], -1) @ GRADIENT.T
@@ -159,14 +159,14 @@ def test_where_no_point_is_near_nothing_is_known(result: xr.Dataset) -> None:
     cut = result.copy(deep=True)
     gone = np.abs(result["position"].values[..., 0] - 2) < 1.2
     cut["divergence"].values[gone] = np.nan
-    maps = maps_of(cut, "divergence", 0.1)
+    maps = interpolate_maps(cut, "divergence", 0.1)
     middle = np.abs(maps.x - 2) < 0.3
     assert np.isnan(maps.values[0][..., middle]).all()
     assert np.isfinite(maps.values[0][..., np.abs(maps.x - 0.5) < 0.2]).mean() > 0.5
 
 
 def test_triangles_are_mapped_as_they_lie(result: xr.Dataset) -> None:
-    maps = maps_of(result, "strain_energy_density", 0.1)
+    maps = interpolate_maps(result, "strain_energy_density", 0.1)
     x, y = np.meshgrid(maps.x, maps.y)
     drifted = Delaunay(result["position"].values[0])
     found = drifted.find_simplex(np.stack([x, y], -1))
@@ -188,10 +188,10 @@ def test_imagej_reads_scale_and_interval(result: xr.Dataset, tmp_path: Path) -> 
         assert about["unit"] == "mm"
         assert about["finterval"] == pytest.approx(0.02)
         assert "the first pixel is at x = " in about["Info"]
-        np.testing.assert_array_equal(file.asarray(), maps_of(result, "divergence", 0.2).values[:, 0])
+        np.testing.assert_array_equal(file.asarray(), interpolate_maps(result, "divergence", 0.2).values[:, 0])
     with tifffile.TiffFile(tmp_path / "parts.tif") as file:
         assert file.series[0].axes == "TCYX"
-        np.testing.assert_array_equal(file.asarray(), maps_of(result, "displacement", 0.2).values)
+        np.testing.assert_array_equal(file.asarray(), interpolate_maps(result, "displacement", 0.2).values)
 
 
 def test_a_map_as_a_table(result: xr.Dataset, tmp_path: Path) -> None:

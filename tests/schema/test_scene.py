@@ -47,7 +47,7 @@ def message_of(path: Path) -> str:
     return str(caught.value)
 
 
-def line_of(path: Path, start: str) -> int:
+def line_number(path: Path, start: str) -> int:
     return next(n for n, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if line.startswith(start))
 
 
@@ -67,7 +67,7 @@ def test_whole_numbers_are_numbers(folder: Path) -> None:
 def test_keys_in_other_spellings_have_their_line(folder: Path) -> None:
     """Errors in inline tables, dotted and quoted keys, which are the same TOML, name their line."""
     inline = write(folder, "[tracking]\npoints = 700\n", '[tracking]\n"points"= 1\n')
-    assert f"line {line_of(inline, QUOTED)}: tracking.points is 1" in message_of(inline)
+    assert f"line {line_number(inline, QUOTED)}: tracking.points is 1" in message_of(inline)
     text = "fields = { gauge_length_mm = -1 }\n" + write(folder).read_text().split("[fields]")[0]
     inline.write_text(text)
     assert "line 1: fields.gauge_length_mm is -1" in message_of(inline)
@@ -77,7 +77,7 @@ def test_keys_in_other_spellings_have_their_line(folder: Path) -> None:
 
 def test_a_missing_key_is_reported(folder: Path) -> None:
     path = write(folder, 'frames = "frames.npy"', "")
-    assert f"line {line_of(path, '[recording]')}: recording.frames is missing; add it" in message_of(path)
+    assert f"line {line_number(path, '[recording]')}: recording.frames is missing; add it" in message_of(path)
     (folder / "empty.toml").write_text("")
     assert {line.split(": ")[1].split()[0] for line in message_of(folder / "empty.toml").splitlines()} == {
         "recording",

@@ -56,23 +56,23 @@ def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike
         ValueError: lengths differ.
     """
     numbers, names, who = _columns(values, groups, participants)
-    known = np.isfinite(numbers)
-    found, group = np.unique(names[known], return_inverse=True)
-    people, person = np.unique(who[known], return_inverse=True)
-    cell, shape = person * found.size + group, (people.size, found.size)
-    counts, sums = (np.bincount(cell, by, people.size * found.size).reshape(shape) for by in (None, numbers[known]))
+    valid = np.isfinite(numbers)
+    labels, group = np.unique(names[valid], return_inverse=True)
+    people, person = np.unique(who[valid], return_inverse=True)
+    cell, shape = person * labels.size + group, (people.size, labels.size)
+    counts, sums = (np.bincount(cell, by, people.size * labels.size).reshape(shape) for by in (None, numbers[valid]))
     whole = (counts > 0).all(1)
     cells = sums[whole] / counts[whole]
     number, kinds = cells.shape
-    trials = {str(name): int(count) for name, count in zip(found, counts[whole].sum(0), strict=True)}
+    trials = {str(name): int(count) for name, count in zip(labels, counts[whole].sum(0), strict=True)}
     between = kinds - 1
     nothing = Anova((between, (number - 1) * between), trials, numbers.size - sum(trials.values()), participants=number)
     if min(nothing.degrees) < 1:
         reason = f"{kinds} groups, {number} participants with trials in each: 2 of both are needed"
         return replace(nothing, reason=reason)
-    own = cells - cells.mean(1, keepdims=True)
-    rest = own - own.mean(0)
-    effect, error = number * float((own.mean(0) ** 2).sum()), float((rest**2).sum())
+    centred = cells - cells.mean(1, keepdims=True)
+    rest = centred - centred.mean(0)
+    effect, error = number * float((centred.mean(0) ** 2).sum()), float((rest**2).sum())
     if error <= 1e-14 * float(((cells - cells.mean()) ** 2).sum()) or error == 0:
         return replace(nothing, reason="the differences between groups do not vary over participants")
     covariance = rest.T @ rest
@@ -96,24 +96,26 @@ def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:
         ValueError: values and groups differ in length.
     """
     numbers, names = _columns(values, groups)
-    known = np.isfinite(numbers)
-    parts = {str(name): numbers[known & (names == name)] for name in np.unique(names)}
+    valid = np.isfinite(numbers)
+    parts = {str(name): numbers[valid & (names == name)] for name in np.unique(names)}
     sizes = {name: part.size for name, part in parts.items()}
     full = [part for part in parts.values() if part.size]
-    nothing = Anova((len(full) - 1, int(known.sum()) - len(full)), sizes, int((~known).sum()))
+    nothing = Anova((len(full) - 1, int(valid.sum()) - len(full)), sizes, int((~valid).sum()))
     if sum(part.size >= 2 for part in full) < 2:
         return replace(nothing, reason=f"{len(full)} groups with trials: two of two trials at least are needed")
     within = sum(float(((part - part.mean()) ** 2).sum()) for part in full)
-    total = float(((numbers[known] - numbers[known].mean()) ** 2).sum())
+    total = float(((numbers[valid] - numbers[valid].mean()) ** 2).sum())
     if within <= 1e-14 * total or total == 0:
         return replace(nothing, reason="the values do not vary within the groups")
-    found = stats.f_oneway(*full)
-    return replace(nothing, f=float(found.statistic), p=float(found.pvalue), eta_squared=1 - within / total)
+    test = stats.f_oneway(*full)
+    return replace(nothing, f=float(test.statistic), p=float(test.pvalue), eta_squared=1 - within / total)
 
 
 def _columns(values: ArrayLike, *labels: ArrayLike) -> tuple[NDArray[Any], ...]:
     columns = (np.asarray(values, dtype=np.float64), *map(np.asarray, labels))
     flat = tuple(column.reshape(-1) for column in columns)
     if len({column.size for column in flat}) > 1:
-        raise ValueError(f"{flat[0].size} values in {[one.size for one in flat[1:]]} groups: name that of every value")
+        raise ValueError(
+            f"{flat[0].size} values in {[column.size for column in flat[1:]]} groups: name that of every value"
+        )
     return flat

@@ -51,10 +51,10 @@ def observe(
         FingerflowError: a metric that the table does not have.
     """
     who = trials.participants()
-    found = {}
+    summaries = {}
     for name in trials.metrics if metrics is None else metrics:
         correct, incorrect = trials.split(name)
-        found[name] = MetricSummary(
+        summaries[name] = MetricSummary(
             d_prime(correct, incorrect, who),
             replace(
                 auc(correct, incorrect, who, resamples, seed), p=permutation_p(correct, incorrect, who, resamples, seed)
@@ -62,7 +62,7 @@ def observe(
             criterion_for_hits(correct, who[0], resamples, seed),
             printed_observer(correct, incorrect),
         )
-    return found
+    return summaries
 
 
 def d_prime(correct: ArrayLike, incorrect: ArrayLike, participants: Participants) -> Estimate:
@@ -128,19 +128,19 @@ def compare_auc(
         ValueError: the metrics have different numbers of trials, or as in `auc`.
     """
     pairs = [
-        [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in both] for both in zip(first, second, strict=True)
+        [np.asarray(group, dtype=np.float64).reshape(-1) for group in both] for both in zip(first, second, strict=True)
     ]
-    for one, other in pairs:
-        if one.size != other.size:
-            raise ValueError(f"{one.size} and {other.size} trials of a kind: give both metrics of the same ones")
-    known = [np.isfinite(one) & np.isfinite(other) for one, other in pairs]
-    others = [other[both] for both, (_, other) in zip(known, pairs, strict=True)]
+    for left, right in pairs:
+        if left.size != right.size:
+            raise ValueError(f"{left.size} and {right.size} trials of a kind: give both metrics of the same ones")
+    valid = [np.isfinite(left) & np.isfinite(right) for left, right in pairs]
+    right_values = [right[both] for both, (_, right) in zip(valid, pairs, strict=True)]
 
     def difference(values: list[Values], units: list[NDArray[np.intp]], people: int) -> Statistic:
-        first_area, second_area = _area(values, units, people), _area(others, units, people)
+        first_area, second_area = _area(values, units, people), _area(right_values, units, people)
         return lambda weights: first_area(weights) - second_area(weights)
 
-    kinds = [np.where(both, one, np.nan) for both, (one, _) in zip(known, pairs, strict=True)]
+    kinds = [np.where(both, left, np.nan) for both, (left, _) in zip(valid, pairs, strict=True)]
     return _estimated(kinds, participants, 1, difference, _bootstrapped(resamples, seed))
 
 
@@ -157,18 +157,18 @@ def criterion_for_hits(correct: ArrayLike, participants: ArrayLike, resamples: i
         order = np.argsort(values[0], kind="stable")
         ranked, unit = values[0][order], units[0][order]
 
-        def of(weights: Values) -> Values:
+        def resampled(weights: Values) -> Values:
             counts = weights[:, unit].cumsum(1)
-            place = (1 - _HITS) * (counts[:, -1] - 1)
-            lower = np.floor(place)
+            target = (1 - _HITS) * (counts[:, -1] - 1)
+            lower = np.floor(target)
             # The k-th smallest of the resampled values is the first one whose cumulative count exceeds k.
             low, high = (
                 ranked[np.argmax(counts > np.minimum(rank, counts[:, -1] - 1)[:, None], axis=1)]
                 for rank in (lower, lower + 1)
             )
-            return np.asarray(low + (place - lower) * (high - low))
+            return np.asarray(low + (target - lower) * (high - low))
 
-        return of
+        return resampled
 
     return _estimated((correct,), (participants,), 2, quantile, _bootstrapped(resamples, seed))
 
@@ -194,35 +194,35 @@ def permutation_p(
     draw = np.random.default_rng([seed, _STREAM])
     drawn = (is_correct[np.argsort(person + draw.random(person.size))] @ ranks for _ in range(permutations))
     reach = abs(is_correct @ ranks - expected) - 1e-9
-    return float((1 + sum(abs(one - expected) >= reach for one in drawn)) / (1 + permutations))
+    return float((1 + sum(abs(total - expected) >= reach for total in drawn)) / (1 + permutations))
 
 
 def _estimated(
     kinds: Sequence[ArrayLike],
     participants: Sequence[ArrayLike],
     fewest: int,
-    statistic_of: Callable[[list[Values], list[NDArray[np.intp]], int], Statistic],
-    interval_of: Callable[[float, Statistic, int], tuple[Interval, float, str]],
+    make_statistic: Callable[[list[Values], list[NDArray[np.intp]], int], Statistic],
+    make_interval: Callable[[float, Statistic, int], tuple[Interval, float, str]],
 ) -> Estimate:
     values, units, people, missing = _finite(kinds, participants)
-    sizes = [kind.size for kind in values]
+    sizes = [group.size for group in values]
     nothing = Estimate(math.nan, trials=sum(sizes), missing=missing, participants=people)
     if min(sizes) < fewest:
         counts = " and ".join(map(str, sizes))
         return replace(nothing, reason=f"{counts} trials of the kinds compared: {fewest} of each are needed")
-    statistic = statistic_of(values, units, people)
+    statistic = make_statistic(values, units, people)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(statistic(np.ones((1, people)))[0])
         if not math.isfinite(value):
             return replace(nothing, reason="all values are equal within each kind of trial: no d'")
-        interval, p, reason = interval_of(value, statistic, people)
+        interval, p, reason = make_interval(value, statistic, people)
     return replace(nothing, value=value, interval=interval, p=p, reason=reason)
 
 
 def _bootstrapped(resamples: int, seed: int) -> Callable[[float, Statistic, int], tuple[Interval, float, str]]:
     def interval(value: float, statistic: Statistic, people: int) -> tuple[Interval, float, str]:
-        found, reason = bootstrap(value, statistic, people, resamples, seed)
-        return found, math.nan, reason
+        limits, reason = bootstrap(value, statistic, people, resamples, seed)
+        return limits, math.nan, reason
 
     return interval
 
@@ -233,39 +233,39 @@ def _finite(
     """Return the finite values of each kind of trials, the number of each trial's participant, how many participants
     there are, and how many trials were NaN.
     """
-    values = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in kinds]
-    if any(np.isinf(kind).any() for kind in values):
+    values = [np.asarray(group, dtype=np.float64).reshape(-1) for group in kinds]
+    if any(np.isinf(group).any() for group in values):
         raise ValueError("a metric is infinite: mark what was not measured with NaN")
-    shapes = [np.shape(who) for who in participants], [kind.shape for kind in values]
+    shapes = [np.shape(who) for who in participants], [group.shape for group in values]
     if shapes[0] != shapes[1]:
         raise ValueError(f"participants have shapes {shapes[0]}, the trials {shapes[1]}: name that of every trial")
-    kept = [np.isfinite(kind) for kind in values]
-    names = [np.asarray(who)[keep] for who, keep in zip(participants, kept, strict=True)]
-    known, units = np.unique(np.concatenate(names), return_inverse=True)
-    finite = [kind[keep] for kind, keep in zip(values, kept, strict=True)]
-    missing = sum(int((~keep).sum()) for keep in kept)
-    return finite, np.split(units, np.cumsum([name.size for name in names])[:-1]), known.size, missing
+    valid = [np.isfinite(group) for group in values]
+    names = [np.asarray(who)[keep] for who, keep in zip(participants, valid, strict=True)]
+    people, units = np.unique(np.concatenate(names), return_inverse=True)
+    finite = [group[keep] for group, keep in zip(values, valid, strict=True)]
+    missing = sum(int((~keep).sum()) for keep in valid)
+    return finite, np.split(units, np.cumsum([name.size for name in names])[:-1]), people.size, missing
 
 
 def _d_prime(values: list[Values], units: list[NDArray[np.intp]], people: int) -> Statistic:
-    def moments(kind: int) -> Callable[[Values], tuple[Values, Values]]:
-        mean = values[kind].mean()
+    def moments(group: int) -> Callable[[Values], tuple[Values, Values]]:
+        mean = values[group].mean()
         # Subtract the mean of the whole sample first: sums of squares of values far from 0 would lose precision.
-        centred = values[kind] - mean
-        sums = np.stack([np.bincount(units[kind], centred**power, people) for power in (0, 1, 2)], axis=1)
+        centred = values[group] - mean
+        sums = np.stack([np.bincount(units[group], centred**power, people) for power in (0, 1, 2)], axis=1)
         rounding = 1e-13 * (np.abs(centred).max() ** 2 + np.finfo(np.float64).tiny)
 
-        def of(weights: Values) -> tuple[Values, Values]:
+        def resampled(weights: Values) -> tuple[Values, Values]:
             count, first, second = (weights @ sums).T
             variance = (second - first**2 / count) / (count - 1)
             return mean + first / count, np.where(variance > rounding, variance, np.nan)
 
-        return of
+        return resampled
 
     kinds = moments(0), moments(1)
 
     def statistic(weights: Values) -> Values:
-        (mean, variance), (other_mean, other_variance) = (kind(weights) for kind in kinds)
+        (mean, variance), (other_mean, other_variance) = (group(weights) for group in kinds)
         return np.asarray((mean - other_mean) / np.sqrt((variance + other_variance) / 2))
 
     return statistic
@@ -276,8 +276,8 @@ def _area(values: list[Values], units: list[NDArray[np.intp]], people: int) -> S
     # Pairs of a correct trial of participant p with a smaller incorrect one of q; equal ones count half.
     wins = np.zeros((people, people))
     for q in range(people):
-        own = np.sort(incorrect[units[1] == q])
-        below = np.searchsorted(own, correct, "left") + np.searchsorted(own, correct, "right")
+        ranked = np.sort(incorrect[units[1] == q])
+        below = np.searchsorted(ranked, correct, "left") + np.searchsorted(ranked, correct, "right")
         wins[:, q] = np.bincount(units[0], below / 2, people)
     counts = [np.bincount(unit, minlength=people) for unit in units]
     return lambda weights: ((weights @ wins) * weights).sum(1) / ((weights @ counts[0]) * (weights @ counts[1]))

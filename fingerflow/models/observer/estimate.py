@@ -78,7 +78,7 @@ def bootstrap(
         return UNKNOWN, f"no interval from {participants} participants: {_FEWEST} are needed"
     people = np.arange(participants)
 
-    def of_drawn(drawn: NDArray[np.intp], axis: int) -> Values:
+    def resampled(drawn: NDArray[np.intp], axis: int) -> Values:
         with np.errstate(divide="ignore", invalid="ignore"):
             often = (drawn[..., None] == people).sum(axis - 1).astype(np.float64)
             return statistic(often.reshape(-1, participants)).reshape(drawn.shape[:-1])
@@ -86,7 +86,7 @@ def bootstrap(
     reach = stats.t.ppf((1 + LEVEL) / 2, participants - 1) * math.sqrt(participants / (participants - 1))
     options: dict[str, Any] = {"vectorized": True, "confidence_level": 1 - 2 * stats.norm.sf(reach)}
     drawn = stats.bootstrap(
-        (people,), of_drawn, n_resamples=resamples, method="percentile", batch=max(1, _AT_ONCE // participants**2),
+        (people,), resampled, n_resamples=resamples, method="percentile", batch=max(1, _AT_ONCE // participants**2),
         rng=np.random.default_rng([seed, _STREAM]), **options,
     )  # fmt: skip
     finite = drawn.bootstrap_distribution[np.isfinite(drawn.bootstrap_distribution)]
@@ -96,9 +96,11 @@ def bootstrap(
         return UNKNOWN, "no interval: every resample gives the same number"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-        kept = replace(drawn, bootstrap_distribution=finite)
-        found = stats.bootstrap((people,), of_drawn, n_resamples=0, bootstrap_result=kept, method="BCa", **options)
-    low, high = found.confidence_interval
+        trimmed = replace(drawn, bootstrap_distribution=finite)
+        corrected = stats.bootstrap(
+            (people,), resampled, n_resamples=0, bootstrap_result=trimmed, method="BCa", **options
+        )
+    low, high = corrected.confidence_interval
     if not (math.isfinite(low) and math.isfinite(high)):
         return UNKNOWN, "no interval: the estimate is unknown without one of the participants"
     reason = "" if finite.size == resamples else f"{resamples - finite.size} of {resamples} resamples lacked a class"

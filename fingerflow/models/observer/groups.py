@@ -57,29 +57,29 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
     Raises:
         ValueError: infinite values, or fewer than 100 resamples.
     """
-    every = np.asarray(values, dtype=np.float64).reshape(-1)
-    if np.isinf(every).any():
+    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
+    if np.isinf(numbers).any():
         raise ValueError("a value is infinite: mark what was not measured with NaN")
     if resamples < 100:
         raise ValueError(f"{resamples} resamples are too few for a test: give 100 or more")
-    known = np.isfinite(every)
-    found = every[known]
-    nan, size, missing = math.nan, found.size, int((~known).sum())
-    if size < _FEWEST or np.ptp(found) == 0:
+    valid = np.isfinite(numbers)
+    finite = numbers[valid]
+    nan, size, missing = math.nan, finite.size, int((~valid).sum())
+    if size < _FEWEST or np.ptp(finite) == 0:
         reason = f"{size} participants: {_FEWEST} are needed" if size < _FEWEST else "all participants are alike"
-        pair, each = (nan, nan), np.full(every.shape, nan)
+        pair, each = (nan, nan), np.full(numbers.shape, nan)
         return Groups(0, pair, nan, pair, each, nan, nan, nan, size, missing, reason)
     # Divide by the sample's own standard deviation, so that nothing depends on the unit.
-    origin, unit = float(found.mean()), float(found.std())
-    scaled = (found - origin) / unit
+    origin, unit = float(finite.mean()), float(finite.std())
+    scaled = (finite - origin) / unit
     share, low, high, deviation, ratio = (values[0] for values in _two_groups(scaled[None]))
     draws = np.random.default_rng([seed, _STREAM]).standard_normal((resamples, size))
     draws = (draws - draws.mean(1, keepdims=True)) / draws.std(1, keepdims=True)
     p = (1 + np.count_nonzero(_two_groups(draws)[4] >= ratio - 1e-9)) / (1 + resamples)
 
     odds = np.log(share / (1 - share)) + (high - low) * (scaled - (low + high) / 2) / deviation**2
-    membership = np.full(every.shape, nan)
-    membership[known] = 1 / (1 + np.exp(-np.clip(odds, -700, 700)))
+    membership = np.full(numbers.shape, nan)
+    membership[valid] = 1 / (1 + np.exp(-np.clip(odds, -700, 700)))
     border = (low + high) / 2 - deviation**2 * math.log(share / (1 - share)) / (high - low)
     return Groups(
         groups=2 if p < 0.05 else 1,

@@ -67,12 +67,12 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     Raises:
         ValueError: infinite values.
     """
-    both = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
-    if any(np.isinf(kind).any() for kind in both):
+    both = [np.asarray(group, dtype=np.float64).reshape(-1) for group in (correct, incorrect)]
+    if any(np.isinf(group).any() for group in both):
         raise ValueError("a metric is infinite: mark what was not measured with NaN")
-    first, second = (kind[np.isfinite(kind)] for kind in both)
-    every = np.concatenate([first, second])
-    scale = float(np.quantile(every, 0.9)) if every.size else math.nan
+    first, second = (group[np.isfinite(group)] for group in both)
+    pooled = np.concatenate([first, second])
+    scale = float(np.quantile(pooled, 0.9)) if pooled.size else math.nan
     trials = (first.size, second.size)
     if min(trials) == 0 or not scale > 0:
         none, nan = np.empty(0), math.nan
@@ -82,14 +82,14 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
             else f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
         )
         return PrintedObserver(scale, trials, reason, none, none, none, NO_GAUSSIAN, NO_GAUSSIAN, nan, none, none, nan)
-    first, second, every = first / scale, second / scale, every / scale
-    bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
-    counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
+    first, second, pooled = first / scale, second / scale, pooled / scale
+    bins = BIN * np.arange(math.floor(pooled.min() / BIN), math.floor(pooled.max() / BIN) + 2)
+    counts = [np.histogram(group, bins)[0].astype(np.float64) for group in (first, second)]
     gaussians = [_fit_gaussian(bins, count) for count in counts]
     variance = (gaussians[0].deviation ** 2 + gaussians[1].deviation ** 2) / 2
     sensitivity = (gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
-    criteria = np.arange(min(every.min(), 0) - _STEP, max(every.max(), 1) + 2 * _STEP, _STEP)
-    above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
+    criteria = np.arange(min(pooled.min(), 0) - _STEP, max(pooled.max(), 1) + 2 * _STEP, _STEP)
+    above = [1 - np.searchsorted(np.sort(group), criteria, side="right") / group.size for group in (first, second)]
     reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
     area = float(np.trapezoid(above[0][::-1], above[1][::-1]))
     fitted = counts[0], counts[1], gaussians[0], gaussians[1], sensitivity
@@ -108,7 +108,7 @@ def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
         return amplitude * np.exp(-(((x - mean) / deviation) ** 2) / 2)
 
     try:
-        found, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
+        fitted, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
     except RuntimeError:  # the fit did not converge
         return NO_GAUSSIAN
-    return Gaussian(float(found[0]), float(found[1]), abs(float(found[2])))
+    return Gaussian(float(fitted[0]), float(fitted[1]), abs(float(fitted[2])))

@@ -97,18 +97,18 @@ def fit_psychometric(
         return -float(likelihood + _PRIOR * sum(math.log1p(-rate) for rate in values[2:]))
 
     def minimised(start: Values, used: NDArray[np.bool_]) -> tuple[float, Values]:
-        found = minimize(loss, start, used, method="L-BFGS-B", bounds=_BOUNDS[: start.size])
-        return float(found.fun), found.x
+        result = minimize(loss, start, used, method="L-BFGS-B", bounds=_BOUNDS[: start.size])
+        return float(result.fun), result.x
 
-    every = np.ones(x.size, dtype=bool)
+    all_blocks = np.ones(x.size, dtype=bool)
     rates = (0.02,) if guess is not None else (0.02, 0.02)
     starts = [
         np.array([threshold, slope, *rates])
         for threshold in np.linspace(x.min() - 0.5, x.max() + 0.5, 9)
         for slope in (-16.0, -4.0, -1.0, 1.0, 4.0, 16.0)
     ]
-    starts.sort(key=lambda start: loss(start, every))
-    _, best = min((minimised(start, every) for start in starts[:_STARTS]), key=lambda pair: pair[0])
+    starts.sort(key=lambda start: loss(start, all_blocks))
+    _, best = min((minimised(start, all_blocks) for start in starts[:_STARTS]), key=lambda pair: pair[0])
     threshold, slope, lapse, guesses = (*best.tolist(), guess)[:4]
     if abs(float(np.ptp(_curve(np.array([x.min(), x.max()]), threshold, slope, guesses, lapse)))) <= 0.01:
         return replace(

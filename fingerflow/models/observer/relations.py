@@ -67,20 +67,20 @@ def clustered_regression(
     """
     from statsmodels.regression.linear_model import OLS  # of the extra `study`
 
-    columns = [np.asarray(one).reshape(-1) for one in (metric, answer, condition, participants)]
-    if len({one.size for one in columns}) > 1:
-        raise ValueError(f"columns have {[one.size for one in columns]} values: give one of each a trial")
-    known = np.isfinite(columns[0].astype(np.float64))
-    x, y = (one[known].astype(np.float64) for one in columns[:2])
-    stimulus, person = (np.unique(one[known], return_inverse=True)[1] for one in columns[2:])
+    columns = [np.asarray(column).reshape(-1) for column in (metric, answer, condition, participants)]
+    if len({column.size for column in columns}) > 1:
+        raise ValueError(f"columns have {[column.size for column in columns]} values: give one of each a trial")
+    valid = np.isfinite(columns[0].astype(np.float64))
+    x, y = (column[valid].astype(np.float64) for column in columns[:2])
+    stimulus, person = (np.unique(column[valid], return_inverse=True)[1] for column in columns[2:])
     cell = np.unique(person * (stimulus.max(initial=0) + 1) + stimulus, return_inverse=True)[1]
     count = np.bincount(cell)
-    for one in (x, y):
-        one -= (np.bincount(cell, one) / count)[cell]
+    for column in (x, y):
+        column -= (np.bincount(cell, column) / count)[cell]
     paired = count[cell] > 1
     x, y, person = x[paired], y[paired], person[paired]
     people = np.unique(person).size
-    nothing = Estimate(math.nan, trials=x.size, missing=known.size - x.size, participants=people)
+    nothing = Estimate(math.nan, trials=x.size, missing=valid.size - x.size, participants=people)
     if not x.any():
         return replace(nothing, reason="all values are equal within each participant and condition: no effect")
     if people < 3:

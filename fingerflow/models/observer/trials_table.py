@@ -68,10 +68,10 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
                 f"column {name!r} has shape {column.shape}, participant {length}: give one value a trial"
             )
     answer = columns["answer"]
-    known = np.isin(answer, (0, 1))  # also accepts True and False
-    if not known.all():
+    valid = np.isin(answer, (0, 1))  # also accepts True and False
+    if not valid.all():
         raise FingerflowError(
-            f"an answer is {answer[~known].tolist()[0]!r}: give True where it was correct, False where not"
+            f"an answer is {answer[~valid].tolist()[0]!r}: give True where it was correct, False where not"
         )
     who, which, condition = (columns[name] for name in COLUMNS[:3])
     keys = list(zip(who.tolist(), which.tolist(), condition.tolist(), strict=True))

@@ -76,8 +76,8 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
     Returns:
         None if fewer than eight frames can be used.
     """
-    known = np.isfinite(area) & np.isfinite(load) & (time <= time[loss] + _AFTER_S)
-    t, s, highest = time[known], area[known], np.maximum.accumulate(load[known])
+    valid = np.isfinite(area) & np.isfinite(load) & (time <= time[loss] + _AFTER_S)
+    t, s, highest = time[valid], area[valid], np.maximum.accumulate(load[valid])
     if t.size < _FEWEST:
         return None
     used = highest > (1 - _DEPTH) * highest[-1]
@@ -121,9 +121,9 @@ def fit_collapse(area: Values, load: Values, time: Values, loss: int) -> Collaps
 
     # A collapse between two successive frames lasts at most the interval between them.
     lasting = np.maximum(duration[..., 0], step)
-    (found, spread), (speed, speed_std) = mean(critical), mean(critical / lasting)
+    (fitted, spread), (speed, speed_std) = mean(critical), mean(critical / lasting)
     return Collapse(
-        area=found,
+        area=fitted,
         area_std=math.hypot(spread, _AREA_STD),
         rate=speed,
         rate_std=math.hypot(speed_std, _AREA_STD * mean(1 / lasting)[0]),

@@ -62,19 +62,19 @@ def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveCompari
     frames = area.size
     if too_few:
         return CurveComparison({}, "", frames, too_few)
-    found: dict[str, tuple[dict[str, float], float]] = {}
+    fits: dict[str, tuple[dict[str, float], float]] = {}
     for family in (PARTIAL_SLIP, EQUAL_FRICTION, TADA):
         coefficients, squared = fit_family(family, area, load, noise, np.ones((1, frames)))
         named = dict(zip(family.coefficients, map(float, coefficients[0]), strict=True))
-        found[family.name] = named, _aicc(squared[0], len(named))
+        fits[family.name] = named, _aicc(squared[0], len(named))
     coulomb, squared = _fit_coulomb(area, load, noise)
-    found[COULOMB] = {"mu": coulomb}, _aicc(squared, 1)
+    fits[COULOMB] = {"mu": coulomb}, _aicc(squared, 1)
 
-    criteria = np.array([aicc for _, aicc in found.values()])
+    criteria = np.array([aicc for _, aicc in fits.values()])
     weights = np.exp(-(criteria - criteria.min()) / 2)
     scores = {
         name: CurveScore(named, float(aicc), float(weight))
-        for (name, (named, aicc)), weight in zip(found.items(), weights / weights.sum(), strict=True)
+        for (name, (named, aicc)), weight in zip(fits.items(), weights / weights.sum(), strict=True)
     }
     return CurveComparison(scores, max(scores, key=lambda name: scores[name].weight), frames, "")
 

@@ -130,7 +130,7 @@ def fit_family(
     basis = family.load(area) - family.curvature(area) * noise[0] ** 2 / 2
     count = basis.shape[1]
     robust = np.ones_like(weights)
-    place = np.broadcast_to(area, weights.shape)
+    likely = np.broadcast_to(area, weights.shape)
     variance = np.full_like(weights, np.maximum(noise[1], _EXACT) ** 2)
     products = (basis[:, :, None] * basis[:, None, :]).reshape(-1, count * count)
     for _ in range(_ROUNDS):
@@ -140,10 +140,10 @@ def fit_family(
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(count)
         coefficients = np.linalg.solve(normal, (total @ (basis * load[:, None]))[..., None])[..., 0]
         residual = load - coefficients @ basis.T
-        slope = (family.slope(place) @ coefficients[..., None])[..., 0]
+        slope = (family.slope(likely) @ coefficients[..., None])[..., 0]
         variance = np.maximum(noise[1], _EXACT) ** 2 + (slope * np.maximum(noise[0], _EXACT)) ** 2
         # The most likely area of a frame lies between the measured one and the one that its load implies.
-        place = np.clip(area + slope * noise[0] ** 2 * residual / variance, 0, 1)
+        likely = np.clip(area + slope * noise[0] ** 2 * residual / variance, 0, 1)
         squared = residual**2 / variance
         robust = student_weights(squared, weights * robust)
     return np.asarray(coefficients), np.asarray(squared)

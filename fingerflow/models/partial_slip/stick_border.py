@@ -67,13 +67,13 @@ class BorderFit(NamedTuple):
     base: float
     error: float
 
-    def measured_at(self, distance: Values, seen: RampResponse) -> Values:
+    def blurred_displacement(self, distance: Values, seen: RampResponse) -> Values:
         """Return the displacement, mm, that a measurement with the blur `seen` shows at distances (K,) mm beyond the
         border of the stick region, relative to skin that has not moved.
         """
         return np.asarray(self.growth * _blurred(distance, np.array([self.power]), np.array([self.rounding]), seen)[0])
 
-    def distance_of(self, displacement: float) -> float:
+    def slip_distance(self, displacement: float) -> float:
         """Return the distance beyond the border of the stick region, mm, at which the fitted, unblurred displacement
         reaches a value, mm.
         """
@@ -97,9 +97,9 @@ def blurred_ramp(distance: Values, half_window: float) -> Values:
 
     A distance is negative on the side that sticks.
     """
-    places = window_offsets(half_window)
+    offsets = window_offsets(half_window)
     at = np.linspace(-2 * half_window, 2 * half_window, 400)
-    means = np.maximum(at[:, None] + places, 0).mean(1)
+    means = np.maximum(at[:, None] + offsets, 0).mean(1)
     return np.asarray(np.where(distance > at[-1], distance, np.interp(distance, at, means)))
 
 
@@ -107,7 +107,9 @@ def border_level(width: Values, fit: BorderFit, seen: RampResponse) -> Values:
     """Return the displacement (K,), mm, that a measurement with the blur `seen` shows at the border of a stick region,
     if skin slips by the fitted law across an annulus (K,) mm wide and moves rigidly beyond it.
     """
-    return np.asarray(fit.measured_at(np.zeros(1), seen) - fit.measured_at(-np.maximum(width, 0), seen))
+    return np.asarray(
+        fit.blurred_displacement(np.zeros(1), seen) - fit.blurred_displacement(-np.maximum(width, 0), seen)
+    )
 
 
 def fit_border(
@@ -134,7 +136,7 @@ def fit_border(
         return None
     step = half_window / 50
     offsets = np.arange(distance.min(), distance.max(), step)
-    powers, roundings = (one.ravel() for one in np.meshgrid(POWERS, half_window * ROUNDINGS, indexing="ij"))
+    powers, roundings = (grid.ravel() for grid in np.meshgrid(POWERS, half_window * ROUNDINGS, indexing="ij"))
     at = np.arange(offsets[0] - distance.max(), offsets[-1] - distance.min() + step, step)
     squared = np.full((powers.size, offsets.size), np.inf)
     for row, values in zip(squared, _blurred(at, powers, roundings, seen), strict=True):
@@ -174,10 +176,10 @@ def _lines(shapes: Values, values: Values, weight: Values) -> tuple[Values, Valu
     """
     share = weight / weight.sum()
     mean, level = shapes @ share, float(values @ share)
-    apart, rest = shapes - mean[:, None], values - level
-    spread = apart**2 @ weight
-    growth = np.where(spread > 0, apart @ (weight * rest) / np.where(spread > 0, spread, 1), 0)
-    return growth, level - growth * mean, (rest - growth[:, None] * apart) ** 2 @ weight
+    centred, rest = shapes - mean[:, None], values - level
+    spread = centred**2 @ weight
+    growth = np.where(spread > 0, centred @ (weight * rest) / np.where(spread > 0, spread, 1), 0)
+    return growth, level - growth * mean, (rest - growth[:, None] * centred) ** 2 @ weight
 
 
 def _mean_and_deviation(values: Values, weights: Values) -> tuple[float, float]:

@@ -130,53 +130,57 @@ def judge_trial(
     """
     area, load, when = _check_curves(stuck_area, load_ratio, time)
     measured = np.isfinite(area) & np.isfinite(load)
-    found = TrialVerdict("inconclusive", "", "inconclusive")
-    found = replace(found, frames_measured=int(measured.sum()), frames_missing=int((~measured).sum()))
-    if found.frames_measured < _FEWEST:
-        return replace(found, reason=f"d² and T/N are known in {found.frames_measured} frames; {_FEWEST} are needed")
+    verdict = TrialVerdict("inconclusive", "", "inconclusive")
+    verdict = replace(verdict, frames_measured=int(measured.sum()), frames_missing=int((~measured).sum()))
+    if verdict.frames_measured < _FEWEST:
+        return replace(
+            verdict, reason=f"d² and T/N are known in {verdict.frames_measured} frames; {_FEWEST} are needed"
+        )
     width = max(5, 2 * round(_SMOOTHED_S / float(np.median(np.diff(when))) / 2) + 1)
     raw, area, load = area, _smoothed(area, width), _smoothed(load, width)
     if np.nanmax(area) < 0.5:
-        return replace(found, reason=f"the contact never sticks: d² is {np.nanmax(area):.2f} at most, under 0.5")
+        return replace(verdict, reason=f"the contact never sticks: d² is {np.nanmax(area):.2f} at most, under 0.5")
     noise = _area_noise(raw, area, width)
     zero = max(_LEAST_ZERO, _ZERO_STD * noise)
     loss = _complete_loss(area, zero)
     if loss is None:
         last = area[np.isfinite(area)][-1]
-        return replace(found, reason=f"no full slip: d² is {last:.2f} at the end, above its noise of {zero:.2f}")
-    found = replace(found, loss_frame=loss, zero_area=zero, area_noise=noise)
+        return replace(verdict, reason=f"no full slip: d² is {last:.2f} at the end, above its noise of {zero:.2f}")
+    verdict = replace(verdict, loss_frame=loss, zero_area=zero, area_noise=noise)
 
     just_before = load[(when >= when[loss] - _REFERENCE_S) & (when < when[loss])]
     if not np.isfinite(just_before).any():
-        return replace(found, reason=f"no T/N in the {_REFERENCE_S:g} s before the complete loss at {when[loss]:.3f} s")
+        return replace(
+            verdict, reason=f"no T/N in the {_REFERENCE_S:g} s before the complete loss at {when[loss]:.3f} s"
+        )
     # T/N may fall from the loss on, so the larger value is taken.
     reference = float(np.fmax(just_before[np.isfinite(just_before)][-1], load[loss]))
-    found = replace(found, loss_load_ratio=reference)
+    verdict = replace(verdict, loss_load_ratio=reference)
     if reference <= 0:
-        return replace(found, reason=f"T/N is {reference:.2f} at the complete loss: the sign of a force is wrong")
+        return replace(verdict, reason=f"T/N is {reference:.2f} at the complete loss: the sign of a force is wrong")
     loading = load[: loss + 1][np.isfinite(load[: loss + 1])]
     fall = float((np.maximum.accumulate(loading) - loading).max()) / reference
     noise = frame_noise(np.asarray(load_ratio, float)[: loss + 1]) / reference
-    found = replace(found, steepest_fall=fall, load_noise=noise)
+    verdict = replace(verdict, steepest_fall=fall, load_noise=noise)
     if fall > _LARGEST_FALL:
         reason = f"T/N is too unsteady: it falls by {fall:.0%} before the loss, over {_LARGEST_FALL:.0%}"
-        return replace(found, reason=reason)
+        return replace(verdict, reason=reason)
     if noise > _LARGEST_NOISE:
-        return replace(found, reason=f"T/N is too noisy: {noise:.1%} from frame to frame, over {_LARGEST_NOISE:.1%}")
+        return replace(verdict, reason=f"T/N is too noisy: {noise:.1%} from frame to frame, over {_LARGEST_NOISE:.1%}")
 
     run = _corridor_run(np.where(np.isfinite(area), load, np.nan), loss, reference)
     if run.size == 0:
-        return replace(found, reason=f"no frame before the complete loss has a T/N {_NEAR_LOSS}")
-    found = replace(found, corridor_frames=(int(run[0]), int(run[-1])))
+        return replace(verdict, reason=f"no frame before the complete loss has a T/N {_NEAR_LOSS}")
+    verdict = replace(verdict, corridor_frames=(int(run[0]), int(run[-1])))
     gap = float(np.diff(when[np.append(run, loss)]).max())
     if gap > _LARGEST_GAP_S:
         reason = f"d² or a T/N {_NEAR_LOSS} is unknown for {gap:.2f} s, longer than {_LARGEST_GAP_S:g} s"
-        return replace(found, reason=reason)
+        return replace(verdict, reason=reason)
     if not np.isfinite(load[: run[0]]).any():
-        return replace(found, reason=f"T/N is {_NEAR_LOSS} from the first frame on: no loading was recorded")
+        return replace(verdict, reason=f"T/N is {_NEAR_LOSS} from the first frame on: no loading was recorded")
     collapse = fit_collapse(area, load, when, loss)
     if collapse is None:
-        return replace(found, reason="d² and T/N are known in too few frames about the complete loss")
+        return replace(verdict, reason="d² and T/N are known in too few frames about the complete loss")
     if area_std is not None:
         shared = np.nan_to_num(np.interp(collapse.begin, when, np.asarray(area_std, dtype=np.float64)))
         collapse = replace(
@@ -184,16 +188,16 @@ def judge_trial(
             area_std=math.hypot(collapse.area_std, shared),
             rate_std=math.hypot(collapse.rate_std, shared * collapse.rate / max(collapse.area, _LEAST_ZERO)),
         )
-    return _complete_verdict(found, collapse, area, when, run)
+    return _complete_verdict(verdict, collapse, area, when, run)
 
 
 def _complete_verdict(
-    found: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]
+    verdict: TrialVerdict, collapse: Collapse, area: Values, when: Values, run: NDArray[np.intp]
 ) -> TrialVerdict:
-    """Complete the verdict `found` with its outcomes, from the fitted collapse, the smoothed stuck area share `area` at
+    """Complete a `verdict` with its outcomes, from the fitted collapse, the smoothed stuck area share `area` at
     times `when` (s), and the frames `run` before the loss of adhesion in which T/N hardly changes.
     """
-    loss = found.loss_frame
+    loss = verdict.loss_frame
     largest = float(area[run].max())
     model = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
     critical, evidence = collapse.area, collapse.evidence
@@ -208,17 +212,17 @@ def _complete_verdict(
         else:
             outcome = "vanishes abruptly"
     abrupt = outcome == "vanishes abruptly"
-    known = np.flatnonzero(np.isfinite(area[:loss]))
-    following = known[when[known] <= collapse.begin] if abrupt else known
+    valid = np.flatnonzero(np.isfinite(area[:loss]))
+    following = valid[when[valid] <= collapse.begin] if abrupt else valid
     return replace(
-        found,
+        verdict,
         outcome=outcome,
         reason=(
             f"stick ratio d² {largest:.2f} when the load reached {1 - CORRIDOR:.0%}, {FADING_AREA:.2f} had it faded; "
             f"critical d² {critical:.2f} ± {collapse.area_std:.2f}, {against}"
         ),
-        printed_outcome=_outcome_of(largest - found.zero_area - _LARGEST_STD * found.area_noise),
-        model_outcome=_outcome_of(model),
+        printed_outcome=_judge_area(largest - verdict.zero_area - _LARGEST_STD * verdict.area_noise),
+        model_outcome=_judge_area(model),
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
         model_area=model,
@@ -235,7 +239,7 @@ def _complete_verdict(
     )
 
 
-def _outcome_of(area: float) -> Outcome:
+def _judge_area(area: float) -> Outcome:
     return "vanishes abruptly" if area > SMALLEST_AREA else "diminishes"
 
 
@@ -272,17 +276,17 @@ def _complete_loss(area: Values, zero: float) -> int | None:
     """Return the frame from which on the stuck area share d^2 stays at 0, that is at most `zero`, with the fewest
     exceptions before and after it; None if it never is.
     """
-    known = np.flatnonzero(np.isfinite(area))
-    above = area[known] > zero
+    valid = np.flatnonzero(np.isfinite(area))
+    above = area[valid] > zero
     exceptions = np.append(0, np.cumsum(~above)) + np.append(np.cumsum(above[::-1])[::-1], 0)
     first = int(exceptions.argmin())
-    return int(known[first]) if first < known.size else None
+    return int(valid[first]) if first < valid.size else None
 
 
 def _corridor_run(load: Values, loss: int, reference: float) -> NDArray[np.intp]:
     """Return the indices of the frames directly before `loss`, the frame at which adhesion is lost, in which the load
     ratio T/N stays within 5 % of `reference`.
     """
-    known = np.flatnonzero(np.isfinite(load[:loss]))
-    outside = np.flatnonzero(np.abs(load[known] / reference - 1) > CORRIDOR)
-    return known[outside[-1] + 1 :] if outside.size else known
+    valid = np.flatnonzero(np.isfinite(load[:loss]))
+    outside = np.flatnonzero(np.abs(load[valid] / reference - 1) > CORRIDOR)
+    return valid[outside[-1] + 1 :] if outside.size else valid

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.forces.force_table import ForceTable, split_unit
-from fingerflow.recordings.forces.preamble import cells_of, is_numeric, is_read, separator_of, without_preamble
+from fingerflow.recordings.forces.preamble import find_separator, is_numeric, is_read, split_cells, without_preamble
 
 
 def read_table(path: Path) -> ForceTable:
@@ -31,10 +31,10 @@ def read_table(path: Path) -> ForceTable:
     if first is None:
         raise FingerflowError(f"{path}: has no line besides comments")
     heading = first.group()
-    separator = separator_of(heading)
+    separator = find_separator(heading)
     if separator is None:
         heading = re.sub(r"\s+([(\[])", r"\1", heading)  # removes the blank before a unit, which is not a separator
-    split = cells_of(heading, separator)
+    split = split_cells(heading, separator)
     sample: re.Match[str] | None = first
     if is_numeric(split):
         names = [f"column_{number + 1}" for number in range(len(split))]
@@ -48,7 +48,7 @@ def read_table(path: Path) -> ForceTable:
     if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
         # Some programs do not end their last line; but the file may also have been cut off within it.
         *complete, last = body.splitlines()
-        whole = len(cells_of(last, separator)) == len(names)
+        whole = len(split_cells(last, separator)) == len(names)
         body = body if whole else "\n".join(complete)
         table.warnings.append(
             f"{path}: the last line has no line break, so its last number may be cut off: the line is "
@@ -103,7 +103,7 @@ def _heading(path: Path, cells: list[str], below: str, separator: str | None) ->
         names.append(name)
         if unit:
             units[name] = unit
-    second = [cell.strip("()[] ") for cell in cells_of(below, separator)][: len(names)]
+    second = [cell.strip("()[] ") for cell in split_cells(below, separator)][: len(names)]
     has_units = bool(below) and not any(is_numeric([cell]) for cell in second)
     if has_units:
         units.update({name: unit for name, unit in zip(names, second, strict=False) if unit})

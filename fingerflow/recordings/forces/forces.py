@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.low_pass import low_pass_at
+from fingerflow.recordings.forces.low_pass import low_pass
 
 Samples = NDArray[np.float64]
 
@@ -47,9 +47,9 @@ class Forces:
         steps = np.diff(self.times)
         if np.any(steps <= 0):
             row = int(np.argmax(steps <= 0))
-            kind = "the same time as" if steps[row] == 0 else "an earlier time than"
+            problem = "the same time as" if steps[row] == 0 else "an earlier time than"
             raise FingerflowError(
-                f"{self.path}: sample {row + 1} has {kind} the one before ({self.times[row + 1]:g} s after "
+                f"{self.path}: sample {row + 1} has {problem} the one before ({self.times[row + 1]:g} s after "
                 f"{self.times[row]:g} s; {int(np.sum(steps <= 0))} such places). Times must increase; "
                 "if their digits are too few, pass sample_rate="
             )
@@ -94,48 +94,48 @@ class Forces:
         their number is added to `warnings`. Samples that are NaN or infinite count as missing. Raises FingerflowError
         if all frames lie outside.
         """
-        wanted = np.asarray(frame_times, np.float64)
-        if wanted.ndim != 1 or wanted.size == 0 or not np.all(np.isfinite(wanted)):
+        targets = np.asarray(frame_times, np.float64)
+        if targets.ndim != 1 or targets.size == 0 or not np.all(np.isfinite(targets)):
             raise FingerflowError(
-                f"{self.path}: frame times are one finite number a frame, in s; an array {wanted.shape} was given"
+                f"{self.path}: frame times are one finite number a frame, in s; an array {targets.shape} was given"
             )
-        self._check_overlap(wanted)
+        self._check_overlap(targets)
         # Samples that are not finite count as missing; channels that lack the same samples are filtered together.
         lacking: dict[bytes, list[str]] = {}
         for name, values in self.channels.items():
             lacking.setdefault(np.isfinite(values).tobytes(), []).append(name)
         result = {}
-        for known, names in lacking.items():
-            present = np.frombuffer(known, dtype=bool)
+        for mask, names in lacking.items():
+            present = np.frombuffer(mask, dtype=bool)
             if not present.any():
                 self._warn(f"{', '.join(names)}: no sample is a number; NaN in all frames")
-                result.update({name: np.full(wanted.size, np.nan) for name in names})
+                result.update({name: np.full(targets.size, np.nan) for name in names})
                 continue
             values = np.stack([self.channels[name][present] for name in names])
-            result.update(zip(names, self._at_frames(self.times[present], values, wanted), strict=True))
+            result.update(zip(names, self._resample_channels(self.times[present], values, targets), strict=True))
         return {name: result[name] for name in self.channels}
 
-    def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Resample k channels (k, n), sampled at `times` (n,), at the frame times `wanted` (m,); return them as (k, m),
+    def _resample_channels(self, times: Samples, values: Samples, targets: Samples) -> Samples:
+        """Resample channels (k, n), sampled at `times` (n,), at the frame times `targets` (m,); return them as (k, m),
         with NaN outside the record and in gaps between samples.
         """
-        frame_rate, sample_rate = _rate(wanted), _rate(times)
+        frame_rate, sample_rate = _rate(targets), _rate(times)
         # A sample represents half a step on both sides, so the record covers half a step before its first and after its
         # last sample. A trigger that rises within a step puts a frame at the very end of it: 1 % of a step is rounding.
         margin = 0.0 if sample_rate is None else 0.505 / sample_rate
-        covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
+        covered = (targets >= times[0] - margin) & (targets <= times[-1] + margin)
         if not covered.all():
             self._warn(
-                f"the forces do not cover {int(np.sum(~covered))} of {wanted.size} frames (NaN there): is the trigger "
+                f"the forces do not cover {int(np.sum(~covered))} of {targets.size} frames (NaN there): is the trigger "
                 "right?"
             )
         if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
-            after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1)
+            after = np.clip(np.searchsorted(times, targets), 1, times.size - 1)
             in_gap = covered & (times[after] - times[after - 1] > 1 / frame_rate)
             if in_gap.any():
-                self._warn(f"the forces have gaps at {int(in_gap.sum())} of {wanted.size} frames (NaN there)")
+                self._warn(f"the forces have gaps at {int(in_gap.sum())} of {targets.size} frames (NaN there)")
                 covered &= ~in_gap
-            at_frames = low_pass_at(times, values, wanted[covered], nyquist=frame_rate / 2)
+            at_frames = low_pass(times, values, targets[covered], nyquist=frame_rate / 2)
         else:
             rates = (
                 f"forces at {sample_rate:g} Hz, frames at {frame_rate:g} Hz"
@@ -143,17 +143,17 @@ class Forces:
                 else "one time"
             )
             self._warn(f"forces are sampled no faster than the frames ({rates}): interpolated linearly, not filtered")
-            at_frames = np.stack([np.interp(wanted[covered], times, row) for row in values])
-        result = np.full((len(values), wanted.size), np.nan)
+            at_frames = np.stack([np.interp(targets[covered], times, row) for row in values])
+        result = np.full((len(values), targets.size), np.nan)
         result[:, covered] = at_frames
         return result
 
-    def _check_overlap(self, wanted: Samples) -> None:
+    def _check_overlap(self, targets: Samples) -> None:
         first, last = self.times[0], self.times[-1]
-        if not ((wanted >= first) & (wanted <= last)).any():
+        if not ((targets >= first) & (targets <= last)).any():
             raise FingerflowError(
-                f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {wanted.min():g} to "
-                f"{wanted.max():g} s: no frame is covered. Align both to the trigger first."
+                f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {targets.min():g} to "
+                f"{targets.max():g} s: no frame is covered. Align both to the trigger first."
             )
 
     def _warn(self, sentence: str) -> None:

@@ -38,7 +38,7 @@ def read_table(path: Path) -> ForceTable:
 
 def dimensions(path: Path) -> list[int]:
     """Return the number of dimensions of each data set in an HDF5 file."""
-    found: list[int] = []
+    sizes: list[int] = []
     with open_hdf5(path) as file:
-        file.visititems(lambda _, item: found.append(item.ndim) if isinstance(item, h5py.Dataset) else None)
-    return found
+        file.visititems(lambda _, item: sizes.append(item.ndim) if isinstance(item, h5py.Dataset) else None)
+    return sizes

@@ -34,49 +34,49 @@ Samples = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float) -> Samples:
+def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) -> Samples:
     """Low-pass filter k channels (k, n), sampled at `times` (n,) in s, with a stop band from `nyquist` (Hz) on, and
-    return their values (k, m) at the times `wanted` (m,).
+    return their values (k, m) at the times `targets` (m,).
 
-    `times` increase strictly; `wanted` lie between the first and the last of them.
+    `times` increase strictly; `targets` lie between the first and the last of them.
     """
     half_width = kernel_half_width(nyquist)
-    first = np.searchsorted(times, wanted - half_width, side="left")
-    last = np.searchsorted(times, wanted + half_width, side="right")
-    interior = (wanted - half_width >= times[0]) & (wanted + half_width <= times[-1])
+    first = np.searchsorted(times, targets - half_width, side="left")
+    last = np.searchsorted(times, targets + half_width, side="right")
+    interior = (targets - half_width >= times[0]) & (targets + half_width <= times[-1])
     width = int(np.max(last - first, initial=1))
     begin = np.minimum(first, len(times) - width)  # first sample of rows of equal length; unused samples have weight 0
-    groups = _group_frames(times, wanted, first, last, interior)
+    groups = _group_frames(times, targets, first, last, interior)
     rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff frequency in the middle of the transition band
     middle = (times[0] + times[-1]) / 2  # the origin in the middle keeps angles and their rounding errors small
     angles = rate * (times - middle)
     of_samples = np.stack((times, np.sin(angles), np.cos(angles), _sample_durations(times)))
     around_frames = sliding_window_view(of_samples, width, axis=1)
     rows = sliding_window_view(values, width, axis=1)
-    result = np.empty((len(values), len(wanted)))
+    result = np.empty((len(values), len(targets)))
     for start in range(0, len(groups), _FRAMES_AT_ONCE):
-        some = groups[start : start + _FRAMES_AT_ONCE]
-        one = np.array([frames[0] for frames in some])
-        place = begin[one, None] + np.arange(width)
-        near, sine, cosine, stretches = around_frames[:, begin[one]]
-        offset = near - wanted[one, None]
+        batch = groups[start : start + _FRAMES_AT_ONCE]
+        heads = np.array([frames[0] for frames in batch])
+        samples = begin[heads, None] + np.arange(width)
+        near, sine, cosine, stretches = around_frames[:, begin[heads]]
+        offset = near - targets[heads, None]
         window = polyval(1 - (offset / half_width) ** 2, _window_polynomial())
-        window *= (place >= first[one, None]) & (place < last[one, None])
+        window *= (samples >= first[heads, None]) & (samples < last[heads, None])
         # Compute sin(a - b) from the sines and cosines of samples and frames, not from those of each pair.
-        angle = rate * (wanted[one, None] - middle)
+        angle = rate * (targets[heads, None] - middle)
         sinc = _sinc(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
-        weights = _exact_moments(sinc * window * stretches, window, offset, interior[one])
-        for frames, own in zip(some, weights, strict=True):
+        weights = _exact_moments(sinc * window * stretches, window, offset, interior[heads])
+        for frames, weight in zip(batch, weights, strict=True):
             for part in range(0, len(frames), _FRAMES_AT_ONCE):
                 few = frames[part : part + _FRAMES_AT_ONCE]
-                result[:, few] = rows[:, begin[few]] @ own
+                result[:, few] = rows[:, begin[few]] @ weight
     return result
 
 
 def _group_frames(
-    times: Samples, wanted: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
+    times: Samples, targets: Samples, first: Indices, last: Indices, interior: NDArray[np.bool_]
 ) -> list[Indices]:
-    """Return groups of indices into the frame times `wanted`; the frames of a group have samples at equal times
+    """Return groups of indices into the frame times `targets`; the frames of a group have samples at equal times
     relative to the frame, so that one set of filter weights serves them all (polyphase filter).
 
     Samples `first` to `last` - 1 lie under the kernel of a frame; `interior` marks frames whose kernel lies wholly
@@ -91,9 +91,9 @@ def _group_frames(
     step = (times[-1] - times[0]) / max(len(times) - 1, 1)
     even = np.abs(times - (times[0] + step * np.arange(len(times)))).max() <= _ALIKE * step
     if not even:
-        order = frames[np.argsort(wanted[frames])]  # sorted by time, since neighbouring frames need the same samples
+        order = frames[np.argsort(targets[frames])]  # sorted by time, since neighbouring frames need the same samples
         return alone + np.split(order, np.arange(1, len(order)))
-    phase = wanted[frames] - times[first[frames]]
+    phase = targets[frames] - times[first[frames]]
     count = last[frames] - first[frames]
     order = np.lexsort((phase, count))
     new = (np.diff(phase[order]) > _ALIKE * step) | (np.diff(count[order]) > 0)

@@ -69,20 +69,20 @@ def open_forces(
     location = Path(path)
     table = _read_table(location)
     table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
-    time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
+    time, trigger = (None if column is None else _name(table, column) for column in (time, trigger))
     times, time_column = _times(table, time, sample_rate)
-    wanted = _selected_columns(table, channels, time_column)
-    if trigger is not None and trigger not in wanted.values():
-        wanted[trigger] = trigger
-    if not wanted:
+    selected = _selected_columns(table, channels, time_column)
+    if trigger is not None and trigger not in selected.values():
+        selected[trigger] = trigger
+    if not selected:
         raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
     if time_column is None:  # times follow from the sample rate and the number of samples
-        count = len(table.columns[next(iter(wanted.values()))])
+        count = len(table.columns[next(iter(selected.values()))])
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
     values: dict[str, NDArray[np.float64]] = {}
     canonical: dict[str, str] = {}
     scales: dict[str, float] = {}
-    for name, column in wanted.items():
+    for name, column in selected.items():
         data = table.columns[column]
         if len(data) != len(times):
             raise FingerflowError(
@@ -90,7 +90,7 @@ def open_forces(
             )
         factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
         values[name], scales[name] = data * factor, factor
-    of_trigger = next((name for name, column in wanted.items() if column == trigger), None)
+    of_trigger = next((name for name, column in selected.items() if column == trigger), None)
     return Forces(location, times, values, canonical, of_trigger, scales=scales, warnings=table.warnings)
 
 
@@ -209,8 +209,8 @@ def force_facts(path: str | PathLike[str]) -> dict[str, Any]:
     ]
     columns = {}
     for name, data in table.columns.items():
-        known = data[np.isfinite(data)]
-        least, largest = (f"{known.min():.6g}", f"{known.max():.6g}") if known.size else ("nan", "nan")
+        finite = data[np.isfinite(data)]
+        least, largest = (f"{finite.min():.6g}", f"{finite.max():.6g}") if finite.size else ("nan", "nan")
         columns[name] = f"{data.size} samples of {least} to {largest} {table.units.get(name, '(no unit)')}"
     return {
         "path": str(table.path),
@@ -261,10 +261,10 @@ def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool)
     for factors, canonical in allowed:
         if unit in factors:
             return factors[unit], canonical
-    known = ", ".join(name for factors, _ in allowed for name in factors)
+    accepted = ", ".join(name for factors, _ in allowed for name in factors)
     state = "has no unit" if unit is None else f"is in {unit!r}, which is not known"
     raise FingerflowError(
-        f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, in a scene "
+        f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {accepted}, in a scene "
         "[forces] units, or leave the column out with channels="
     )
 

@@ -4,7 +4,6 @@ import re
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError
 
@@ -13,19 +12,9 @@ _LOOKED_AT = 400  # number of lines within which the table must begin
 _RUN = 3  # consecutive lines of numbers that identify a table
 
 
-class Content(NamedTuple):
-    """Text of the table in a file, from its heading on, with the sample rate (Hz) and start time (s) if the lines above
-    the table state them.
-    """
-
-    text: str
-    sample_rate: float | None = None
-    start: float = 0.0
-
-
-def without_preamble(path: Path, text: str) -> Content:
-    """Return the table in a text, from its heading on, without the lines above (preamble); a table is recognised by
-    consecutive lines with equally many numbers.
+def without_preamble(path: Path, text: str) -> tuple[str, float | None, float]:
+    """Return the table in a text, from its heading on, without the lines above (preamble), with the sample rate (Hz) or
+    None and the start time (s) that they state; a table is recognised by consecutive lines with equally many numbers.
 
     A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
     Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
@@ -35,30 +24,30 @@ def without_preamble(path: Path, text: str) -> Content:
     Raises FingerflowError for a LabVIEW file of several segments.
     """
     if _END_OF_HEADER in text:
-        return _of_labview(path, text)
+        return _read_labview(path, text)
     lines, cells, widths = [], [], []
     for line in islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT):
         if is_read(line.group()):
-            row = cells_of(line.group(), separator_of(line.group()))
+            row = split_cells(line.group(), find_separator(line.group()))
             lines.append(line)
             cells.append(row)
             widths.append(len(row) if is_numeric(row) else 0)
             if len(widths) >= _RUN and {*widths[-_RUN:]} == {widths[-1]} - {0}:
                 break
     else:
-        return Content(text)
+        return text, None, 0.0
     first = len(widths) - _RUN
     if first < 2:
-        return Content(text)
+        return text, None, 0.0
     above, higher = cells[first - 1], cells[first - 2]
     both = len(higher) == widths[first]
     if len(above) != widths[first] or (both and first == 2):  # ambiguous, or only names and units without a preamble
-        return Content(text)
+        return text, None, 0.0
     is_units = both and all(len(cell) <= 4 or cell[:1] in "([" for cell in above)
-    return Content(text[lines[first - 1 - is_units].start() :])
+    return text[lines[first - 1 - is_units].start() :], None, 0.0
 
 
-def _of_labview(path: Path, text: str) -> Content:
+def _read_labview(path: Path, text: str) -> tuple[str, float | None, float]:
     *headers, body = text.split(_END_OF_HEADER)
     if len(headers) > 2:
         raise FingerflowError(
@@ -81,8 +70,8 @@ def _of_labview(path: Path, text: str) -> Content:
     step, start = number("Delta_X"), number("X0") or 0.0
     if stated.get("X_Columns", ["One"])[0] == "No":
         body = re.sub(r"^(?:X_Value)?[\t,;]", "", body, flags=re.MULTILINE)
-        return Content(body, None if not step else 1 / step, start)
-    return Content(re.sub(r"^X_Value", "time", body, count=1))
+        return body, None if not step else 1 / step, start
+    return re.sub(r"^X_Value", "time", body, count=1), None, 0.0
 
 
 def is_read(line: str) -> bool:
@@ -91,14 +80,14 @@ def is_read(line: str) -> bool:
     return bool(begun) and not begun.startswith(("#", "%", "//"))
 
 
-def separator_of(line: str) -> str | None:
+def find_separator(line: str) -> str | None:
     """Return the separator between the cells of a line: comma, semicolon or tab, or None if blanks separate them."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)
 
 
-def cells_of(line: str, separator: str | None) -> list[str]:
+def split_cells(line: str, separator: str | None) -> list[str]:
     """Return the cells of a line, stripped of blanks and quotes; empty cells at the end of the line are dropped."""
     cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
     while cells and not cells[-1]:

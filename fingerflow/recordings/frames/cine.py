@@ -171,9 +171,9 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup
     # biCompression states the kind of pixels, whatever the sensor's colour filter. 2 is uninterpolated colour, 1 is
     # JPEG, 0 with 24 or 48 bits is interpolated colour, and 0 with 8 or 16 bits is grey.
     if compression == 2 or bits in (24, 48):
-        kind = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
+        pixels = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
         raise FingerflowError(
-            f"{path}: a colour recording ({kind}, CFA = {setup['CFA']}). "
+            f"{path}: a colour recording ({pixels}, CFA = {setup['CFA']}). "
             "Convert it to grey in the camera's software first."
         )
     if compression != 0 or bits not in (8, 16) or packing not in (UNCOMPRESSED, PACKED_10, PACKED_12):
@@ -210,10 +210,10 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup
 def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
     blocks = {}
     while start + TAG_HEADER.size <= len(header):
-        size, kind, _ = TAG_HEADER.unpack_from(header, start)
+        size, tag, _ = TAG_HEADER.unpack_from(header, start)
         if size < TAG_HEADER.size:
             break
-        blocks[kind] = header[start + TAG_HEADER.size : start + size]
+        blocks[tag] = header[start + TAG_HEADER.size : start + size]
         start += size
     return blocks
 

@@ -71,16 +71,16 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
 
 
 def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    found: dict[str, h5py.Dataset] = {}
-    file.visititems(lambda key, item: found.update({f"/{key}": item}) if isinstance(item, h5py.Dataset) else None)
-    listing = ", ".join(f"{key} {item.shape} {item.dtype}" for key, item in found.items()) or "none"
+    datasets: dict[str, h5py.Dataset] = {}
+    file.visititems(lambda key, item: datasets.update({f"/{key}": item}) if isinstance(item, h5py.Dataset) else None)
+    listing = ", ".join(f"{key} {item.shape} {item.dtype}" for key, item in datasets.items()) or "none"
     if name:
         # Look up the name directly, as `visititems` does not list the names of links.
         item = file.get("/" + name.strip("/"))
         if not isinstance(item, h5py.Dataset):
             raise FingerflowError(f"{path}: has no data set {name!r}; its data sets are {listing}")
-        found = {name: item}
-    stacks = [item for item in found.values() if item.ndim == 3 and item.dtype.kind in "uif" and 0 not in item.shape]
+        datasets = {name: item}
+    stacks = [item for item in datasets.values() if item.ndim == 3 and item.dtype.kind in "uif" and 0 not in item.shape]
     if len(stacks) == 1:
         return stacks[0]
     if stacks:
@@ -88,7 +88,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
             f"{path}: has {len(stacks)} data sets that could be frames: {', '.join(item.name for item in stacks)}. "
             f"Choose one, for example {path}::{stacks[0].name}"
         )
-    colour = " Colour frames have to be made grey first." if any(item.ndim == 4 for item in found.values()) else ""
+    colour = " Colour frames have to be made grey first." if any(item.ndim == 4 for item in datasets.values()) else ""
     raise FingerflowError(
         f"{path}: has no frames, a data set (N, H, W) of numbers; its data sets are {listing}.{colour}"
     )
@@ -120,7 +120,7 @@ def _incomplete_frames(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.d
 
 
 def _attribute(path: Path, item: h5py.Dataset, name: str) -> float | None:
-    place: h5py.Dataset | h5py.Group = item
-    while (value := number_attribute(place, name, path)) is None and place.name != "/":
-        place = place.parent
+    node: h5py.Dataset | h5py.Group = item
+    while (value := number_attribute(node, name, path)) is None and node.name != "/":
+        node = node.parent
     return value

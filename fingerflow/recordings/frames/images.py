@@ -32,7 +32,7 @@ def open_frames(path: Path) -> FileRecording:
     files: list[Path | None] = [path]
     warnings: tuple[str, ...] = ()
     if path.is_dir():
-        files, warnings = _in_order(path)
+        files, warnings = _sort_files(path)
     there = [file for file in files if file is not None]
     first = _read_image(there[0])
     description = Description(
@@ -42,13 +42,13 @@ def open_frames(path: Path) -> FileRecording:
         dtype=first.dtype,
         lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
         warnings=warnings,
-        unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
+        unreadable={index: "has no file" for index, file in enumerate(files) if file is None},
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
-    return FileRecording(description, partial(_image_at, files, description))
+    return FileRecording(description, partial(_read_numbered, files, description))
 
 
-def _image_at(files: Sequence[Path | None], first: Description, index: int) -> Frames:
+def _read_numbered(files: Sequence[Path | None], first: Description, index: int) -> Frames:
     """Return frame `index` (H, W) from the image `files` of a folder; raise FingerflowError if its size or type differs
     from the first image.
     """
@@ -108,9 +108,9 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
     return image
 
 
-def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
+def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     """Return the image files of a folder ordered by number, with None for missing numbers, and a list of warnings."""
-    files = _images_in(folder)
+    files = _list_images(folder)
     numbers = _numbers([file.name for file in files])
     if len(numbers) < 2:
         return list(files), ()
@@ -138,16 +138,16 @@ def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
 def _numbers(names: list[str]) -> list[int]:
     """Return the frame number in each file name, if the names differ in one number only; otherwise an empty list."""
     parts = [re.split(r"(\d+)", name) for name in names]
-    if len({(len(one), tuple(one[::2])) for one in parts}) > 1:
+    if len({(len(part), tuple(part[::2])) for part in parts}) > 1:
         return []
-    varying = [place for place in range(1, len(parts[0]), 2) if len({int(one[place]) for one in parts}) > 1]
+    varying = [position for position in range(1, len(parts[0]), 2) if len({int(part[position]) for part in parts}) > 1]
     if len(varying) > 1 or (not varying and len(names) < 2):
         return []
-    place = varying[0] if varying else len(parts[0]) - 2
-    return [int(one[place]) for one in parts] if place > 0 else []
+    position = varying[0] if varying else len(parts[0]) - 2
+    return [int(part[position]) for part in parts] if position > 0 else []
 
 
-def _images_in(folder: Path) -> list[Path]:
+def _list_images(folder: Path) -> list[Path]:
     kinds: dict[str, list[Path]] = defaultdict(list)
     try:
         for file in folder.iterdir():

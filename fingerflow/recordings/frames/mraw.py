@@ -42,9 +42,9 @@ XML_PLACES = {
 def open_frames(path: Path) -> FileRecording:
     """Open a Photron recording, given the path of either the pixel file or the header file."""
     if path.suffix.lower() == ".mraw":
-        pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
+        pixels, header_path = path, _find_partner(path, HEADERS, "its header, a .cih or .cihx file")
     else:
-        pixels, header_path = _beside(path, (".mraw",), "its pixels, a .mraw file"), path
+        pixels, header_path = _find_partner(path, (".mraw",), "its pixels, a .mraw file"), path
     check_file(pixels)
     if check_file(header_path) > MOST_HEADER_BYTES:
         raise FingerflowError(
@@ -190,7 +190,7 @@ def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
         root = ElementTree.fromstring(data[start : end + len(b"</cih>")].decode("utf-8", "replace"))
     except ElementTree.ParseError as error:
         raise FingerflowError(f"{path}: no readable <cih> section ({error}); export the recording again") from None
-    return {name: root.findtext(place, "").strip() for name, place in XML_PLACES.items()}
+    return {name: root.findtext(location, "").strip() for name, location in XML_PLACES.items()}
 
 
 def _layout(header: _Header) -> _MrawLayout:
@@ -236,7 +236,7 @@ def _layout(header: _Header) -> _MrawLayout:
     )
 
 
-def _beside(path: Path, suffixes: tuple[str, ...], what: str) -> Path:
+def _find_partner(path: Path, suffixes: tuple[str, ...], what: str) -> Path:
     for suffix in suffixes:
         for candidate in path.parent.iterdir():
             if candidate.stem == path.stem and candidate.suffix.lower() == suffix:

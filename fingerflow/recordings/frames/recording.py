@@ -296,14 +296,18 @@ class _View(Recording):
 
     @property
     def unreadable(self) -> Mapping[int, str]:
-        return self._of_view(self._file.unreadable)
+        return self._select_frames(self._file.unreadable)
 
     @property
     def doubtful(self) -> Mapping[int, str]:
-        return self._of_view(self._file.doubtful)
+        return self._select_frames(self._file.doubtful)
 
-    def _of_view(self, known: Mapping[int, str]) -> dict[int, str]:
-        return {place: known[index] for place, index in enumerate(self._indices) if index in known} if known else {}
+    def _select_frames(self, entries: Mapping[int, str]) -> dict[int, str]:
+        return (
+            {position: entries[index] for position, index in enumerate(self._indices) if index in entries}
+            if entries
+            else {}
+        )
 
     def _read_frame(self, index: int) -> Frames:
         return self._file._read_frame(self._indices[index])
@@ -312,9 +316,9 @@ class _View(Recording):
         stack, indices = self._file._memory_map(), self._indices
         if stack is None or not len(indices):
             return None
-        step, *others = _steps(indices) or {1}
+        step, *irregular = _steps(indices) or {1}
         # Tensors cannot have negative strides.
-        return stack[indices[0] : indices[-1] + 1 : step] if step > 0 and not others else None
+        return stack[indices[0] : indices[-1] + 1 : step] if step > 0 and not irregular else None
 
     def _view(self, indices: Sequence[int]) -> Recording:
         # A view of a view refers to the file directly, so that a chain of slices is as fast as a single slice.
@@ -328,8 +332,8 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
     """Return the frame rate of selected frames: 150 Hz for every second frame of 300 Hz, None for uneven spacing."""
     if rate is None or len(indices) < 2:
         return rate
-    step, *others = {abs(one) for one in _steps(indices)}
-    return rate / step if step > 0 and not others else None
+    step, *irregular = {abs(difference) for difference in _steps(indices)}
+    return rate / step if step > 0 and not irregular else None
 
 
 def _steps(indices: Sequence[int]) -> set[int]:
@@ -365,8 +369,8 @@ def surplus(left: int, frame_bytes: int, count: int) -> tuple[str, ...]:
     ().
     """
     more = left // frame_bytes
-    said = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
-    return (f"{said}: copy it again, or correct the header",) if more > 0 else ()
+    message = f"the header states {count} frames, and the file holds {more} more behind them, which are not read"
+    return (f"{message}: copy it again, or correct the header",) if more > 0 else ()
 
 
 def lossy_codec(name: str) -> str:

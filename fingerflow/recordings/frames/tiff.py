@@ -102,14 +102,14 @@ def _describe(
     series: Any = file.series
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
-    kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
+    kinds = {(part.shape, part.axes, str(part.dtype), part.keyframe.photometric) for part in series}
     if len(kinds) > 1:
-        shapes = ", ".join(f"{len(one.pages)} of {one.shape}" for one in series[:4])
+        shapes = ", ".join(f"{len(part.pages)} of {part.shape}" for part in series[:4])
         raise FingerflowError(f"{path}: its pages differ ({shapes}); all frames have one size and kind")
     stack, page = series[0], series[0].keyframe
     if page.photometric not in GREY or page.samplesperpixel != 1:
-        kind = f"{getattr(page.photometric, 'name', page.photometric)}, {page.samplesperpixel} samples a pixel"
-        raise FingerflowError(f"{path}: a colour file ({kind}); convert it to grey first")
+        colour = f"{getattr(page.photometric, 'name', page.photometric)}, {page.samplesperpixel} samples a pixel"
+        raise FingerflowError(f"{path}: a colour file ({colour}); convert it to grey first")
     *leading, height, width = stack.shape if len(stack.shape) > 1 else (0, 0)
     # A program that writes page by page may make each page a series; the frames are then the pages of all series.
     alone = len(series) == 1
@@ -138,15 +138,15 @@ def _describe(
             frames = np.memmap(path, dtype.newbyteorder(file.byteorder), "r", stack.dataoffset, shape)
         end = stack.dataoffset + count * frame_bytes
     else:
-        frames = [one for each in series for one in each.pages]
-        states = [_damage(one, size, frame_bytes) for one in frames]
+        frames = [part for each in series for part in each.pages]
+        states = [_damage(part, size, frame_bytes) for part in frames]
         whole = max((number + 1 for number, state in enumerate(states) if not state), default=0)
         frames = frames[:whole]
         damaged = {number: state for number, state in enumerate(states[:whole]) if state}
-        pieces = _pieces({number: one for number, one in enumerate(frames) if number not in damaged})
-        for (begin, behind, number), (following, *_, other) in pairwise(pieces):
+        pieces = _pieces({number: part for number, part in enumerate(frames) if number not in damaged})
+        for (begin, behind, number), (following, *_, successor) in pairwise(pieces):
             if begin < following < behind:
-                damaged |= dict.fromkeys((number, other), "lies in the same bytes as another frame, or as itself")
+                damaged |= dict.fromkeys((number, successor), "lies in the same bytes as another frame, or as itself")
         end = max((behind for _, behind, _ in pieces), default=0)
     if whole <= 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")

@@ -118,20 +118,20 @@ class VideoRecording(FileRecording):
             raise DamagedFrame(self._unreadable[index])
         return self._cache[index].copy()
 
-    def _decode_to(self, wanted: int) -> None:
+    def _decode_to(self, target: int) -> None:
         keys = self._index.keys
-        nearest = bisect_right(keys, wanted) - 1
-        if not keys[nearest] <= self._next <= wanted:
-            self._start_at(keys[nearest])
-        if self._run_to(wanted):
+        nearest = bisect_right(keys, target) - 1
+        if not keys[nearest] <= self._next <= target:
+            self._restart(keys[nearest])
+        if self._run_to(target):
             return
-        self._start_at(0)  # decode from the start, if seeking misses the key frame
-        if not self._run_to(wanted):
-            self._mark_damaged(wanted, "gives no picture")
+        self._restart(0)  # decode from the start, if seeking misses the key frame
+        if not self._run_to(target):
+            self._mark_damaged(target, "gives no picture")
 
-    def _run_to(self, wanted: int) -> bool:
+    def _run_to(self, target: int) -> bool:
         for number, frame in self._decoded:
-            if number > wanted:
+            if number > target:
                 return False
             self._next = number + 1
             if frame.is_corrupt:
@@ -141,19 +141,19 @@ class VideoRecording(FileRecording):
                     number, f"is {frame.height} x {frame.width} {frame.format.name}, not as the header says"
                 )
             if number not in self.unreadable:
-                self._cache[number] = self._pixels.of(frame, self.path, number)
+                self._cache[number] = self._pixels.convert(frame, self.path, number)
             while len(self._cache) > self._cached_at_most:
                 self._cache.popitem(last=False)
-            if number == wanted:
+            if number == target:
                 return True
         return False
 
     def _mark_damaged(self, number: int, reason: str) -> None:
         """Mark a frame as unreadable, and with it all frames that may be decoded from this frame."""
         self._unreadable.setdefault(number, reason)
-        for other in self._dependent_frames(number):
-            self._unreadable.setdefault(other, f"is made from frame {number}, which {reason}")
-            self._cache.pop(other, None)
+        for dependent in self._dependent_frames(number):
+            self._unreadable.setdefault(dependent, f"is made from frame {number}, which {reason}")
+            self._cache.pop(dependent, None)
 
     def _dependent_frames(self, number: int) -> range:
         """Return the range of frames that an error in frame `number` may spoil: those that the decoder has not
@@ -162,10 +162,10 @@ class VideoRecording(FileRecording):
         Those shown before it are among them, since bidirectional frames are decoded after the one behind them.
         """
         keys = self._index.keys
-        place = bisect_right(keys, number)
-        return range(min(self._next, number + 1), keys[place] if place < len(keys) else len(self))
+        position = bisect_right(keys, number)
+        return range(min(self._next, number + 1), keys[position] if position < len(keys) else len(self))
 
-    def _start_at(self, key: int) -> None:
+    def _restart(self, key: int) -> None:
         if self._container is None or key == 0:
             self.close()
             self._container = _open(self.path)
@@ -194,8 +194,8 @@ class VideoRecording(FileRecording):
                         self._mark_damaged(number, "has a wrong checksum")
                     frames = packet.decode()
                 if errors and number is not None and number >= key:
-                    for one in (number, *self._dependent_frames(number)):
-                        self._doubtful.setdefault(one, errors[0])
+                    for affected in (number, *self._dependent_frames(number)):
+                        self._doubtful.setdefault(affected, errors[0])
             except (av.FFmpegError, ValueError, MemoryError) as error:
                 if self._index.stamps is None:
                     raise FingerflowError(
@@ -252,7 +252,7 @@ class _Pixels:
     def fit(self, frame: Any) -> bool:
         return (frame.height, frame.width) == self.shape and frame.format.name == self.name
 
-    def of(self, frame: Any, path: Path, number: int) -> Frames:
+    def convert(self, frame: Any, path: Path, number: int) -> Frames:
         if self.is_rgb:
             rgb = frame.to_ndarray(format="rgb24")
             if np.any(rgb[..., 1:] != rgb[..., :1]):
@@ -271,14 +271,14 @@ def _reported_errors() -> Iterator[list[str]]:
     """Context manager that yields a list, which at the end of the context holds the messages of all errors that FFmpeg
     reported in any decoder thread.
     """
-    found: list[str] = []
+    messages: list[str] = []
     with _REPORTS:
         level = av.logging.get_level()
         av.logging.set_level(av.logging.ERROR)
         try:
             with av.logging.Capture(local=False) as logs:
-                yield found
-            found += [message.strip() for *_, message in logs]
+                yield messages
+            messages += [message.strip() for *_, message in logs]
         finally:
             av.logging.set_level(level)
 
@@ -391,12 +391,12 @@ def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
     """Return (time stamp, is key frame, is damaged) for each readable packet of a video stream in an open file
     (`container`).
     """
-    found: list[tuple[Any, bool, bool]] = []
+    packets: list[tuple[Any, bool, bool]] = []
     try:
         for packet in container.demux(stream):
             if packet.size and not packet.is_discard:
-                found.append((packet.pts, packet.is_keyframe, packet.is_corrupt))
+                packets.append((packet.pts, packet.is_keyframe, packet.is_corrupt))
     except av.FFmpegError:
-        if not found:
+        if not packets:
             raise
-    return found
+    return packets

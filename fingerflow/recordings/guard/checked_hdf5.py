@@ -86,17 +86,17 @@ def _sources_there(values: h5py.Dataset, path: Path) -> None:
             continue
         # HDF5 searches an external path as written, then beside the file; "%b" stands for the number of a block.
         pattern = name.replace("%b", "*")
-        found = [place for place in (Path(pattern), path.parent / pattern, path.parent / Path(pattern).name)
-                 if (place.exists() if "*" not in pattern else any(place.parent.glob(place.name)))]  # fmt: skip
-        if not found:
+        files = [file for file in (Path(pattern), path.parent / pattern, path.parent / Path(pattern).name)
+                 if (file.exists() if "*" not in pattern else any(file.parent.glob(file.name)))]  # fmt: skip
+        if not files:
             raise FingerflowError(
                 f"{path}: the values of {values.name} lie in {name}, which is not there; copy it beside this file"
             )
         if "*" not in pattern and "%" not in source.dset_name:
-            with open_hdf5(found[0]) as other:
-                if source.dset_name not in other:
+            with open_hdf5(files[0]) as holder:
+                if source.dset_name not in holder:
                     raise FingerflowError(
-                        f"{path}: the values of {values.name} lie in {source.dset_name} of {found[0]}, which is not in "
+                        f"{path}: the values of {values.name} lie in {source.dset_name} of {files[0]}, which is not in "
                         "it; copy that file again"
                     )
 

@@ -23,15 +23,15 @@ from fingerflow.recordings.guard.idle import IdleLimit
 _MOST_IDLE_SECONDS = 120.0  # s without progress, which a disk that does not respond may cause
 
 
-def check_in_child_process(path: Path, kind: str) -> None:
-    """Check that a child process can read a file of a given `kind` (key of `child_reader.READERS`) without a crash.
+def check_in_child_process(path: Path, file_type: str) -> None:
+    """Check that a child process can read a file of a `file_type` (key of `child_reader.READERS`) without a crash.
 
     The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
     Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
     memory than a file of its size can need.
     """
-    _answer_about(path, kind)
+    _answer_about(path, file_type)
 
 
 def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
@@ -41,22 +41,22 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
     """
-    found = _answer_about(path, "MATLAB")
-    return dict(_from_json(found or child_reader.as_json(child_reader.read_matlab(str(path)))))
+    answer = _answer_about(path, "MATLAB")
+    return dict(_decode_json(answer or child_reader.as_json(child_reader.read_matlab(str(path)))))
 
 
-def _answer_about(path: Path, kind: str) -> Any:
-    answer = _child.ask(path, kind)
+def _answer_about(path: Path, file_type: str) -> Any:
+    answer = _child.ask(path, file_type)
     if answer and isinstance(answer, str):
-        raise FingerflowError(f"{path}: is damaged, or no {kind} file: {answer}; copy or export it again")
+        raise FingerflowError(f"{path}: is damaged, or no {file_type} file: {answer}; copy or export it again")
     return answer
 
 
-def _from_json(value: Any) -> Any:
+def _decode_json(value: Any) -> Any:
     if isinstance(value, dict):
         if ".npy" in value:
             return np.load(io.BytesIO(base64.b64decode(value[".npy"])), allow_pickle=False)
-        return {name: _from_json(one) for name, one in value.items()}
+        return {name: _decode_json(item) for name, item in value.items()}
     return value
 
 
@@ -71,8 +71,8 @@ class _ChildProcess:
         self._owner = 0
         self._cannot_start = False
 
-    def ask(self, path: Path, kind: str) -> Any:
-        """Let the child process read a file of a given `kind`; return "" for a sound file, else a text that states the
+    def ask(self, path: Path, file_type: str) -> Any:
+        """Let the child process read a file of a given `file_type`; return "" for a sound file, else a text with the
         error.
 
         Of a sound MATLAB file the content is returned instead.
@@ -82,7 +82,7 @@ class _ChildProcess:
             if process is None:
                 return ""
             try:
-                answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
+                answer = self._answer(process, json.dumps([str(path.resolve()), file_type]))
             except BaseException:  # interrupted: otherwise the late answer would be taken for that of the next file
                 process.kill()
                 self._process = None

@@ -32,8 +32,8 @@ def main() -> None:
     """
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
-        path, kind = json.loads(line)
-        through, libraries = READERS[kind]
+        path, file_type = json.loads(line)
+        through, libraries = READERS[file_type]
         for library in libraries:
             # Imported before the limit is set, as the memory of libraries depends on the number of CPUs.
             importlib.import_module(library)
@@ -108,7 +108,7 @@ def as_json(value: Any) -> Any:
     import numpy as np
 
     if isinstance(value, dict):
-        return {str(name): as_json(one) for name, one in value.items()}
+        return {str(name): as_json(item) for name, item in value.items()}
     if isinstance(value, str):
         return value
     try:
@@ -156,14 +156,16 @@ def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
     layout, shape, steps = values.id.get_create_plist(), values.shape, values.chunks
     filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
     plain_bytes = math.prod(steps) * values.dtype.itemsize
-    places: set[tuple[int, ...]] = set()
+    offsets: set[tuple[int, ...]] = set()
     spans: list[tuple[int, int]] = []
 
     def check(chunk: Any) -> str | None:
         at, begin, end = chunk.chunk_offset, chunk.byte_offset, chunk.byte_offset + chunk.size
-        applied = [kind for bit, kind in enumerate(filters) if not chunk.filter_mask >> bit & 1]
+        applied = [code for bit, code in enumerate(filters) if not chunk.filter_mask >> bit & 1]
         expected = plain_bytes + CHECKSUM_BYTES * (FLETCHER32 in applied)
-        if at in places or any(one % step or one >= most for one, step, most in zip(at, steps, shape, strict=True)):
+        if at in offsets or any(
+            offset % step or offset >= most for offset, step, most in zip(at, steps, shape, strict=True)
+        ):
             return f"chunk {at} is outside its grid, or there twice"
         if begin <= 0 or end > file_bytes:
             return f"chunk {at} is at bytes {begin} to {end} of a file of {file_bytes}"
@@ -171,7 +173,7 @@ def _wrong_chunks(values: Any, file_bytes: int) -> str | None:
             return f"chunk {at} of {chunk.size} bytes lacks its checksum"
         if set(applied) <= {SHUFFLE, FLETCHER32} and chunk.size != expected:
             return f"chunk {at} has {chunk.size} of {expected} bytes"
-        places.add(at)
+        offsets.add(at)
         spans.append((begin, end))
         return None
 

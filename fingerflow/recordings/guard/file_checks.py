@@ -24,13 +24,15 @@ def check_file(path: Path) -> int:
     Raises FingerflowError if it is not a file (opening a pipe would block), does not exist, or may not be read.
     """
     try:
-        found = path.stat()
-        for is_kind, kind in _KINDS:
-            if is_kind(found.st_mode):
-                remedy = "name a file in it" if kind == _KINDS[0][1] else "copy what it gives to a file and name that"
-                raise FingerflowError(f"{path}: is {kind}, not a file; {remedy}")
+        status = path.stat()
+        for is_kind, file_type in _KINDS:
+            if is_kind(status.st_mode):
+                remedy = (
+                    "name a file in it" if file_type == _KINDS[0][1] else "copy what it gives to a file and name that"
+                )
+                raise FingerflowError(f"{path}: is {file_type}, not a file; {remedy}")
         with path.open("rb"):
-            return found.st_size
+            return status.st_size
     except FileNotFoundError:
         raise FingerflowError(f"{path}: there is no such file (looked in {Path.cwd()})") from None
     except (OSError, ValueError) as error:  # ValueError: the name cannot be that of a file
@@ -40,7 +42,7 @@ def check_file(path: Path) -> int:
 
 
 @contextmanager
-def reading(path: Path, kind: str) -> Iterator[None]:
+def reading(path: Path, file_type: str) -> Iterator[None]:
     """Context manager that converts any exception of a file library into a FingerflowError with file name and remedy.
 
     Libraries of file formats do not specify what they raise for a damaged file: struct.error, KeyError, AssertionError,
@@ -53,7 +55,7 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise FingerflowError(
-            f"{path}: cannot be read as {kind}, it is of another kind or damaged ({first_line(error)}); copy or "
+            f"{path}: cannot be read as {file_type}, it is of another kind or damaged ({first_line(error)}); copy or "
             "export it again"
         ) from error
 

@@ -29,7 +29,9 @@ class IdleLimit:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self, exception_type: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
         self._over.set()
 
     def _watch(self) -> None:
@@ -39,10 +41,10 @@ class IdleLimit:
                 watched = psutil.Process(self._process)
                 family = [watched, *watched.children(recursive=True)]
                 at_work, now = False, 0.0
-                for one in family:
-                    times = one.cpu_times()
+                for process in family:
+                    times = process.cpu_times()
                     now += times.user + times.system
-                    at_work |= one.status() in _AT_WORK
+                    at_work |= process.status() in _AT_WORK
             except psutil.NoSuchProcess:  # the process, or one of its children, has just ended
                 if not psutil.pid_exists(self._process):
                     return

@@ -52,8 +52,8 @@ def save_nwb(result: xr.Dataset, path: Path) -> None:
         if "flag_meanings" in values.attrs:
             comments = f"values 0, 1, 2 ... mean {values.attrs['flag_meanings']}"
         if first == "frame":
-            said = {"unit": unit, "description": about, "comments": comments}
-            series = TimeSeries(name=str(name), data=values.values, timestamps=timestamps, **said)
+            texts = {"unit": unit, "description": about, "comments": comments}
+            series = TimeSeries(name=str(name), data=values.values, timestamps=timestamps, **texts)
             module.add(series)
             # Later series refer to the first one, so that times are stored only once.
             timestamps = series if not isinstance(timestamps, TimeSeries) else timestamps

@@ -19,17 +19,17 @@ class Table(NamedTuple):
     rows: NDArray[np.float64]
 
 
-def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+def frame_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return a table with one row per frame: frame number, time, and the variables that have one value or vector per
     frame.
     """
-    columns = {"frame": result["frame"].values, **_columns_of(result["time"])}
+    columns = {"frame": result["frame"].values, **_component_columns(result["time"])}
     for values in _select(result, variables, ("frame",)):
-        columns |= _columns_of(values)
+        columns |= _component_columns(values)
     return Table(tuple(columns), np.column_stack(list(columns.values())))
 
 
-def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+def point_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return a table with one row per point and frame: frame number, time, point number, and the variables that have a
     value for each point.
 
@@ -37,15 +37,15 @@ def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """
     frames, points = _sizes(result)
     columns: dict[str, NDArray[np.generic]] = {"frame": np.repeat(result["frame"].values, points)}
-    columns |= {name: np.repeat(one, points) for name, one in _columns_of(result["time"]).items()}
+    columns |= {name: np.repeat(column, points) for name, column in _component_columns(result["time"]).items()}
     columns["point"] = np.tile(np.arange(points), frames)
     for values in _select(result, variables, ("frame", "point"), ("point",)):
-        for name, one in _columns_of(values).items():
-            columns[name] = one.reshape(-1) if values.dims[0] == "frame" else np.tile(one, frames)
+        for name, column in _component_columns(values).items():
+            columns[name] = column.reshape(-1) if values.dims[0] == "frame" else np.tile(column, frames)
     return Table(tuple(columns), np.column_stack(list(columns.values())))
 
 
-def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return the tracks of all points as a table for `napari.layers.Tracks`, with columns track ID, frame number, y and
     x (px), sorted by ID and frame.
 
@@ -63,7 +63,7 @@ def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     }
     named = _select(result, variables, ("frame", "point")) if variables else ()
     for values in named:
-        columns |= {name: one.T.reshape(-1) for name, one in _columns_of(values).items()}
+        columns |= {name: column.T.reshape(-1) for name, column in _component_columns(values).items()}
     rows = np.column_stack(list(columns.values()))
     return Table(tuple(columns), rows[np.isfinite(position).all(1)])
 
@@ -85,7 +85,7 @@ def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
 
     for name in result.data_vars if variables is None else variables:
         if name not in result:
-            there = [str(one) for one in result.data_vars if fits(result[one])]
+            there = [str(variable) for variable in result.data_vars if fits(result[variable])]
             raise FingerflowError(f"the result has no {name}; of such rows it has {', '.join(there)}")
         if fits(result[name]):
             yield result[name]
@@ -96,7 +96,7 @@ def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
             )
 
 
-def _columns_of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
+def _component_columns(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
     """Return the values of a variable, in the unit in which tables show it, as a mapping from column name to values,
     with one column per component.
     """

@@ -49,13 +49,19 @@ class Maps(NamedTuple):
     def table(self) -> Table:
         """Return a table with one row for each grid position and frame where the variable is known."""
         frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
-        places = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
-        named = [f"_{one}" for one in self.components] or [""]
-        names = ("frame", "time (s)", "x (mm)", "y (mm)", *(self.unit.heading(f"{self.name}{one}") for one in named))
-        return Table(names, np.column_stack([*places, *(self.values[frame, :, row, column].T)]))
+        coordinates = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
+        named = [f"_{component}" for component in self.components] or [""]
+        names = (
+            "frame",
+            "time (s)",
+            "x (mm)",
+            "y (mm)",
+            *(self.unit.heading(f"{self.name}{component}") for component in named),
+        )
+        return Table(names, np.column_stack([*coordinates, *(self.values[frame, :, row, column].T)]))
 
 
-def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
+def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
     """Interpolate a variable of skin points or triangles, at their positions in each frame, to a regular grid on the
     glass with a spacing of `step_mm`.
 
@@ -72,35 +78,35 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
         raise FingerflowError(
             f"the result has no {missing}, which the map needs; {hint or f'compute it (process -v {missing})'}"
         )
-    given = result[variable]
-    dims = tuple(map(str, given.dims))
+    data = result[variable]
+    dims = tuple(map(str, data.dims))
     of, parts = dims[:2], dims[2:]
     if of not in (("frame", "point"), ("frame", "triangle")) or len(parts) > 1 or (parts and parts[0] not in LABELS):
         raise FingerflowError(
             f"{variable} has a value for each of {', '.join(dims)}; a map is of what has one for each point or triangle"
         )
     position = result["position"].values
-    known = np.isfinite(position).all(-1)
-    if not known.any():
+    valid = np.isfinite(position).all(-1)
+    if not valid.any():
         raise FingerflowError("no point has a position in any frame: there is nothing to map")
-    x, y = (_axis(position[..., k][known], step_mm) for k in (0, 1))
+    x, y = (_axis(position[..., k][valid], step_mm) for k in (0, 1))
     if len(x) * len(y) > _MOST_CELLS:
         raise FingerflowError(
             f"a step of {step_mm:g} mm makes maps of {len(y)} x {len(x)} pixels; give a larger one, such as 0.1"
         )
-    places = np.stack(np.meshgrid(x, y), axis=-1)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
     reach = float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"]) / 2
     components = tuple(map(str, result[parts[0]].values)) if parts else ()
     values = np.full((len(position), max(1, len(components)), len(y), len(x)), np.nan, np.float32)
     corners = result["triangles"].values if "triangle" in dims else None
     for frame, points in enumerate(position):
-        of_frame = given[frame].values
+        of_frame = data[frame].values
         of_frame = of_frame if parts else of_frame[:, None]
         if corners is None:
-            values[frame] = _interpolate_points(points, of_frame, places, reach).transpose(2, 0, 1)
+            values[frame] = _interpolate_points(points, of_frame, grid, reach).transpose(2, 0, 1)
         else:
             values[frame] = _values_of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
-    unit = shown_unit(variable, str(given.attrs["units"]))
+    unit = shown_unit(variable, str(data.attrs["units"]))
     values *= np.float32(unit.factor)
     frames, times = result["frame"].values, result["time"].values
     return Maps(variable, unit, components, values, x, y, frames, times, step_mm)
@@ -115,24 +121,24 @@ def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:
 
 
 def _interpolate_points(
-    points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
+    points: NDArray[np.float64], values: NDArray[np.floating], grid: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
-    """Interpolate values (N, C) of the points (N, 2) in one frame linearly to the grid positions `places` (H, W, 2) mm,
+    """Interpolate values (N, C) of the points (N, 2) in one frame linearly to the grid positions `grid` (H, W, 2) mm,
     and return them as (H, W, C).
 
     The result is NaN farther than `reach` from all points.
     """
-    found = np.full((*places.shape[:2], values.shape[1]), np.nan)
+    gridded = np.full((*grid.shape[:2], values.shape[1]), np.nan)
     usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
     if usable.sum() < 3:
-        return found
+        return gridded
     try:
         between = LinearNDInterpolator(Delaunay(points[usable]), values[usable].astype(np.float64))
     except QhullError:  # all points lie on one line
-        return found
-    near = cKDTree(points[usable]).query(places, distance_upper_bound=reach)[0] <= reach
-    found[near] = between(places[near])
-    return found
+        return gridded
+    near = cKDTree(points[usable]).query(grid, distance_upper_bound=reach)[0] <= reach
+    gridded[near] = between(grid[near])
+    return gridded
 
 
 def _values_of_triangles(
@@ -145,7 +151,7 @@ def _values_of_triangles(
     """Return the values (H, W, C) at the grid positions (y, x) of one frame, each that of the triangle of points which
     covers the position; NaN where none does.
     """
-    found = np.full((len(y), len(x), values.shape[1]), np.nan)
+    gridded = np.full((len(y), len(x), values.shape[1]), np.nan)
     for triangle, value in zip(points[corners], values, strict=True):
         if not (np.isfinite(triangle).all() and np.isfinite(value).any()):
             continue
@@ -154,11 +160,11 @@ def _values_of_triangles(
         rows = slice(np.searchsorted(y, low[1]), np.searchsorted(y, high[1], "right"))
         at = np.stack(np.meshgrid(x[columns], y[rows]), axis=-1)
         side = [_cross(triangle[(k + 1) % 3] - triangle[k], at - triangle[k]) for k in range(3)]
-        inside = np.all([one >= 0 for one in side], axis=0) | np.all([one <= 0 for one in side], axis=0)
-        found[rows, columns][inside] = value
-    return found
+        inside = np.all([product >= 0 for product in side], axis=0) | np.all([product <= 0 for product in side], axis=0)
+        gridded[rows, columns][inside] = value
+    return gridded
 
 
-def _cross(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = one[0] * other[..., 1] - one[1] * other[..., 0]
+def _cross(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    result: NDArray[np.float64] = first[0] * second[..., 1] - first[1] * second[..., 0]
     return result

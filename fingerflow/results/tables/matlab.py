@@ -41,5 +41,5 @@ def save_matlab(result: xr.Dataset, path: Path) -> None:
 def _for_matlab(value: Any) -> Any:
     """Convert nested dictionaries to nested MATLAB structs, with an empty array in place of None."""
     if isinstance(value, dict):
-        return {name: _for_matlab(one) for name, one in value.items()}
+        return {name: _for_matlab(entry) for name, entry in value.items()}
     return np.zeros((0, 0)) if value is None else value

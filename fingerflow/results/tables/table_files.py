@@ -11,12 +11,12 @@ import xarray as xr
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.tables.archives import is_nwb_result, is_zarr_result, save_nwb, save_zarr
-from fingerflow.results.tables.columns import Table, by_frame, by_point, by_track
+from fingerflow.results.tables.columns import Table, frame_table, point_table, track_table
 from fingerflow.results.tables.grid_maps import ORIGIN as _ORIGIN
-from fingerflow.results.tables.grid_maps import Maps, maps_of
+from fingerflow.results.tables.grid_maps import Maps, interpolate_maps
 from fingerflow.results.tables.matlab import save_matlab
 
-ROWS = {"frame": by_frame, "point": by_point, "track": by_track}
+ROWS = {"frame": frame_table, "point": point_table, "track": track_table}
 _COMPLETE = {".mat": save_matlab, ".nwb": save_nwb, ".zarr": save_zarr}
 _BEGINNINGS = (b"frame,", b"track_id,")
 
@@ -79,10 +79,10 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
     """
     keep_others(path, is_table, overwrite)
     if path.suffix in (".tif", ".tiff"):
-        found = maps_of(result, variable, step_mm)
-        write_atomically(path, lambda part: _write_tiff(part, found))
+        maps = interpolate_maps(result, variable, step_mm)
+        write_atomically(path, lambda part: _write_tiff(part, maps))
     elif path.suffix == ".csv":
-        table = maps_of(result, variable, step_mm).table()
+        table = interpolate_maps(result, variable, step_mm).table()
         write_atomically(path, lambda part: _write_csv(part, table))
     else:
         raise FingerflowError(f"{path}: a map is written as .tif or .csv, not {_suffix(path)}")
@@ -112,7 +112,7 @@ def _write_csv(part: Path, table: Table) -> None:
 def _write_tiff(part: Path, maps: Maps) -> None:
     names: dict[str, str | list[str]] = {"Info": maps.about}
     if maps.components:
-        names["Labels"] = [f"{maps.name}_{one}" for _ in maps.times for one in maps.components]
+        names["Labels"] = [f"{maps.name}_{component}" for _ in maps.times for component in maps.components]
     steps = np.diff(maps.times)
     interval = {"finterval": float(np.median(steps)), "tunit": "s"} if len(steps) else {}
     with part.open("wb") as file:

@@ -93,7 +93,7 @@ def test_a_border_that_is_seen_blurred_is_found(growth: float, power: float) -> 
     assert level[0] == pytest.approx(0, abs=1e-12)
     assert level[2] == pytest.approx(growth * HALF**power / (power + 1) / 2, rel=0.16)
     assert level[0] < level[1] < level[2]
-    assert fit.distance_of(growth * 0.3**power) == pytest.approx(0.3, rel=0.05)
+    assert fit.slip_distance(growth * 0.3**power) == pytest.approx(0.3, rel=0.05)
 
 
 def test_the_deviation_of_a_border_holds_its_error() -> None:

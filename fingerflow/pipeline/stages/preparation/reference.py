@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.key_types import seconds_of
+from fingerflow.schema.key_types import parse_seconds
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.variables import FRAME_STATUS
 
@@ -44,7 +44,7 @@ def requested_frame(scene: Scene, times: NDArray[np.float64]) -> int | None:
     selection.
     """
     setting, first = scene.fields.reference, scene.recording.first_frame
-    seconds = seconds_of(setting)
+    seconds = parse_seconds(setting)
     if seconds is not None:
         step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if not times[0] - step / 2 <= seconds <= times[-1] + step / 2:

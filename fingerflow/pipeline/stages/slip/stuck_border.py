@@ -125,7 +125,7 @@ class StuckBorder:
         """
         if self.fit is None:
             return math.nan
-        hidden = self.fit.distance_of(_SHARED * self.noise)
+        hidden = self.fit.slip_distance(_SHARED * self.noise)
         return math.hypot(self.fit.offset_std, _PLACE_STD * self._half, hidden)
 
     @property
@@ -197,7 +197,7 @@ class StuckBorder:
         assert self.fit is not None
         at = np.linspace(0, width / 2, 100)
         shown = np.maximum.accumulate(
-            self.fit.measured_at(at, self._seen) - self.fit.measured_at(at - width, self._seen)
+            self.fit.blurred_displacement(at, self._seen) - self.fit.blurred_displacement(at - width, self._seen)
         )
         clear = min(self._above * self.noise, float(shown[-1]))
         if not clear > level:
