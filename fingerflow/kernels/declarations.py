@@ -56,7 +56,7 @@ class ArrayField(NamedTuple):
 
 class NumberField(NamedTuple):
     """Number of a compiled function: name and format code of `struct`; for a whole number the range of its values, the
-    step between those that serve, and these themselves if they are few.
+    step between those that serve, these themselves if they are few, and an expression of numbers that must hold.
     """
 
     name: str
@@ -65,6 +65,7 @@ class NumberField(NamedTuple):
     most: int = 0
     step: int = 1
     among: tuple[int, ...] = ()
+    where: str = ""
 
 
 class Function(NamedTuple):
@@ -165,10 +166,11 @@ def _frames(name: str, comment: str) -> Iterator[ArrayField | NumberField]:
 def _number(name: str, code: str, comment: str = "") -> NumberField:
     if code not in _LARGEST:
         return NumberField(name, code)
+    comment, _, where = comment.partition("where")
     least, most, step = (re.search(rf"\b{word} (-?\d+)", comment) for word in ("from", "to", "by"))
     limits = int(least[1]) if least else 0, int(most[1]) if most else _LARGEST[code]
     among = tuple(map(int, comment.partition("among")[2].split()))
-    return NumberField(name, code, *limits, int(step[1]) if step else 1, among)
+    return NumberField(name, code, *limits, int(step[1]) if step else 1, among, where.strip())
 
 
 def _array(name: str, kind: str, constant: bool, comment: str) -> ArrayField:

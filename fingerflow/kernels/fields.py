@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fingerflow.kernels import field_limits as limits
-from fingerflow.kernels.arrays import KINDS, Array, with_axes_reversed
+from fingerflow.kernels.arrays import Array, with_axes_reversed
 from fingerflow.kernels.library import run
 from fingerflow.kernels.result_records import LocalFit
 
@@ -44,7 +44,6 @@ def local_gradients(
         minimum_points=minimum_points,
         radius=radius,
         least_spread=least_spread,
-        wide=KINDS[points.dtype] == "float64",
     )
     return LocalFit(value, gradient, covariance, counts, offset)
 

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
-from fingerflow.kernels.arrays import Array, address, in_one_piece
+from fingerflow.kernels.arrays import KINDS, Array, address, in_one_piece
 from fingerflow.kernels.kernel import values_are_known
 from fingerflow.kernels.library import run
 
@@ -66,6 +66,8 @@ def flow_descend(
         for plane, (channels, rows, columns) in zip(planes[first : first + len(_PLANES)], _PLANES, strict=True):
             if plane.shape != (batch, channels, height + rows, width + columns):
                 raise ValueError(f"a level has a plane of {tuple(plane.shape)} in {height} x {width} cells")
+            if KINDS[plane.dtype] != "float32":
+                raise TypeError(f"a plane is {KINDS[plane.dtype]}: float32 is needed")
             kept.append(in_one_piece(plane))
         addresses = [address(plane) if values_are_known() else 0 for plane in kept[first:]]
         levels.append([*addresses, height, width])

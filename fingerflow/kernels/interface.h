@@ -8,7 +8,8 @@
 // (several, or that of another array); behind it `optional` (null where Python has None), `rows` (pixels of a row are
 // contiguous, with strides in pixels <name>_stride and <name>_row_stride), `updated` (a copy of it is written and returned; zeros for None),
 // `below n` (values lie from 0 to n - 1). An address that is not const is a result, `if x` one that x asks for.
-// A comment behind a number limits it: `from a to b`, `by c` (in steps of c from a on), `among a b c`.
+// A comment behind a number limits it: `from a to b`, `by c` (in steps of c from a on), `among a b c`,
+// `where` what must hold. An int <name>_kind is the dtype of an array among those that it may have.
 #pragma once
 
 #include <cstdint>
@@ -57,7 +58,7 @@ struct fingerflow_found_templates {
         *covariance /* (steps, recordings, points, 2, 2) */;
     unsigned char* status /* (steps, recordings, points) */;
     float* estimate /* (steps, recordings, points, 2) */;
-    std::int64_t recordings, points, steps;
+    std::int64_t recordings, points, steps /* where batch == steps * recordings */;
     std::int32_t window /* from 5 to 4095 by 2 */, rounds;
     float rounding, forward_backward_limit, mismatch_limit;
 };
@@ -108,7 +109,7 @@ struct fingerflow_search_both_ways {
     unsigned char* returns /* bool (count) */;
     std::int64_t key_stride, key_row_stride, key_kind, current_stride, current_row_stride, current_kind;
     std::int64_t batch, height /* from 3 */, width /* from 3 */, count;
-    std::int32_t size, reach;
+    std::int32_t size /* from 1 to 32768 by 2 */, reach;
     float limit;
 };
 void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads);
@@ -164,7 +165,7 @@ void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64
 // spans with `radius` on cells of `side` px. Each as its own function here has it.
 void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits /* (batch) */,
                                   int size /* from 1 to 15 by 2 */, std::int64_t block /* from 8 by 8 */, std::int64_t radius /* from 1 to 255 */,
-                                  std::int64_t side /* among 1 2 4 8 */, unsigned char* real_contact_mask /* bool (batch, 1, height, width) */,
+                                  std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */, unsigned char* real_contact_mask /* bool (batch, 1, height, width) */,
                                   float* density_margin /* (batch, 1, -(-height / side), -(-width / side)) */,
                                   float* numbers /* (batch, 7) */, float* gains /* (batch) */, int threads);
 
@@ -173,7 +174,7 @@ void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const floa
 // `side` px, and every `stride`-th line read.
 void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains /* (batch) */,
                                   int size /* from 1 to 15 by 2 */, const std::uint16_t* table /* (entries) optional */,
-                                  std::int64_t radius /* from 1 to 255 */, std::int64_t side /* among 1 2 4 8 */,
+                                  std::int64_t radius /* from 1 to 255 */, std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */,
                                   std::int64_t stride /* from 1 */, float* thresholds /* (batch) */, int threads);
 
 // Light over that of the empty glass, (frame - black) / light, and where it is known
@@ -189,7 +190,8 @@ void fingerflow_histogram(const fingerflow_frames* frames /* uint8 uint16 */,
                           const unsigned char* mask /* bool (masks|batch, 1, height, width) rows optional */,
                           std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
                           const std::uint16_t* bins /* (levels) below count optional */,
-                          std::int64_t count /* from 1 to 65536 */, std::int64_t* counts /* (batch, count) */, int threads);
+                          std::int64_t count /* from 1 to 65536 where (levels or count) >= 256 ** (frames_kind + 1) */,
+                          std::int64_t* counts /* (batch, count) */, int threads);
 
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as
 // fingerflow/ops/contact/apparent_contact.py has them: density_margin (batch, cells down, cells across); numbers
@@ -197,7 +199,7 @@ void fingerflow_histogram(const fingerflow_frames* frames /* uint8 uint16 */,
 struct fingerflow_apparent_contacts {
     const unsigned char* masks /* bool (batch, 1, height, width) */;
     float *density_margin /* (batch, 1, -(-height / side), -(-width / side)) */, *numbers /* (batch, 7) */;
-    std::int64_t batch, height, width, radius /* from 1 to 255 */, side /* among 1 2 4 8 */;
+    std::int64_t batch, height, width, radius /* from 1 to 255 */, side /* among 1 2 4 8 where side <= 2 * radius + 1 */;
 };
 void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
@@ -210,7 +212,7 @@ void fingerflow_covered(const float* density_margin /* (batch, 1, down, across) 
 
 // Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
 // fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
-void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
+void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,
                             std::int64_t columns, float* blocks /* (batch, rows, columns) */,
                             float* lines /* (batch, (height - down / 2 + down - 1) / down) */, int threads);
 
@@ -218,7 +220,7 @@ void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, 
 // those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
 void fingerflow_frame_distances(const float* now /* (pairs, lines, pixels) */, const float* before /* (pairs, lines, pixels) */,
                                 std::int64_t pairs, std::int64_t lines, std::int64_t pixels /* from 1 */,
-                                std::int64_t bands /* from 1 */, float most, float* distances /* (pairs, bands + 1) */,
+                                std::int64_t bands /* from 1 where bands <= lines */, float most, float* distances /* (pairs, bands + 1) */,
                                 int threads);
 
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
@@ -235,7 +237,7 @@ struct fingerflow_local_fit {
     std::int64_t* counts /* (batch, query_count) */;
     void* offset /* points (batch, query_count) */;
 };
-void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
+void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int points_kind,
                                 int threads);
 
 // Positions of points corrected for the deformation of the skin, as fingerflow/ops/tracking/deformation.py has it: start (points, 2),
@@ -260,7 +262,7 @@ struct fingerflow_outliers {
     const float *x /* (neighbours, stride) */, *y /* (neighbours, stride) */, *within /* (neighbours, stride) */,
         *displacement /* (frames, points, 2) */, *deviation /* (frames, points) */;
     unsigned char *off_neighbours /* bool (frames, points) */, *uncertain /* bool (frames, points) */;
-    std::int64_t frames, points, stride, neighbours;
+    std::int64_t frames, points, stride /* where stride >= points and stride % 16 == 0 */, neighbours;
     float spread, ridge, least_deviation, most_disagreement, most_uncertainty;
     std::int32_t least_neighbours;
 };
@@ -275,7 +277,7 @@ struct fingerflow_detection {
     fingerflow_frames frame /* 7 x 7 */;
     const unsigned char* mask /* bool (batch, 1, height, width) rows */;
     float *points /* (count, 2) */, *responses /* (count) */;
-    std::int64_t mask_row_stride, border, beside, farthest, count /* from 1 */;
+    std::int64_t mask_row_stride, border /* from 3 */, beside /* from 1 */, farthest, count /* from 1 where batch == 1 */;
     float quality, noise;
 };
 void fingerflow_detect_points(const fingerflow_detection* given, int threads);
@@ -332,7 +334,7 @@ struct fingerflow_flow_descend_of {
     const float *pull /* (batch, 2, height, width) */, *flow /* (batch, 2, height, width) */,
         *known /* (batch, 1, height, width) */, *weights /* (half + 1) */;
     float* moved /* (batch, 2, height, width) */;
-    std::int64_t count, batch, half;
+    std::int64_t count /* from 1 */, batch, half;
     std::int32_t cycles, sweeps, coarsest;
     float damping;
 };

@@ -24,7 +24,7 @@ from fingerflow.kernels.arrays import (
     limits_of,
     rows_in_one_piece,
 )
-from fingerflow.kernels.declarations import FRAME_KINDS, ArrayField, Function, NumberField
+from fingerflow.kernels.declarations import ArrayField, Function, NumberField
 
 _NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
 _NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of interface.h
@@ -57,6 +57,7 @@ class Kernel:
         )
         self._inputs = [(array, array.name, [_size(size) for size in array.shape]) for array in inputs]
         self._names = [array.name for array in arrays]
+        self._conditions = [(number, compile(number.where, name, "eval")) for number in self._numbers if number.where]
         self._indices = [array for array in inputs if array.below]
         self._results = [array for array in arrays if array.role != "input"]
         shapes = "".join(f"({', '.join(array.shape)},)," for array in self._results)
@@ -89,12 +90,15 @@ class Kernel:
         for number in self._numbers:
             value = values[number.name]
             if number.least is not None and (
-                isinstance(value, float)
+                not hasattr(value, "__index__")
                 or not number.least <= value <= number.most
                 or (number.step > 1 and (value - number.least) % number.step)
                 or (number.among and value not in number.among)
             ):
                 self._refuse_number(number, value)
+        for number, condition in self._conditions:
+            if not eval(condition, _NO_NAMES, values):
+                raise ValueError(f"kernel {self._name}: {number.name} is {values[number.name]}: give {number.where}")
         results: list[Any] = []
         for field, shape in zip(self._results, eval(self._shapes, _NO_NAMES, values), strict=True):
             array = arrays.get(field.name)
@@ -123,6 +127,8 @@ class Kernel:
             dtype = getattr(array, "dtype", None)
             if KINDS[dtype] not in (field.dtypes or (KINDS[arrays[field.like].dtype],)):
                 self._refuse_array(field, array, values, TypeError)
+            if field.dtypes:
+                values[f"{name}_kind"] = field.dtypes.index(KINDS[dtype])
             if array.ndim != len(sizes):
                 self._refuse_array(field, array, values)
             for (letter, size), actual in zip(sizes, array.shape, strict=True):
@@ -138,7 +144,6 @@ class Kernel:
             if field.rows:
                 array = in_one_piece(array) if field.whole else array
                 array, values[f"{name}_stride"], values[f"{name}_row_stride"] = rows_in_one_piece(array)
-                values[f"{name}_kind"] = FRAME_KINDS.get(KINDS[dtype], 0)
             elif field.role == "updated":
                 array = copied(array)
             elif not (isinstance(array, np.ndarray) and array.flags.c_contiguous and array.flags.aligned):
@@ -180,7 +185,7 @@ class Kernel:
         self, field: ArrayField, array: Any, values: dict[str, Any], error: type[Exception] = ValueError
     ) -> NoReturn:
         """Raise the error for an array that does not fit its declaration."""
-        actual = "None" if array is None else f"{KINDS[array.dtype]} {tuple(array.shape)}"
+        actual = f"{KINDS[array.dtype]} {tuple(array.shape)}" if hasattr(array, "dtype") else type(array).__name__
         dtypes = " or ".join(field.dtypes) or f"the dtype of {field.like}"
         known = ", ".join(f"{name} {value}" for name, value in values.items() if name in " ".join(field.shape).split())
         shape = f"({', '.join(field.shape)})" + (f" with {known}" if known else "")

@@ -11,8 +11,8 @@ import torch
 
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
+from fingerflow.kernels import flow, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels import tracking
 from fingerflow.kernels.declarations import HEADER, ArrayField, NumberField, read
 from fingerflow.kernels.library import run
 from tests.kernels.kernel_calls import kernel_calls, reached
@@ -75,6 +75,35 @@ def test_what_does_not_fit_its_declaration_is_refused(kernel: str) -> None:
     for name in ARGUMENTS[kernel]:
         with pytest.raises(TypeError, match=f"kernel {kernel} was called with"):
             run(kernel, **{key: value for key, value in ARGUMENTS[kernel].items() if key != name}, unknown=1)
+
+
+#: Kernel, arguments that fit by themselves and not together, and the number that is named.
+UNRELATED: list[tuple[str, dict[str, Any], str]] = [
+    ("find_templates", {"steps": 3}, "steps is 3: give batch == steps"),
+    ("histogram", {"count": 255}, "count is 255"),
+    ("histogram", {"bins": torch.zeros(10, dtype=torch.uint16)}, "count is 256"),
+    ("contact_of_frames", {"radius": 1, "side": 8}, "side is 8: give side <= 2"),
+    ("frame_distances", {"bands": 999}, "bands is 999: give bands <= lines"),
+    ("find_outliers", {name: np.ones((16, 48), np.int32) for name in ("number",)}, "is"),
+    ("detect_points", {"border": 2}, "border is 2: give a whole number from 3"),
+    ("block_means", {"along": 0}, "along is 0"),
+    ("search_and_return", {"size": (1 << 20) + 1}, "size is 1048577"),
+    ("median", {"frames": [[1]]}, "frames is list"),
+    ("median", {"size": "5"}, "size is '5'"),
+]
+
+
+@pytest.mark.parametrize(("kernel", "change", "words"), UNRELATED)
+def test_numbers_that_do_not_fit_together_are_refused(kernel: str, change: dict[str, Any], words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=words):
+        run(kernel, **{**ARGUMENTS[kernel], **change})
+
+
+def test_planes_of_another_dtype_are_refused() -> None:
+    planes = [torch.zeros(1, channels, 4 + rows, 5 + columns) for channels, rows, columns in flow._PLANES]
+    flows = torch.zeros(1, 2, 4, 5), torch.zeros(1, 2, 4, 5), torch.zeros(1, 1, 4, 5)
+    with pytest.raises(TypeError, match="a plane is float64"):
+        flow.flow_descend([plane.double() for plane in planes], *flows, (0.25, 0.5, 0.25), 1, 1, 1, 0.5)
 
 
 def test_tensors_on_other_devices_are_refused() -> None:
