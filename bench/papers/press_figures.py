@@ -26,7 +26,7 @@ from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot
 from fingerflow.plot.axes_style import INK
 from fingerflow.plot.captions import caption_of
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import supplement_sheet
@@ -189,7 +189,7 @@ def _triangulated(part: SubFigure, press: TypicalPress) -> None:
     left, right = part.subplots(2, 1)
     show(left, view_of(press.scene, "contact", press.peak))
     show(right, view_of(press.scene, "topography", press.peak))
-    places = in_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
+    places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
     corners = press.result["triangles"].values
     whole = np.isfinite(places[corners]).all((1, 2))
     x, y = np.nan_to_num(places).T

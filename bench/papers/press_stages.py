@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fingerflow import plot
 from fingerflow.plot.axes_style import GREEN, YELLOW
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import SheetPanel
 from fingerflow.schema.scene import Scene
@@ -101,7 +101,7 @@ def _picture(letter: str, picture: NDArray[Any]) -> SheetPanel:
 
 def _points(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
     show(axes, view_of(scene, "topography", frame))
-    places = in_pixels(result["position"].values[frame], matrix_of_view(result, "topography"))
+    places = to_pixels(result["position"].values[frame], matrix_of_view(result, "topography"))
     axes.plot(*places.T, ".", color=GREEN, markersize=2)
     return axes
 
@@ -113,7 +113,7 @@ def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
     known = np.flatnonzero(np.isfinite(position).all((0, 2)))
     for point in known[:: max(1, len(known) // 150)]:
         track = position[0, point] + _MAGNIFIED * (position[:, point] - position[0, point])
-        axes.plot(*in_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
+        axes.plot(*to_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
     return axes
 
 
