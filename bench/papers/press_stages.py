@@ -38,8 +38,8 @@ def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPa
         "A4, binarised": touching,
     }
     panels = [_picture(letter, one) for letter, one in pictures.items()]
-    panels.append(SheetPanel.of_axes("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
-    panels.append(SheetPanel.of_axes("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
+    panels.append(SheetPanel.single("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
+    panels.append(SheetPanel.single("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
     return panels
 
 
@@ -54,10 +54,10 @@ def skin_stages(result: xr.Dataset, scene: Scene, frame: int, first: int) -> lis
     return [
         _picture("B1, raw", raw),
         _picture("B2, contrast, sharpened", enhanced),
-        SheetPanel.of_axes("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
-        SheetPanel.of_axes(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
-        SheetPanel.of_axes("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
-        SheetPanel.of_axes("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
+        SheetPanel.single("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
+        SheetPanel.single(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
+        SheetPanel.single("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
+        SheetPanel.single("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
     ]
 
 
