@@ -334,7 +334,7 @@ class Player:
                 if frame is None:
                     break
                 arrival = time.perf_counter()
-                exposed, arrival = self._clock.see(source.stamp, arrival)
+                exposed, arrival = self._clock.update(source.stamp, arrival)
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
                     # A camera at this rate would deliver the frame at this time, so any later delay counts as latency.
