@@ -25,7 +25,7 @@ from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
@@ -48,14 +48,14 @@ def _modulation(study: PressStudy) -> Obtained:
 
 def _sliding_force(study: PressStudy) -> Obtained:
     mean, spread = float(study.trace.normal.mean()), float(study.trace.normal.std())
-    return Obtained(f"{with_uncertainty(mean, spread)} N", ((mean - spread, mean + spread),))
+    return Obtained(f"{format_uncertainty(mean, spread)} N", ((mean - spread, mean + spread),))
 
 
 def _friction(study: PressStudy) -> Obtained:
     epochs = study.trace.epochs
     median = epochs.over_epochs()[0].numpy()
     middles = 1e6 * (epochs.edges[1:] + epochs.edges[:-1]).numpy() / 2
-    truth = study.design.friction_at(middles)
+    truth = study.design.friction_for(middles)
     return Obtained(
         f"{median[0]:.3f} to {median[-1]:.3f} in bins of {middles[0]:.2f} to {middles[-1]:.2f} µm; RMS error "
         f"{np.sqrt(np.mean((median - truth) ** 2)):.3f}",

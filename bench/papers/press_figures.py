@@ -26,7 +26,7 @@ from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot
 from fingerflow.plot.axes_style import INK
 from fingerflow.plot.captions import caption_of
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import supplement_sheet
@@ -61,7 +61,7 @@ def _supplement(name: str, shown: str = "Of the study, {count}.") -> Callable[[P
 
 
 def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
-    return SheetPanel.of_axes(letter, draw_curves, study.curves, metric)
+    return SheetPanel.single(letter, draw_curves, study.curves, metric)
 
 
 def _count(study: PressStudy) -> str:
@@ -75,7 +75,7 @@ def _friction_and_area(study: PressStudy) -> Drawn:
     at_3n = {area: study.column_of_sample(f"{area}_at_3n") for area in ("gross_contact_area", "real_contact_area")}
     panels = [
         SheetPanel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), study.trace), 2, 1.4),
-        SheetPanel.of_axes("B", draw_friction, study.trace.epochs),
+        SheetPanel.single("B", draw_friction, study.trace.epochs),
         *supplement_sheet("S1", replace(trials, metrics={**trials.metrics, **at_3n})).panels,
         _curve(study, "C", "gross_contact_area"),
         _curve(study, "E", "real_contact_area"),
@@ -106,17 +106,17 @@ def _stages(study: PressStudy) -> Drawn:
 
 def _half_sphere(_: PressStudy) -> Drawn:
     draws = half_sphere.draw_half_sphere, half_sphere.draw_lengths, half_sphere.draw_radial_strain
-    panels = [SheetPanel.of_axes(letter, draw) for letter, draw in zip("ABC", draws, strict=True)]
+    panels = [SheetPanel.single(letter, draw) for letter, draw in zip("ABC", draws, strict=True)]
     return _sheet("S4", panels, "From the closed form.")
 
 
 def _kinematics(study: PressStudy) -> Drawn:
     high, _ = study.typical
     panels = [
-        SheetPanel.of_axes("A", lambda axes: plot.forces(high.result, axes)),
+        SheetPanel.single("A", lambda axes: plot.forces(high.result, axes)),
         *_of_trials(study, "S5"),
-        SheetPanel.of_axes("J (skin chain)", draw_largest_displacement, study.chain),
-        SheetPanel.of_axes("K (skin chain)", draw_fastest_point, study.chain),
+        SheetPanel.single("J (skin chain)", draw_largest_displacement, study.chain),
+        SheetPanel.single("K (skin chain)", draw_fastest_point, study.chain),
     ]
     return _sheet("S5", panels, f"Of the study, {_count(study)}; the chain's panels are of the model alone.")
 
@@ -138,7 +138,7 @@ def _strain(study: PressStudy) -> Drawn:
         _curve(study, "E", "strain"),
         SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
         SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
-        SheetPanel.of_axes("F", draw_curves, study.rate_curves, "strain_rate"),
+        SheetPanel.single("F", draw_curves, study.rate_curves, "strain_rate"),
         *_of_trials(study, "S8"),
     ]
     return _sheet(
@@ -153,7 +153,7 @@ def _strain_energy(study: PressStudy) -> Drawn:
     panels = [
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         _curve(study, "B", "strain_energy"),
-        SheetPanel.of_axes("C", draw_curves, study.rate_curves, "strain_energy_rate"),
+        SheetPanel.single("C", draw_curves, study.rate_curves, "strain_energy_rate"),
         *_of_trials(study, "S9"),
     ]
     return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")
@@ -167,7 +167,7 @@ def _receptors(study: PressStudy) -> Drawn:
         SheetPanel("C", lambda part: receptors.draw_stress_map(part, chain, depth), rows=_STACKED),
         SheetPanel("D", lambda part: receptors.draw_receptor_stress(part, chain, depth), rows=_STACKED),
         SheetPanel("E", lambda part: receptors.draw_strain_in_time(part, chain, depth)),
-        SheetPanel.of_axes("F", receptors.draw_compression, chain, depth),
+        SheetPanel.single("F", receptors.draw_compression, chain, depth),
     ]
     return _sheet("S10", panels, "The skin chain with the stiffness that gives the printed area, 3 N.")
 
@@ -175,7 +175,7 @@ def _receptors(study: PressStudy) -> Drawn:
 def _curl(study: PressStudy) -> Drawn:
     _, low = study.typical
     panels = [
-        SheetPanel.of_axes("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
+        SheetPanel.single("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
         _curve(study, "B", "curl"),
         *_of_trials(study, "S13"),
     ]
@@ -189,7 +189,7 @@ def _triangulated(part: SubFigure, press: TypicalPress) -> None:
     left, right = part.subplots(2, 1)
     show(left, view_of(press.scene, "contact", press.peak))
     show(right, view_of(press.scene, "topography", press.peak))
-    places = in_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
+    places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
     corners = press.result["triangles"].values
     whole = np.isfinite(places[corners]).all((1, 2))
     x, y = np.nan_to_num(places).T

@@ -17,7 +17,7 @@ from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
 from bench.papers.printed import Interval, Obtained, Row, exactly, likely, rounded, within
 from fingerflow.models.observer import Estimate, auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.statistics import correlate_with_answers
@@ -52,7 +52,10 @@ def _distribution(study: PressStudy, metric: str, unit: str) -> tuple[str, tuple
     # The variance of a variance is (fourth moment - squared variance) / n, for any distribution.
     fourth = float(((values - mean) ** 4).mean())
     error = math.sqrt(max(fourth - deviation**4, 0.0) / values.size) / (2 * deviation)
-    return f"{with_uncertainty(mean, deviation)} {unit} in {values.size} presses", (interval, likely(deviation, error))
+    return f"{format_uncertainty(mean, deviation)} {unit} in {values.size} presses", (
+        interval,
+        likely(deviation, error),
+    )
 
 
 def _forces(study: PressStudy) -> Obtained:
@@ -301,7 +304,7 @@ def _peak_force(forces: dict[float, float]) -> Obtained:
     values = np.array(list(forces.values()))
     mean, deviation, _ = _mean(values)
     count = np.isfinite(values).sum()
-    return Obtained(f"{with_uncertainty(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
+    return Obtained(f"{format_uncertainty(mean, deviation)} N over {count} amplitudes", (likely(mean, deviation),))
 
 
 def _strain_against_divergence(study: PressStudy) -> Obtained:
@@ -333,7 +336,7 @@ def _peak_energy_rate(study: PressStudy) -> Obtained:
     force = _peak_force(study.forces_of_peaks["strain_energy_rate"])
     chain = study.chain_strain[1][1]
     return Obtained(
-        f"{with_uncertainty(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
+        f"{format_uncertainty(mean, deviation)} mJ/s at {force.text}; of the chain, pressed to 3 N, at {chain:.1f} N",
         (likely(mean, deviation), *force.numbers),
         because="the chain is elastic: its energy rises faster the larger the force, up to the peak",
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fingerflow import plot
 from fingerflow.plot.axes_style import GREEN, YELLOW
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import SheetPanel
 from fingerflow.schema.scene import Scene
@@ -38,8 +38,8 @@ def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPa
         "A4, binarised": touching,
     }
     panels = [_picture(letter, one) for letter, one in pictures.items()]
-    panels.append(SheetPanel.of_axes("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
-    panels.append(SheetPanel.of_axes("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
+    panels.append(SheetPanel.single("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
+    panels.append(SheetPanel.single("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
     return panels
 
 
@@ -54,10 +54,10 @@ def skin_stages(result: xr.Dataset, scene: Scene, frame: int, first: int) -> lis
     return [
         _picture("B1, raw", raw),
         _picture("B2, contrast, sharpened", enhanced),
-        SheetPanel.of_axes("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
-        SheetPanel.of_axes(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
-        SheetPanel.of_axes("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
-        SheetPanel.of_axes("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
+        SheetPanel.single("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
+        SheetPanel.single(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
+        SheetPanel.single("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
+        SheetPanel.single("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
     ]
 
 
@@ -101,7 +101,7 @@ def _picture(letter: str, picture: NDArray[Any]) -> SheetPanel:
 
 def _points(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
     show(axes, view_of(scene, "topography", frame))
-    places = in_pixels(result["position"].values[frame], matrix_of_view(result, "topography"))
+    places = to_pixels(result["position"].values[frame], matrix_of_view(result, "topography"))
     axes.plot(*places.T, ".", color=GREEN, markersize=2)
     return axes
 
@@ -113,7 +113,7 @@ def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
     known = np.flatnonzero(np.isfinite(position).all((0, 2)))
     for point in known[:: max(1, len(known) // 150)]:
         track = position[0, point] + _MAGNIFIED * (position[:, point] - position[0, point])
-        axes.plot(*in_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
+        axes.plot(*to_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
     return axes
 
 

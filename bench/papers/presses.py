@@ -24,7 +24,7 @@ from fingerflow.study.manifest import Manifest, TrialEntry, load_manifest
 from fingerflow.study.run_study import run_study
 from fingerflow.study.simulated import write_recordings
 from fingerflow.study.simulated_trials import Design
-from fingerflow.study.statistics import Sample, sample_of, statistics_of
+from fingerflow.study.statistics import Sample, read_sample, study_statistics
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
@@ -97,7 +97,7 @@ class PressStudy:
     @cached_property
     def scene(self) -> Scene:
         """Return the scene of the first press; those of the others differ from it in file names only."""
-        return self.manifest.scene_of(self.manifest.trials[0])
+        return self.manifest.build_scene(self.manifest.trials[0])
 
     def result_of(self, entry: TrialEntry) -> xr.Dataset | None:
         """Return the result of a press; None if it was not measured."""
@@ -107,7 +107,7 @@ class PressStudy:
 
     def truth_of(self, entry: TrialEntry) -> SyntheticScene:
         """Return the synthetic scene of a press, which has its true motion."""
-        return rebuild_scene(self.manifest.scene_of(entry).recording.frames.parent)
+        return rebuild_scene(self.manifest.build_scene(entry).recording.frames.parent)
 
     @cached_property
     def measured(self) -> Any:
@@ -229,7 +229,7 @@ class PressStudy:
         entry = next(one for one in self.manifest.trials if (one.participant, one.trial) == (participant, trial))
         result = self.result_of(entry)
         assert result is not None
-        return TypicalPress(result, self.manifest.scene_of(entry))
+        return TypicalPress(result, self.manifest.build_scene(entry))
 
     def evenly_spaced(self, most: int) -> Iterator[tuple[TrialEntry, xr.Dataset]]:
         """Yield at most `most` presses, evenly spaced in the list of all, with their results."""
@@ -259,14 +259,14 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
     frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
     for column in [name for name in frame if name.startswith("true_")]:
         frame[column] = frame[column].astype(float)
-    sample = sample_of(frame)
-    trace = simulate_trace(design.friction_at, max(design.amplitudes))
+    sample = read_sample(frame)
+    trace = simulate_trace(design.friction_for, max(design.amplitudes))
     return PressStudy(
         manifest=manifest,
         frame=frame,
         curves=curves,
         sample=sample,
-        statistics=statistics_of(sample, _RESAMPLES[quick]),
+        statistics=study_statistics(sample, _RESAMPLES[quick]),
         design=design,
         trace=trace,
     )

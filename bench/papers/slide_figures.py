@@ -15,7 +15,7 @@ from fingerflow.models.partial_slip.comparison import COULOMB
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, PARTIAL_SLIP, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
-from fingerflow.plot.outlines import in_pixels, matrix_of_view
+from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.report.slip_figures import AREA, LOAD, draw_partial_slip
 
 Values = NDArray[np.float64]
@@ -41,7 +41,7 @@ def _picture(slides: Slides) -> Drawn:
     position = np.asarray(result["position"])
     known = np.flatnonzero(np.isfinite(position[[0, frame]]).all((0, 2)))
     shown = known[:: max(1, len(known) // _ARROWS)]
-    tails, tips = (in_pixels(position[at, shown], matrix) for at in (0, frame))
+    tails, tips = (to_pixels(position[at, shown], matrix) for at in (0, frame))
     axes.quiver(
         *tails.T, *(tips - tails).T, angles="xy", scale_units="xy", scale=1 / _ARROW_SCALE, color=RED, width=0.003
     )  # fmt: skip

@@ -17,7 +17,7 @@ from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_a
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.recordings import open_forces
 
 Values = NDArray[np.float64]
@@ -81,7 +81,7 @@ def _least_and_largest(
         return Obtained("", because="no slide was judged to vanish abruptly")
     ends = [measured(one.trial.verdict) for one in (found[0], found[-1])]
     return Obtained(
-        " to ".join(with_uncertainty(*one) for one in ends) + more,
+        " to ".join(format_uncertainty(*one) for one in ends) + more,
         tuple(likely(*one) for one in ends),
         truth,
         "the fitted area is off by more than its deviation",
@@ -91,7 +91,7 @@ def _least_and_largest(
 def _durations(slides: Slides) -> Obtained:
     found = sorted((one.trial.verdict.collapse_ms, one.trial.verdict.collapse_ms_std, one) for one in _abrupt(slides))
     truth = ", ".join(f"{1000 * one.truth.collapse:.0f}" for *_, one in found)
-    text = ", ".join(with_uncertainty(value, deviation) for value, deviation, _ in found)
+    text = ", ".join(format_uncertainty(value, deviation) for value, deviation, _ in found)
     printed = ", ".join(f"{one.trial.verdict.corridor_ms:.0f}" for *_, one in found)
     numbers = tuple(likely(value, deviation) for value, deviation, _ in found)
     expected = len(slides.of(ABRUPT))

@@ -107,7 +107,9 @@ def record_and_measure(folder: Path) -> Slides:
         result = load_result(manifest.results / entry.name / stored.result)
         truth = rebuild_scene(home)
         assert isinstance(truth, LinearSlip)
-        judged.append(JudgedSlide(entry.condition, truth, SlipTrial.of(result, entry.name), manifest.scene_of(entry)))
+        judged.append(
+            JudgedSlide(entry.condition, truth, SlipTrial.read(result, entry.name), manifest.build_scene(entry))
+        )
     return Slides(tuple(judged), tuple(failed))
 
 

@@ -16,7 +16,7 @@ from fingerflow.errors import FingerflowError
 
 def main() -> None:
     """Run the command line; exit status 0 for success, 2 for an error that the user can correct, 130 if interrupted."""
-    others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
+    hook, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         # Commands return nothing; typer returns the exit status, 130 where it caught the interrupt itself.
         code = app(standalone_mode=False) or 0
@@ -32,7 +32,7 @@ def main() -> None:
             sys.exit(error.exit_code)
         raise
     finally:
-        sys.unraisablehook = others
+        sys.unraisablehook = hook
     if code == INTERRUPTED:
         typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
     sys.exit(code)

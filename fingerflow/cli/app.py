@@ -40,7 +40,7 @@ def figure_files(formats: str | None, width: str | None) -> Any:
     """Return the `FigureFiles` for the options --format and --width; matplotlib is imported only here."""
     from fingerflow.plot.figure_files import FigureFiles
 
-    return FigureFiles.of(formats or "png", width)
+    return FigureFiles.parse(formats or "png", width)
 
 
 def tell(facts: Any, text: str, as_json: bool) -> None:
@@ -53,8 +53,8 @@ def tell_facts(facts: dict[str, Any], as_json: bool) -> None:
     tell(facts, "\n".join(f"{name:18} {value}" for name, value in facts.items()), as_json)
 
 
-def _tell_version(wanted: bool) -> None:
-    if wanted:
+def _tell_version(requested: bool) -> None:
+    if requested:
         from fingerflow import __version__
 
         typer.echo(f"fingerflow {__version__}")
@@ -62,7 +62,7 @@ def _tell_version(wanted: bool) -> None:
 
 
 @app.callback()
-def _of_all(
+def _root_options(
     version: Annotated[
         bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
     ] = False,

@@ -35,10 +35,10 @@ def stream(context: typer.Context) -> None:
     """Process a camera, recording or synthetic stream with a bundle; options: fingerflow stream BUNDLE --help."""
     from fingerflow.player import main as play
 
-    raise typer.Exit(play(context.args, prog="fingerflow stream", forces_of=_forces_of))
+    raise typer.Exit(play(context.args, prog="fingerflow stream", forces_of=_recorded_forces))
 
 
-def _forces_of(file: Path) -> "LiveForces | None":
+def _recorded_forces(file: Path) -> "LiveForces | None":
     """Return the forces of the scene in a file as `process` computes them; log the reason and return None if they
     cannot be read.
     """
@@ -49,8 +49,8 @@ def _forces_of(file: Path) -> "LiveForces | None":
     try:
         scene = load_scene(file)
         names = ["normal_force", *(["tangential_force"] if scene.has("forces.tangential") else [])]
-        found = process(scene, names)
+        result = process(scene, names)
     except FingerflowError as error:
         logging.getLogger("fingerflow.player").warning("%s; the forces are unknown", error)
         return None
-    return LiveForces(int(found["frame"][0]), {name: found[name].values for name in names})
+    return LiveForces(int(result["frame"][0]), {name: result[name].values for name in names})

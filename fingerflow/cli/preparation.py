@@ -48,21 +48,21 @@ def info(
 
     if holds_forces(recording):
         forces = force_facts(recording)
-        columns = {} if as_json else {f"column {name}": said for name, said in forces.pop("columns").items()}
+        columns = {} if as_json else {f"column {name}": column for name, column in forces.pop("columns").items()}
         return tell_facts(forces | columns, as_json)
-    found = open_recording(recording)
+    frames = open_recording(recording)
     facts = {
-        "path": str(found.path),
-        "frames": len(found),
-        "rows": found.frame_shape[0],
-        "columns": found.frame_shape[1],
-        "bit_depth": found.bit_depth,
-        "dtype": str(found.dtype),
-        "frame_rate_hz": found.frame_rate,
-        "first_time_s": None if found.times is None or not len(found) else float(found.times[0]),
-        "lossy_codec": found.lossy,
-        "unreadable": {str(index): reason for index, reason in found.unreadable.items()},
-        "warnings": list(found.warnings),
+        "path": str(frames.path),
+        "frames": len(frames),
+        "rows": frames.frame_shape[0],
+        "columns": frames.frame_shape[1],
+        "bit_depth": frames.bit_depth,
+        "dtype": str(frames.dtype),
+        "frame_rate_hz": frames.frame_rate,
+        "first_time_s": None if frames.times is None or not len(frames) else float(frames.times[0]),
+        "lossy_codec": frames.lossy,
+        "unreadable": {str(index): reason for index, reason in frames.unreadable.items()},
+        "warnings": list(frames.warnings),
     }
     tell_facts(facts, as_json)
 
@@ -98,15 +98,15 @@ def calibrate(
 
     if topography is not None and target is None:
         raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
-    given = {"contact": contact, "topography": topography}
-    views = {name: View(one[:2], one[2:]) for name, one in given.items() if one is not None}
-    found = calibrate_files(ring, target, background, views, hole_radius_mm, output, overwrite)
+    ranges = {"contact": contact, "topography": topography}
+    views = {name: View(pixels[:2], pixels[2:]) for name, pixels in ranges.items() if pixels is not None}
+    calibration = calibrate_files(ring, target, background, views, hole_radius_mm, output, overwrite)
     facts: dict[str, Any] = {
-        "mm_per_px": found.mm_per_px,
-        "hole_radius_px": found.hole.radius_px,
-        "affine": None if found.affine is None else found.affine.matrix.tolist(),
-        "similarity_rms_px": None if found.similarity is None else found.similarity.rms_px,
-        "warnings": list(found.warnings),
+        "mm_per_px": calibration.mm_per_px,
+        "hole_radius_px": calibration.hole.radius_px,
+        "affine": None if calibration.affine is None else calibration.affine.matrix.tolist(),
+        "similarity_rms_px": None if calibration.similarity is None else calibration.similarity.rms_px,
+        "warnings": list(calibration.warnings),
         "calibration": str(output),
         "picture": str(output.with_suffix(".png")),
     }

@@ -60,14 +60,14 @@ def noise_floor(
     from fingerflow.schema.variables import VARIABLES
 
     still = still_scene(load_scene(scene), frames.resolve())
-    found = asdict(floor_of(process_scene(still, list(MEASURED), quiet=as_json), still))
-    found = {name: value if isinstance(value, int) else float(f"{value:.3g}") for name, value in found.items()}
+    floors = asdict(floor_of(process_scene(still, list(MEASURED), quiet=as_json), still))
+    floors = {name: value if isinstance(value, int) else float(f"{value:.3g}") for name, value in floors.items()}
     lines = [
-        f"{name:14}{one.shown_unit.factor * value:.3g} {one.shown_unit.name}"
-        for name, value, one in zip(MEASURED, found.values(), map(VARIABLES.__getitem__, MEASURED), strict=False)
+        f"{name:14}{variable.shown_unit.factor * value:.3g} {variable.shown_unit.name}"
+        for name, value, variable in zip(MEASURED, floors.values(), map(VARIABLES.__getitem__, MEASURED), strict=False)
     ]
-    lines += ["", f"For the report, in {scene}:", "[rig]", f"noise_floor = {toml_value(found)}"]
-    tell(found, "\n".join(lines), as_json)
+    lines += ["", f"For the report, in {scene}:", "[rig]", f"noise_floor = {toml_value(floors)}"]
+    tell(floors, "\n".join(lines), as_json)
 
 
 @app.command()
@@ -95,7 +95,7 @@ def slip(
             failed += 1
             typer.echo(f"{path}: not judged: {error}")
             continue
-        trials.append(SlipTrial.of(result, str(path)))
+        trials.append(SlipTrial.read(result, str(path)))
         typer.echo(verdict_line(trials[-1]))
         for warning in json.loads(result.attrs["warnings"]):
             typer.echo(f"warning: {path}: {warning}", err=True)

@@ -61,8 +61,8 @@ def run(
     loaded = load_manifest(manifest)
     if dry_run:
         planned = plan_run(loaded, only, retry_failed)
-        for one in planned:
-            typer.echo(f"{one.entry.name}: {one.why}")
+        for plan in planned:
+            typer.echo(f"{plan.entry.name}: {plan.why}")
         typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
         return
     summary = run_study(loaded, scheduler, workers, only, retry_failed)

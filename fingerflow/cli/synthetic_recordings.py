@@ -75,13 +75,13 @@ def _remove_demo(folder: Path) -> None:
         unfinished(folder / name)  # removes the files that an aborted demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)
     if strange or not (folder / "truth.json").exists():
-        found = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"
-        raise FingerflowError(f"{folder} exists and {found}; give another folder, or remove it")
+        problem = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"
+        raise FingerflowError(f"{folder} exists and {problem}; give another folder, or remove it")
     shutil.rmtree(folder)
 
 
 def _simulate(
-    kind: str,
+    scene_kind: str,
     folder: Path,
     skin: str | None = None,
     picture: Path | None = None,
@@ -94,19 +94,25 @@ def _simulate(
 
     kinds: dict[str, type[synthetic.SyntheticScene]] = {"press": synthetic.Press, "chain-press": synthetic.ChainPress}
     kinds |= {"slide": synthetic.Slide, "partial-slip": synthetic.PartialSlip}
-    if kind not in kinds:
-        raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
+    if scene_kind not in kinds:
+        raise FingerflowError(f"{scene_kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:
         raise FingerflowError("--skin and --print are two skins; give one of them")
     if dpi is not None and picture is None:
         raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
     if picture is not None:
-        scene = synthetic.scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
+        scene = synthetic.scene_of_print(kinds[scene_kind], picture, **({} if dpi is None else {"dpi": dpi}))
     else:
-        scene = kinds[kind]() if skin is None else kinds[kind](texture=synthetic.FingerprintTexture(pattern=skin))
+        scene = (
+            kinds[scene_kind]()
+            if skin is None
+            else kinds[scene_kind](texture=synthetic.FingerprintTexture(pattern=skin))
+        )
     if friction is not None:
         if not isinstance(scene, synthetic.ChainPress):
-            raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
+            raise FingerflowError(
+                f"--friction {friction:g} is of a chain-press; a {scene_kind} has none that moves its skin"
+            )
         if not 0 <= friction < float("inf"):
             raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
         scene = replace(scene, friction=friction)

@@ -32,8 +32,8 @@ def export_table(
     from fingerflow.results.result import load_result
     from fingerflow.results.stream_result import open_stream
 
-    given = open_stream(result) if result.is_dir() and result.suffix != ".zarr" else load_result(result)
-    tables.export_table(given, table, rows, variables, overwrite)
+    source = open_stream(result) if result.is_dir() and result.suffix != ".zarr" else load_result(result)
+    tables.export_table(source, table, rows, variables, overwrite)
     typer.echo(f"{table} was written")
 
 

@@ -35,13 +35,13 @@ def open_address(package: str, what: str, requested: str, *arguments: Any) -> An
     Raises PlayerError with the reason where there is no such kind or it cannot be opened.
     """
     name, _, address = requested.partition(":")
-    kind = kinds(package).get(name)
-    if kind is None:
+    module = kinds(package).get(name)
+    if module is None:
         raise PlayerError(f"{what} {requested!r}: there is no kind {name!r}; give one of {forms(package)}")
     try:
-        return kind.open_address(address, *arguments)
+        return module.open_address(address, *arguments)
     except FingerflowError as error:
-        raise PlayerError(f"{what} {requested!r}: {error}; its form is {kind.ADDRESS}") from None
+        raise PlayerError(f"{what} {requested!r}: {error}; its form is {module.ADDRESS}") from None
     except ImportError as error:
         raise PlayerError(f"{what} {requested!r}: needs the package {error.name}: `pip install {error.name}`") from None
     except Exception as error:  # a user's or library's code may raise anything

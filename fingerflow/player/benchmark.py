@@ -41,6 +41,6 @@ def benchmark(
             latency, overruns = ended["latency_ms"], ended["overruns"]
             lines.append(f"{rate:8.1f}   {latency['median']:9.2f}   {latency['p99']:6.2f}   {overruns:8d}")
             if not overruns and latency["p99"] <= 1e3 * _INTERVALS / rate:
-                said = f"This PC holds {rate:.0f} frames/s: results come {latency['median']:.1f} ms after the frame"
-                return "\n".join([*lines, f"{said} (median; 99 % within {latency['p99']:.1f} ms)."])
+                summary = f"This PC holds {rate:.0f} frames/s: results come {latency['median']:.1f} ms after the frame"
+                return "\n".join([*lines, f"{summary} (median; 99 % within {latency['p99']:.1f} ms)."])
     return "\n".join([*lines, "This PC holds none of these rates: close other programs, or take a faster recipe."])

@@ -38,7 +38,7 @@ class CameraClock:
         # s, least offset between arrival and stamp in the present window, and in the window before.
         self._least = self._before = math.inf
 
-    def see(self, stamp: float, arrival: float) -> tuple[float, float]:
+    def update(self, stamp: float, arrival: float) -> tuple[float, float]:
         """Convert a frame's time stamp by the camera, s, and its arrival here, s, to two exposure times in s: one for
         intervals between frames, one for latencies.
 

@@ -38,7 +38,7 @@ def main(
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
     try:
         if options.benchmark:
-            print(benchmark(options.bundle, {name: found for name in _COMPUTING if (found := getattr(options, name))}))
+            print(benchmark(options.bundle, {name: value for name in _COMPUTING if (value := getattr(options, name))}))
             return 0
         return _stream(options, forces_of)
     except FingerflowError as error:

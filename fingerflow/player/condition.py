@@ -77,13 +77,15 @@ def _factor(variable: Variable, unit: str) -> float:
     """Return the factor that converts values of a variable from the unit of the data set to a unit typed by the user,
     such as "mm2"; raise PlayerError if the variable is not measured in that unit.
     """
-    shown, own = variable.shown_unit, "" if variable.units == "1" else variable.units
-    known = {own: 1.0} | {one.name: one.factor for one in (shown, shown.percent) if one}
-    factors = {_plain(name): factor for name, factor in known.items()}
+    shown, base = variable.shown_unit, "" if variable.units == "1" else variable.units
+    factors_named = {base: 1.0} | {
+        shown_name.name: shown_name.factor for shown_name in (shown, shown.percent) if shown_name
+    }
+    factors = {_plain(name): factor for name, factor in factors_named.items()}
     if _plain(unit) not in factors:
-        units = " or ".join(repr(one or "no unit") for one in known)
-        given = f"not in {unit!r}" if unit else "and the condition gives no unit behind the number"
-        raise PlayerError(f"{variable.name} is measured in {units}, {given}")
+        units = " or ".join(repr(shown_name or "no unit") for shown_name in factors_named)
+        problem = f"not in {unit!r}" if unit else "and the condition gives no unit behind the number"
+        raise PlayerError(f"{variable.name} is measured in {units}, {problem}")
     return factors[_plain(unit)]
 
 

@@ -58,23 +58,25 @@ class Findings:
             return [
                 f"no frame could be measured ({counts}): check the camera, and [background] and [views] of the scene"
             ]
-        said = []
+        sentences = []
         if not self._points:
-            said.append(
+            sentences.append(
                 "no point was found in any frame: check [views.topography] and the region of [stream], focus and light"
             )
         if not threshold_known:
-            said.append("no frame showed a contact from which its threshold could be measured: areas are unknown or 0")
+            sentences.append(
+                "no frame showed a contact from which its threshold could be measured: areas are unknown or 0"
+            )
         elif not self._contact:
-            said.append(
+            sentences.append(
                 "no frame showed a contact: if there was one, check [background], [views.contact] and contact.threshold"
             )
         if self._unknown > _MANY * self._wide:
-            said.append(
+            sentences.append(
                 f"{self.unknown_medians()}. Seed points where the finger touches ([stream] region), or export a bundle "
                 "with more tracking.points; status says why points are lost"
             )
-        return said
+        return sentences
 
     def unknown_medians(self) -> str:
         """Return in a sentence in how many frames with a wide contact the median divergence is NaN, and why; "" if in

@@ -10,7 +10,7 @@ import numpy as np
 from fingerflow.engines.bundle import Bundle
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
-from fingerflow.player.stream_scene import topography_of
+from fingerflow.player.stream_scene import find_topography
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
 from fingerflow.tracker.frame_tracker import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
@@ -76,7 +76,7 @@ class Slot(Frame):
 
     Attributes:
         arrival: when the camera took the frame, for latencies: s on the axis of `time.perf_counter`.
-        time: the same for intervals between frames, as `CameraClock.see` returns both.
+        time: the same for intervals between frames, as `CameraClock.update` returns both.
     """
 
     def __init__(self, bundle: Bundle) -> None:
@@ -112,4 +112,4 @@ class Slot(Frame):
 
 
 def _views(scene: Scene) -> dict[str, View]:
-    return {CONTACT_VIEW: scene.views.contact, TOPOGRAPHY_VIEW: topography_of(scene)}
+    return {CONTACT_VIEW: scene.views.contact, TOPOGRAPHY_VIEW: find_topography(scene)}

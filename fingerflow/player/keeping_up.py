@@ -24,7 +24,7 @@ class KeepingUp:
         self._lost = deque([(-math.inf, 0, 0)])
         self._late, self._until = "", -math.inf
 
-    def said(self, now: float, age: float, trailing: int, lost: tuple[int, int], median: float | None) -> str:
+    def describe(self, now: float, age: float, trailing: int, lost: tuple[int, int], median: float | None) -> str:
         """Return in a few words how results fall behind, "" if they have kept up for the last second.
 
         Args:

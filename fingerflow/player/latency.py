@@ -17,8 +17,8 @@ class Latencies:
 
     def add(self, seconds: float) -> None:
         """Add a latency in s to the histogram; values outside its range count in the first or last bin."""
-        place = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
-        self._counts[min(int(place), len(self._counts) - 1)] += 1
+        index = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
+        self._counts[min(int(index), len(self._counts) - 1)] += 1
         self.count += 1
         self.worst = max(self.worst, seconds)
 
@@ -28,8 +28,8 @@ class Latencies:
         """
         if not self.count:
             return math.nan
-        place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
-        return min(self._first * self._ratio ** (place + 1), self.worst)
+        index = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        return min(self._first * self._ratio ** (index + 1), self.worst)
 
     def summary(self) -> dict[str, float | None]:
         """Return the median, 99th percentile and largest latency in ms; None for each if there are none."""

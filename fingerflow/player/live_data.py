@@ -80,18 +80,18 @@ class LiveData:
         names = record.dtype.names or ()
         arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
-        self._expected = self._expected_in(record)
+        self._expected = self._expected_values(record)
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
         """Append contact areas, median divergence and forces from the record of a frame to the time traces of the live
         page; full traces drop the oldest entry.
         """
-        names, expected = record.dtype.names or (), self._expected_in(record)
+        names, expected = record.dtype.names or (), self._expected_values(record)
         row = [float(record[name]) if name in names else math.nan for name in self._traced]
         self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
 
-    def _expected_in(self, record: Array) -> Mapping[str, float]:
+    def _expected_values(self, record: Array) -> Mapping[str, float]:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:

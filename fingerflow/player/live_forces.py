@@ -32,7 +32,7 @@ class LiveForces(NamedTuple):
         """Return the names of the force variables, such as `normal_force`."""
         return tuple(self.values)
 
-    def at(self, number: int, time: float) -> Mapping[str, float]:
+    def read(self, number: int, time: float) -> Mapping[str, float]:
         """Return the forces recorded in frame `number`, N, by variable name; NaN for frames outside the recorded range.
         The time is not used.
         """
@@ -58,13 +58,13 @@ class SensorForces:
         self._thread = threading.Thread(target=self._read_all, name="forces", daemon=True)
         self._thread.start()
 
-    def at(self, number: int, time: float) -> Mapping[str, float]:
+    def read(self, number: int, time: float) -> Mapping[str, float]:
         """Return the normal and tangential force in N, by variable name, of the sample nearest to a time in s on the
         axis of `time.perf_counter`; the frame number is not used.
         """
         samples = list(self._samples)
-        place = bisect.bisect_left(samples, time, key=lambda one: one.time)
-        near = min(samples[max(place - 1, 0) : place + 1], key=lambda one: abs(one.time - time), default=None)
+        index = bisect.bisect_left(samples, time, key=lambda sample: sample.time)
+        near = min(samples[max(index - 1, 0) : index + 1], key=lambda sample: abs(sample.time - time), default=None)
         if near is None or abs(near.time - time) > _CLOSE_BY:
             return dict.fromkeys(self.names, math.nan)
         return {"normal_force": near.normal, "tangential_force": near.tangential}

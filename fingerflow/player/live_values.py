@@ -22,17 +22,17 @@ class LiveValues:
 
     def __init__(self, layout: RecordLayout) -> None:
         self._places: dict[str, tuple[str, int | None]] = {}
-        for name in (one["name"] for one in layout.fields if one["name"] not in _STAMPED):
+        for name in (entry["name"] for entry in layout.fields if entry["name"] not in _STAMPED):
             dims = VARIABLES[name].dims
             if dims == FRAME:
                 self._places[name] = name, None
             elif len(dims) == 2 and dims[1] in LABELS:
-                self._places |= {f"{name}_{label}": (name, place) for place, label in enumerate(LABELS[dims[1]])}
+                self._places |= {f"{name}_{label}": (name, index) for index, label in enumerate(LABELS[dims[1]])}
         self.variables: dict[str, Variable] = {
             name: replace(VARIABLES[field], name=name) for name, (field, _) in self._places.items()
         }
 
-    def units_of(self, names: Sequence[str] | None) -> dict[str, str]:
+    def value_units(self, names: Sequence[str] | None) -> dict[str, str]:
         """Return the units of the live values with these names, or of all for None, by name; raise PlayerError for an
         unknown name.
         """
@@ -41,9 +41,9 @@ class LiveValues:
                 raise PlayerError(f"--values: there is no live value {name!r}; there are {', '.join(self.variables)}")
         return {name: self.variables[name].units for name in names or self.variables}
 
-    def of(self, record: Array) -> dict[str, float]:
+    def flatten(self, record: Array) -> dict[str, float]:
         """Return the live values of a frame by name, taken from its record: scalar results and vector components."""
         return {
-            name: float(record[field] if place is None else record[field][place])
-            for name, (field, place) in self._places.items()
+            name: float(record[field] if index is None else record[field][index])
+            for name, (field, index) in self._places.items()
         }

@@ -26,11 +26,11 @@ def load_callable(name: str) -> Callable[..., Any]:
     module, _, called = name.partition(":")
     sys.path.insert(0, os.getcwd())
     try:
-        found = getattr(importlib.import_module(module), called)
+        called_object = getattr(importlib.import_module(module), called)
     except (ImportError, AttributeError, ValueError) as error:
         raise PlayerError(f"{error}; give MODULE:FACTORY of a module in this folder") from None
     finally:
         sys.path.pop(0)
-    if not callable(found):
-        raise PlayerError(f"{called} of {module} is {type(found).__name__}; it must be callable")
-    return found
+    if not callable(called_object):
+        raise PlayerError(f"{called} of {module} is {type(called_object).__name__}; it must be callable")
+    return called_object

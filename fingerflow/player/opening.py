@@ -54,8 +54,8 @@ def open_player(
     bundle = load_bundle(options.bundle)
     played = choose_input(options, bundle)
     scene, name = played.scene, played.name
-    for said in (warnings := contradictions(scene, bundle.recipe)):
-        log.warning("%s", said)
+    for warning in (warnings := contradictions(scene, bundle.recipe)):
+        log.warning("%s", warning)
     # Leave one core to the other threads: reading frames, results of the previous frame, the page.
     set_threads(options.threads or max(1, threads() - 1))
     if options.engine == "native" and options.provider is not None:
@@ -70,10 +70,10 @@ def open_player(
     named = options.output or scene.stream.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
-    every = options.policy == "every" if options.policy else not live
+    process_all = options.policy == "every" if options.policy else not live
     settings = Settings(
-        every=every,
-        queue=options.queue if every else 1,
+        process_all=process_all,
+        queue=options.queue if process_all else 1,
         rate=options.rate or (None if live else scene.recording.frame_rate),
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
@@ -87,7 +87,7 @@ def open_player(
         "graph_sha256": bundle.hashes,
         "engine": engine.described,
         "source": name,
-        "policy": "every" if every else "latest",
+        "policy": "every" if process_all else "latest",
         "mm_per_px": scene.calibration.mm_per_px,
         "topography_to_contact": scene.calibration.topography_to_contact,
         "threshold": "measured" if tracker.measures else stated_threshold(scene),
@@ -106,9 +106,9 @@ def open_player(
         sink = Sink(folder, header, numbered=named is None)
         values = LiveValues(layout)
         destinations = []
-        for one in _destinations(options, values, on_frame):
-            opened.callback(one.output.close)
-            destinations.append(one)
+        for destination in _destinations(options, values, on_frame):
+            opened.callback(destination.output.close)
+            destinations.append(destination)
         try:
             source = played.open_source(played.first)
         except FingerflowError:
@@ -129,7 +129,7 @@ def _destinations(options: argparse.Namespace, values: LiveValues, on_frame: OnF
         raise PlayerError(
             f"{len(options.when)} --when and {len(options.then)} --then: give one --then after each --when"
         )
-    units = values.units_of(options.values)
+    units = values.value_units(options.values)
     if on_frame is not None:
         yield Destination("on_frame", CallbackOutput(on_frame), tuple(units))
     for address in options.send:

@@ -60,14 +60,14 @@ def serve_page(
     """
     folder = Path(__file__).with_name("page")
     shown = json.dumps(SHOWN).encode()
-    files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
+    files = {path: ((folder / name).read_bytes(), content_type) for path, (name, content_type) in _FILES.items()}
 
     class Handler(_Handler):
         def do_GET(self) -> None:
             if not self.is_refused():
                 if self.path in files:
-                    body, kind = files[self.path]
-                    self.answer(200, kind, body)
+                    body, content_type = files[self.path]
+                    self.answer(200, content_type, body)
                 elif self.path == "/shown":
                     self.answer(200, "application/json", shown)
                 elif self.path == "/live":
@@ -199,12 +199,14 @@ class _Handler(BaseHTTPRequestHandler):
             return True
         return False
 
-    def answer(self, status: int, kind: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Send a complete response with an HTTP status, a content type `kind`, a body and further headers; an error
+    def answer(
+        self, status: int, content_type: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        """Send a complete response with an HTTP status, a content type, a body and further headers; an error
         status ends the connection.
         """
         self.send_response(status)
-        self.send_header("Content-Type", kind)
+        self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(body)))
         for name, value in {**_HEADERS, **headers}.items():
             self.send_header(name, value)
@@ -230,8 +232,8 @@ class _Handler(BaseHTTPRequestHandler):
         Any other name may be a DNS rebinding attack.
         """
         here = str(self.connection.getsockname()[0])
-        own = {here, self.server.host.lower(), self.server.server_name.lower(), socket.gethostname().lower()}
-        return name in own - {"", "0.0.0.0"} or (name == "localhost" and here.startswith("127."))
+        names = {here, self.server.host.lower(), self.server.server_name.lower(), socket.gethostname().lower()}
+        return name in names - {"", "0.0.0.0"} or (name == "localhost" and here.startswith("127."))
 
 
 def _name(host: str) -> str:

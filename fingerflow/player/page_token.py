@@ -36,8 +36,8 @@ class PageToken:
             return False
         return self.cookie in cookies and self._is(cookies[self.cookie].value)
 
-    def _is(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(errors="replace"), self.text.encode())
+    def _is(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(errors="replace"), self.text.encode())
 
 
 def redirect(address: str) -> str:

@@ -60,8 +60,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
         glass = scene.views.contact.crop(drawn.background)
         # The true values hold for the scene of the synthetic source only, not for the views of a scene file.
-        known = drawn.expected_in if path is None else None
-        return StreamInput(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
+        expected = drawn.expected_values if path is None else None
+        return StreamInput(scene, "synthetic", drawn.frames_from, glass, black, expected=expected)
     recorded, pictures, bright = scene.recording, scene.background, scene.contact.appears == "bright"
     if pictures.frames is None:
         raise PlayerError(

@@ -60,8 +60,8 @@ def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -
     running = threading.Thread(target=run, name="play")
     running.start()
     try:
-        while (found := frames.get()) is not None:
-            yield found
+        while (live_frame := frames.get()) is not None:
+            yield live_frame
     finally:
         player.stop()
         frames.close()
@@ -73,8 +73,8 @@ def live_frames(bundle: str | Path, source: LiveSource = None, **options: Any) -
 def _open(bundle: str | Path, source: LiveSource, on_frame: OnFrame | None, options: Mapping[str, Any]) -> Player:
     arguments = [str(bundle)]
     for name, value in options.items():
-        for one in value if isinstance(value, (list, tuple)) and name != "shape" else [value]:
-            words = one if name == "shape" else [one]
+        for item in value if isinstance(value, (list, tuple)) and name != "shape" else [value]:
+            words = item if name == "shape" else [item]
             arguments += [f"--{name.replace('_', '-')}", *map(str, words)]
     parser = option_parser("play")
     parser.error = _refuse  # type: ignore[method-assign]

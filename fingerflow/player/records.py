@@ -22,11 +22,11 @@ _NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 
 
-def _entry(variable: Variable, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
+def _entry(variable: Variable, dtype_code: str, shape: tuple[int, ...]) -> dict[str, Any]:
     """Return the description of one field of the records for the header of the results: name, type, dimensions, unit
     and definition; `shape` does not include the frame axis.
     """
-    dtype = np.dtype(kind).newbyteorder("<").str
+    dtype = np.dtype(dtype_code).newbyteorder("<").str
     about = {"name": variable.name, "dtype": dtype, "shape": shape, "dims": variable.dims, "unit": variable.units}
     return {**about, "long_name": variable.long_name, "matlab": _MATLAB[dtype[1:]]}
 
@@ -45,26 +45,26 @@ class RecordLayout:
 
     def __init__(self, points: int, forces: Sequence[str] = ()) -> None:
         sizes = {"point": points} | {name: len(labels) for name, labels in LABELS.items()}
-        self.fields = [_entry(one, one.dtype, ()) for one in (*_OWN, *(VARIABLES[name] for name in forces))]
+        self.fields = [_entry(entry, entry.dtype, ()) for entry in (*_OWN, *(VARIABLES[name] for name in forces))]
         for variable in (VARIABLES[name] for name in RESULTS):
             # The tracker computes in single precision, so floats are stored with 4 bytes.
-            kind = "f4" if variable.dtype.startswith("f") else variable.dtype
-            self.fields.append(_entry(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
-        self.dtype = np.dtype([(one["name"], one["dtype"], one["shape"]) for one in self.fields])
+            dtype_code = "f4" if variable.dtype.startswith("f") else variable.dtype
+            self.fields.append(_entry(variable, dtype_code, tuple(sizes[dim] for dim in variable.dims[1:])))
+        self.dtype = np.dtype([(entry["name"], entry["dtype"], entry["shape"]) for entry in self.fields])
 
-    def fill(self, records: Mapping[str, Array], place: int, results: Mapping[str, Any]) -> None:
-        """Store the results of a frame, by variable name, at index `place` of the arrays that `records` holds for each
+    def fill(self, records: Mapping[str, Array], index: int, results: Mapping[str, Any]) -> None:
+        """Store the results of a frame, by variable name, at index `index` of the arrays that `records` holds for each
         field.
         """
         for name in RESULTS:
-            records[name][place] = results[name]
+            records[name][index] = results[name]
 
-    def fill_unknown(self, records: Mapping[str, Array], place: int) -> None:
-        """Store a record of unknown values, for a frame without results, at index `place` of the arrays that `records`
+    def fill_unknown(self, records: Mapping[str, Array], index: int) -> None:
+        """Store a record of unknown values, for a frame without results, at index `index` of the arrays that `records`
         holds for each field.
 
         It is NaN, 0 in integer fields, and "frame_not_usable" as the status of points.
         """
         for name in RESULTS:
-            kind = records[name].dtype.kind
-            records[name][place] = np.nan if kind == "f" else _NOT_USABLE if name == "status" else 0
+            dtype_kind = records[name].dtype.kind
+            records[name][index] = np.nan if dtype_kind == "f" else _NOT_USABLE if name == "status" else 0

@@ -122,7 +122,7 @@ class Sender:
         counts = {"sent": self.sent, "overtaken": self.overtaken, "failed": self.failed}
         return {"output": self.name, **counts, "latency_ms": self.latencies.summary()}
 
-    def said(self) -> str:
+    def describe(self) -> str:
         """Return the numbers of messages sent, overtaken and failed, and the latencies, as a sentence for the log."""
         latency = self.latencies.summary()
         return (
@@ -134,14 +134,14 @@ class Sender:
         """Wait for a message and return the messages to be sent next: all that are queued, or only the newest if
         sending all would take too long; an empty list at the end of the stream.
         """
-        found: list[Message] = []
-        while (message := self._messages.get(wait=not found)) is not None:
-            found.append(message)
+        messages: list[Message] = []
+        while (message := self._messages.get(wait=not messages)) is not None:
+            messages.append(message)
         in_turn = self._waits or self._condition is not None
-        if in_turn or len(found) * self._took <= _CATCH_UP:
-            return found
-        self._passed_over += len(found) - 1
-        return found[-1:]
+        if in_turn or len(messages) * self._took <= _CATCH_UP:
+            return messages
+        self._passed_over += len(messages) - 1
+        return messages[-1:]
 
     def _send_all(self) -> None:
         while messages := self._next():

@@ -54,7 +54,7 @@ class Settings:
     and where the live page is served.
 
     Attributes:
-        every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
+        process_all: process every frame, so that the source waits for space; else the newest, dropping older ones.
         queue: largest number of waiting frames; 1 with the policy `latest`.
         rate: Hz at which a recording is played, None for as fast as possible.
         frames: number of frames after which the stream ends, None for the source's end.
@@ -62,7 +62,7 @@ class Settings:
         page: host and port of the live page, None for none; port 0 takes a free one.
     """
 
-    every: bool = True
+    process_all: bool = True
     queue: int = 32
     rate: float | None = None
     frames: int | None = None
@@ -99,7 +99,7 @@ class Player:
         slots = [Slot(bundle) for _ in range(settings.queue + 4 + LONGEST)]
         # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
-        self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
+        self._frames: Channel[Slot] = Channel(len(slots) if settings.process_all else 1)
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
         self._records: Channel[tuple[int, Slot | None, Array | None]] = Channel(_RECORDS_WAITING)
         # Two more records than are queued: one is being filled, one written.
@@ -112,9 +112,9 @@ class Player:
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values
-        can_wait = settings.every and settings.rate is None and not source.live
+        can_wait = settings.process_all and settings.rate is None and not source.live
         self._can_wait = can_wait  # True if the source can wait for results, as a file played as fast as possible can
-        self._senders = [Sender(one, can_wait, self._record_trigger) for one in destinations]
+        self._senders = [Sender(destination, can_wait, self._record_trigger) for destination in destinations]
         self.live = LiveData(bundle, played.expected, forces.names if forces else ())
         self._state, self._said = "waiting", ""  # state and message shown on the page
         self._behind = ""  # message shown on the page: how results fall behind the camera
@@ -215,11 +215,11 @@ class Player:
             "latency_ms": self.latencies.summary(),
             "first_frame": None if math.isnan(self._first) else EPOCH + self._first,
             "time_stamps": "camera" if self._clock.has_stamps else "arrival",
-            "outputs": [one.facts() for one in self._senders],
+            "outputs": [sender.facts() for sender in self._senders],
             "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
             "engine": self.computed_by,
-            "policy": "every" if self.settings.every else "latest",
+            "policy": "every" if self.settings.process_all else "latest",
         }
 
     def _said_by_page(self) -> dict[str, Any]:
@@ -261,7 +261,7 @@ class Player:
         if self._forces is not None:
             self._forces.close()
         for sender in self._senders:
-            (log.warning if sender.lost else log.info)("%s", sender.said())
+            (log.warning if sender.lost else log.info)("%s", sender.describe())
 
     def _record_trigger(self, frame: int, condition: str, latency: float) -> None:
         self._sink.event("trigger", frame, condition=condition, latency_ms=round(1e3 * latency, 3))
@@ -269,7 +269,7 @@ class Player:
     # Main thread: write the log and monitor the source.
 
     def _watch(self) -> None:
-        said, processed, stalled = time.perf_counter(), 0, False
+        logged, processed, stalled = time.perf_counter(), 0, False
         while not self._finished.wait(0.05) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
@@ -286,11 +286,11 @@ class Player:
                     "give more time with --give-up"
                 )
                 self._stop.set()
-            if now - said >= 1:
+            if now - logged >= 1:
                 recent, self._recent = self._recent, Latencies()
                 self.recent = recent.summary()
-                self.rate = (self.processed - processed) / (now - said)
-                said, processed = now, self.processed
+                self.rate = (self.processed - processed) / (now - logged)
+                logged, processed = now, self.processed
                 log.info("%s", self._line(self.recent))
             self._behind = self._falls_behind(now)
 
@@ -303,8 +303,8 @@ class Player:
             return ""
         # While the source is waited for, no frame is late that has not come.
         age = (now if self._waiting_since is None else newest[1]) - measured[1]
-        lost = self.dropped + self.overruns, sum(one.lost for one in self._senders)
-        return self._keeping_up.said(now, age, newest[0] - measured[0], lost, self.recent["median"])
+        lost = self.dropped + self.overruns, sum(sender.lost for sender in self._senders)
+        return self._keeping_up.describe(now, age, newest[0] - measured[0], lost, self.recent["median"])
 
     def _line(self, latency: Mapping[str, float | None]) -> str:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
@@ -334,7 +334,7 @@ class Player:
                 if frame is None:
                     break
                 arrival = time.perf_counter()
-                exposed, arrival = self._clock.see(source.stamp, arrival)
+                exposed, arrival = self._clock.update(source.stamp, arrival)
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
                     # A camera at this rate would deliver the frame at this time, so any later delay counts as latency.
@@ -373,7 +373,7 @@ class Player:
         self.frames_in += 1
         self._newest = slot.number, slot.arrival
         self._measured = self._measured or self._newest
-        if self.settings.every:
+        if self.settings.process_all:
             self._frames.put(slot)
         elif (overtaken := self._frames.put_newest(slot)) is not None:
             self.dropped += 1
@@ -393,16 +393,16 @@ class Player:
         """Queue final frame outcomes, and events such as a new choice of points, for the measuring thread; return False
         if the stream has failed.
         """
-        return all(self._outcomes.put(one) for one in passed)
+        return all(self._outcomes.put(outcome) for outcome in passed)
 
     # Measuring thread: from outcomes to records.
 
     def _measure(self) -> None:
-        while (one := self._outcomes.get()) is not None:
-            if isinstance(one, Event):
-                self._sink.event(one.name, one.frame, **one.facts)
-                log.info("frame %d: %s", one.frame, _SENTENCES[one.name].format(**one.facts))
-            elif not self._pass_record(one):
+        while (item := self._outcomes.get()) is not None:
+            if isinstance(item, Event):
+                self._sink.event(item.name, item.frame, **item.facts)
+                log.info("frame %d: %s", item.frame, _SENTENCES[item.name].format(**item.facts))
+            elif not self._pass_record(item):
                 return
 
     def _pass_record(self, outcome: FrameOutcome) -> bool:
@@ -410,33 +410,33 @@ class Player:
         stored; return False if the stream has failed.
         """
         results = self._tracker.compute_results(outcome)
-        slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
+        slot, index, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
         self.tracked = outcome.tracked
         if results is None:
             if outcome.status != USABLE and self._findings.skip(outcome.status):
                 self._sink.event("not_usable", slot.number, status=FRAME_STATUS[outcome.status])
                 log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[outcome.status])
-            self._layout.fill_unknown(fields, place)
-            fields["slip_flag"][place] = self._tracker.slipping
+            self._layout.fill_unknown(fields, index)
+            fields["slip_flag"][index] = self._tracker.slipping
         else:
-            self._layout.fill(fields, place, results)
+            self._layout.fill(fields, index, results)
             named = ("real_contact_area", "gross_contact_area", "median_divergence")
             self._findings.count(slot.number, outcome.tracked, *(float(results[name]) for name in named))
         if self._forces is not None:
-            for name, force in self._forces.at(slot.number, slot.arrival).items():
-                fields[name][place] = force
+            for name, force in self._forces.read(slot.number, slot.arrival).items():
+                fields[name][index] = force
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.time - self._first), ("latency", latency)),
             *(("key_frame", outcome.key_frame), ("restart", outcome.restart), ("frame_status", outcome.status)),
             ("contact_threshold", outcome.threshold),
         ):
-            fields[name][place] = value
+            fields[name][index] = value
         if self._senders:
-            record = self._room[place].copy()
+            record = self._room[index].copy()
             stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
-            message = Message(stamp, self._values.of(record))
+            message = Message(stamp, self._values.flatten(record))
             for sender in self._senders:
                 sender.offer(message)
         self.latencies.add(latency)
@@ -445,10 +445,10 @@ class Player:
         self._measured = slot.number, slot.arrival
         if results is None or self._drawing or not self.live.is_due():
             self._free.put(slot)
-            return self._records.put((place, None, None))
+            return self._records.put((index, None, None))
         self._drawing = True
         mask = None if outcome.work.contact is None else outcome.work.contact.real_contact_mask
-        return self._records.put((place, slot, None if mask is None else mask[0, 0].copy()))
+        return self._records.put((index, slot, None if mask is None else mask[0, 0].copy()))
 
     # Storing thread: from records to the disk and the page.
 
@@ -456,8 +456,8 @@ class Player:
         as_bytes = self._room.view(np.uint8).reshape(len(self._room), -1)
         traced = -math.inf
         while (item := self._records.get()) is not None:
-            place, slot, mask = item
-            record = self._room[place]
+            index, slot, mask = item
+            record = self._room[index]
             if slot is not None:
                 self.live.show(record, slot, mask)
                 self._free.put(slot)
@@ -465,6 +465,6 @@ class Player:
             if record["time"] - traced >= _TRACE_INTERVAL:
                 traced = float(record["time"])
                 self.live.trace(record)
-            self._sink.write(as_bytes[place], int(record["frame"]))
+            self._sink.write(as_bytes[index], int(record["frame"]))
             if self._records.is_empty():  # wait, so that one wake-up serves several records
                 time.sleep(_STORE_INTERVAL)

@@ -16,7 +16,7 @@ from fingerflow.schema.views import Rectangle, View
 from fingerflow.tracker.frame_tracker import TrackerSettings
 
 
-def topography_of(scene: Scene) -> View:
+def find_topography(scene: Scene) -> View:
     """Return the topography view, which the scene of every stream has."""
     view = scene.views.topography
     assert view is not None
@@ -35,7 +35,7 @@ def stream_settings(scene: Scene, bundle: Bundle) -> TrackerSettings:
     """Combine the experiment settings of a scene with number of points, bit depth and view size of a bundle into the
     settings for the tracker of a stream.
     """
-    region, drawn = np.zeros((bundle.height, bundle.width), dtype=bool), topography_of(scene).region
+    region, drawn = np.zeros((bundle.height, bundle.width), dtype=bool), find_topography(scene).region
     if drawn is not None:
         for row, first, end in region_runs(asdict(drawn), *region.shape):
             region[row, first:end] = True
@@ -74,7 +74,7 @@ def load_scene(path: Path) -> Scene:
             f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
             "whole view: leave it out, and make rows and columns of the view smaller"
         )
-    drawn = topography_of(scene).region
+    drawn = find_topography(scene).region
     if drawn is not None and drawn.mask is not None:
         raise PlayerError(
             f"{path}: views.topography.region is a picture, which a stream does not read; draw it as a polygon or an "
@@ -90,23 +90,23 @@ def check_scene(scene: Scene, bundle: Bundle, path: Path | None) -> None:
     Raises PlayerError where the views do not have the bundle's size, or where a stream does not support the requested
     threshold or reference.
     """
-    size, said = (bundle.height, bundle.width), "" if path is None else f"{path}: "
-    for name, view in (("contact", scene.views.contact), ("topography", topography_of(scene))):
+    size, file = (bundle.height, bundle.width), "" if path is None else f"{path}: "
+    for name, view in (("contact", scene.views.contact), ("topography", find_topography(scene))):
         if view.shape != size:
             raise PlayerError(
-                f"{said}views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
+                f"{file}views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
                 f"{size[0]} x {size[1]}; correct rows and columns, or export one with views of that size"
             )
     if scene.contact.threshold == "per_frame":
         raise PlayerError(
-            f"{said}contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that "
+            f"{file}contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that "
             'is known before it comes: give a number, such as 0.25, or "reference_frame", which is measured while the '
             "contact grows; `fingerflow process` of the recording takes one of each frame"
         )
     since = scene.fields.reference
     if since != "onset":
         raise PlayerError(
-            f"{said}fields.reference of the scene is {since!r}; the graphs of a stream count displacement from each "
+            f"{file}fields.reference of the scene is {since!r}; the graphs of a stream count displacement from each "
             "point's own onset of contact: leave the key out, or take 'onset'; `fingerflow process` of the recording "
             "counts from any frame"
         )

@@ -42,11 +42,11 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
     if name not in result or result[name].dims != ("frame",):
         raise FingerflowError(
             f"against {name!r}: the result has no such variable of the frames; choose one of "
-            + ", ".join(sorted(str(one) for one in result.variables if result[one].dims == ("frame",)))
+            + ", ".join(sorted(str(key) for key in result.variables if result[key].dims == ("frame",)))
         )
     # Record for a variable that is not one of fingerflow.
-    own = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")
-    variable = VARIABLES.get(name, own)
+    foreign = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")
+    variable = VARIABLES.get(name, foreign)
     return Abscissa(
         name, np.asarray(variable.shown_values(result[name].values.astype(np.float64))), variable.axis_label
     )
@@ -58,11 +58,11 @@ def varies(result: xr.Dataset, force: str) -> bool:
     """
     if force not in result:
         return False
-    known = _smoothed(result, force)
-    if len(known) < 3:
+    smoothed = _smoothed(result, force)
+    if len(smoothed) < 3:
         return False
-    span = float(known.max() - known.min())
-    return span > max(_LEAST_CHANGE * float(np.abs(known).max()), _ABOVE_NOISE * _noise(result, force))
+    span = float(smoothed.max() - smoothed.min())
+    return span > max(_LEAST_CHANGE * float(np.abs(smoothed).max()), _ABOVE_NOISE * _noise(result, force))
 
 
 def is_monotonic(result: xr.Dataset) -> bool:
@@ -70,17 +70,17 @@ def is_monotonic(result: xr.Dataset) -> bool:
 
     Reversals of up to 3 % of its range or 3 times its noise are ignored.
     """
-    known = _smoothed(result, "normal_force")
-    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, "normal_force"))
-    falls = float((np.maximum.accumulate(known) - known).max())
-    rises = float((known - np.minimum.accumulate(known)).max())
+    smoothed = _smoothed(result, "normal_force")
+    least = max(_LARGEST_RETURN * float(smoothed.max() - smoothed.min()), 3 * _noise(result, "normal_force"))
+    falls = float((np.maximum.accumulate(smoothed) - smoothed).max())
+    rises = float((smoothed - np.minimum.accumulate(smoothed)).max())
     return min(falls, rises) <= least
 
 
 def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
     values = result[force].values.astype(np.float64)
-    known: NDArray[np.float64] = values[np.isfinite(values)]
-    return median_filter(known, _SMOOTHED, mode="nearest") if len(known) else known
+    finite: NDArray[np.float64] = values[np.isfinite(values)]
+    return median_filter(finite, _SMOOTHED, mode="nearest") if len(finite) else finite
 
 
 def _noise(result: xr.Dataset, force: str) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
 from fingerflow.plot.axes_style import BAND, BAND_WORDS, GREY, finished, given_or_new, line_styles
-from fingerflow.plot.wording import definition_of
+from fingerflow.plot.wording import definition_text
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -49,14 +49,14 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
     curves = [_curve(result, "gross_contact_area", "gross")]
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
         curves.append(_curve(result, "real_contact_area", "real"))
-    return _from_zero(_draw(result, axes, against, curves, "Contact area", "contact area"))
+    return _start_at_zero(_draw(result, axes, against, curves, "Contact area", "contact area"))
 
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the semi-axes of the ellipse of the apparent contact; arguments as for `contact_area`."""
     need(result, "ellipse_semi_axes")
     curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
-    return _from_zero(_draw(result, axes, against, curves, "Ellipse of the gross contact", "semi-axis"))
+    return _start_at_zero(_draw(result, axes, against, curves, "Ellipse of the gross contact", "semi-axis"))
 
 
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -79,7 +79,7 @@ def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the length of the median displacement of the tracked points; arguments as for `contact_area`."""
-    return _from_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
+    return _start_at_zero(_draw_one(result, axes, against, "global_displacement", "Median displacement"))
 
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -117,7 +117,7 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
     need(result, "forward_backward_median")
     curve = _curve(result, "forward_backward_median")
     curve = curve._replace(values=np.where(curve.values > 0, curve.values, np.nan))
-    return _from_zero(_draw(result, axes, against, [curve], "Forward-backward distance", "distance"))
+    return _start_at_zero(_draw(result, axes, against, [curve], "Forward-backward distance", "distance"))
 
 
 def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
@@ -128,13 +128,13 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     """
     need(result, "position_std_px")
     values = np.where(result["position_std_px"].values > 0, result["position_std_px"].values, np.nan)
-    known = np.isfinite(values).any(1)
+    measured = np.isfinite(values).any(1)
     curves = []
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
-        rows[known] = np.nanquantile(values[known], fraction, axis=1)
+        rows[measured] = np.nanquantile(values[measured], fraction, axis=1)
         curves.append(_Curve(f"{fraction:.0%} of the points below", rows, None, "position_std_px"))
-    return _from_zero(_draw(result, axes, against, curves, "Uncertainty of a position", "standard deviation"))
+    return _start_at_zero(_draw(result, axes, against, curves, "Uncertainty of a position", "standard deviation"))
 
 
 def need(result: xr.Dataset, *names: str) -> None:
@@ -158,7 +158,7 @@ def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | Non
     return _Curve(legend or VARIABLES[name].words, shown(name), spread, name)
 
 
-def _from_zero(axes: Axes) -> Axes:
+def _start_at_zero(axes: Axes) -> Axes:
     axes.set_ylim(bottom=0)
     return axes
 
@@ -182,10 +182,10 @@ def _draw(
     label = variable.add_unit(words) if words else variable.axis_label
     x = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
-        known = np.isfinite(values) & np.isfinite(x.values)
-        beside = np.pad(known, 1)
-        alone = known & ~beside[:-2] & ~beside[2:]  # frames without known neighbours, which a line would not show
-        axes.plot(x.values, values, marker="." if known.sum() < _FEW else "", label=name, **style)
+        drawn = np.isfinite(values) & np.isfinite(x.values)
+        padded = np.pad(drawn, 1)
+        alone = drawn & ~padded[:-2] & ~padded[2:]  # frames without known neighbours, which a line would not show
+        axes.plot(x.values, values, marker="." if drawn.sum() < _FEW else "", label=name, **style)
         if alone.any():
             axes.plot(x.values[alone], values[alone], ".", color=style["color"], label="_alone")
         if spread is not None:
@@ -204,25 +204,27 @@ def _draw(
 def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     """Return the caption of a figure with curves: definition of each variable, meaning of bands, number of frames."""
     shown = dict.fromkeys(curve.variable for curve in curves)
-    said = [f"{title} against {against.partition(' (')[0]}."]
-    said += [definition_of(one) for one in map(VARIABLES.__getitem__, shown) if one.long_name != one.words]
+    sentences = [f"{title} against {against.partition(' (')[0]}."]
+    sentences += [definition_text(each) for each in map(VARIABLES.__getitem__, shown) if each.long_name != each.words]
     banded = [curve for curve in curves if curve.std is not None]
     if banded:
-        own = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
-        errors = dict.fromkeys(VARIABLES[name].long_name.partition(" by ")[2] for name in own if name in VARIABLES)
-        said.append(f"Bands: {BAND_WORDS}" + "".join(f", by {one}" for one in errors if one) + ".")
+        deviations = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
+        errors = dict.fromkeys(
+            VARIABLES[name].long_name.partition(" by ")[2] for name in deviations if name in VARIABLES
+        )
+        sentences.append(f"Bands: {BAND_WORDS}" + "".join(f", by {error}" for error in errors if error) + ".")
     counts = [int(np.isfinite(curve.values).sum()) for curve in curves]
-    said.append(f"n = {max(counts)} frames.")
-    return " ".join(said)
+    sentences.append(f"n = {max(counts)} frames.")
+    return " ".join(sentences)
 
 
 def _frame_limits(x: Values) -> tuple[float, float]:
     """Return limits of the horizontal axis that include its values `x` in all frames, even in those where the curves
     have no value.
     """
-    known = x[np.isfinite(x)]
-    if not len(known):
+    finite = x[np.isfinite(x)]
+    if not len(finite):
         return 0.0, 1.0
-    low, high = float(known.min()), float(known.max())
+    low, high = float(finite.min()), float(finite.max())
     margin = 0.03 * (high - low) or 0.5
     return low - margin, high + margin

@@ -40,7 +40,7 @@ class FigureFiles:
     width_mm: float | None = None
 
     @classmethod
-    def of(cls, formats: str, width: str | None = None) -> "FigureFiles":
+    def parse(cls, formats: str, width: str | None = None) -> "FigureFiles":
         """Return the settings for formats such as "pdf,svg" and a width such as "85mm", "8.5cm" or "3.3in".
 
         Raises:
@@ -54,10 +54,10 @@ class FigureFiles:
             )
         if width is None:
             return cls(names)
-        found = _LENGTH.fullmatch(width.strip().lower())
-        if found is None:
+        match = _LENGTH.fullmatch(width.strip().lower())
+        if match is None:
             raise FingerflowError(f"--width {width}: give a number and its unit: mm, cm or in, such as 85mm")
-        wide = float(found[1]) * _MM[found[2]]
+        wide = float(match[1]) * _MM[match[2]]
         if not _LEAST_MM <= wide <= _MOST_MM:
             raise FingerflowError(
                 f"--width {width}: give {_LEAST_MM:g} to {_MOST_MM:g} mm, as type of 7 pt leaves no room for curves on "

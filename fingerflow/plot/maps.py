@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.plot.wording import frame_text
 from fingerflow.schema.variables import VARIABLES
 
@@ -43,7 +43,7 @@ class Quantity:
     signed: bool = True
 
     @property
-    def of_triangles(self) -> bool:
+    def triangle_mean(self) -> bool:
         """Return True if the quantity has one value per triangle, False if one per point."""
         return "triangle" in VARIABLES[self.variable].dims
 
@@ -115,21 +115,21 @@ def field_map(
     if not 0 <= frame < result.sizes["frame"]:
         raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
     axes = given_or_new(axes, 0.76)
-    one = result.isel(frame=frame)
+    data = result.isel(frame=frame)
     axes.set(title=chosen.title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     axes.set_axisbelow(True)  # draws the grid below the colours
-    outline = contact_outline(one)
+    outline = contact_outline(data)
     if outline is not None:
         axes.plot(*np.append(outline, outline[:1], 0).T, "--", color=INK, linewidth=1, label="_contact")
-    position, values = one["position"].values, chosen.values(one)
+    position, values = data["position"].values, chosen.values(data)
     corners = result["triangles"].values if "triangles" in result else np.zeros((0, 3), np.int32)
     limit = colour_limit(result, quantity, (frame,)) if limit is None else limit
     low, colours_of = (-limit, "RdBu_r") if chosen.signed else (0.0, "viridis")
     scale: dict[str, Any] = {"cmap": colours_of, "vmin": low, "vmax": limit}
     whole = np.isfinite(position[corners]).all((1, 2))
-    by_triangle = values if chosen.of_triangles else values[corners].mean(1)
+    by_triangle = values if chosen.triangle_mean else values[corners].mean(1)
     shown = whole & np.isfinite(by_triangle)
-    dots = np.isfinite(values) & np.isfinite(position).all(1) if not chosen.of_triangles else np.zeros(0, dtype=bool)
+    dots = np.isfinite(values) & np.isfinite(position).all(1) if not chosen.triangle_mean else np.zeros(0, dtype=bool)
     if shown.any():
         # Draw a triangle only if all its corners are known: unknown positions become 0 and are never shown.
         filled = np.nan_to_num(position)
@@ -145,16 +145,16 @@ def field_map(
         return finished(axes)
     colours.set_rasterized(True)  # thousands of triangles make a small file only as an image
     if quantity == "displacement":
-        _arrows(axes, one, chosen.title)
+        _arrows(axes, data, chosen.title)
     elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
-        _directions(axes, one, shown, corners, minor=quantity == "minor_strain")
+        _directions(axes, data, shown, corners, minor=quantity == "minor_strain")
     _set_limits(axes, used if outline is None else np.concatenate((used, outline)))
     most = float(np.nanmax(np.abs(values)))
     beyond = "neither" if most <= limit else "both" if chosen.signed else "max"
     whole_figure = axes.get_figure(root=True)
     assert whole_figure is not None
     whole_figure.colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
-    return finished(axes, _caption(chosen, one, limit, int(shown.sum() or dots.sum()), bool(shown.any())))
+    return finished(axes, _caption(chosen, data, limit, int(shown.sum() or dots.sum()), bool(shown.any())))
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
@@ -176,11 +176,11 @@ def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> fl
 
 def drawable(result: xr.Dataset) -> list[str]:
     """Return the names in `QUANTITIES` that can be drawn from the variables of a result."""
-    return [name for name, one in QUANTITIES.items() if _has(result, one)]
+    return [name for name, quantity in QUANTITIES.items() if _has(result, quantity)]
 
 
 def _has(result: xr.Dataset, quantity: Quantity) -> bool:
-    names = ("position", quantity.variable, *(("triangles",) if quantity.of_triangles else ()))
+    names = ("position", quantity.variable, *(("triangles",) if quantity.triangle_mean else ()))
     return all(name in result and result[name].size for name in names)
 
 
@@ -198,26 +198,26 @@ def _needed(result: xr.Dataset, name: str) -> Quantity:
 def _caption(chosen: Quantity, frame: xr.Dataset, limit: float, count: int, triangles: bool) -> str:
     what = "triangles" if triangles else "points"
     definition = VARIABLES[chosen.variable].long_name
-    mean = ", mean of the corners of each triangle" if triangles and not chosen.of_triangles else ""
+    mean = ", mean of the corners of each triangle" if triangles and not chosen.triangle_mean else ""
     return (
         f"{chosen.title}, {frame_text(frame)}: {definition}{mean}. Dashed: the gross contact. The colours end at "
-        f"{with_uncertainty(limit)} {chosen.unit}. n = {count} {what}."
+        f"{format_uncertainty(limit)} {chosen.unit}. n = {count} {what}."
     )
 
 
 def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
     position, moved = frame["position"].values, frame["displacement"].values
-    known = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(moved).all(1))
-    known = known[_select_spread(position[known], _ARROWS)]
-    length = np.linalg.norm(moved[known], axis=1)
-    long = float(np.quantile(length, 0.95)) if len(known) else 0.0
+    chosen = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(moved).all(1))
+    chosen = chosen[_select_spread(position[chosen], _ARROWS)]
+    length = np.linalg.norm(moved[chosen], axis=1)
+    long = float(np.quantile(length, 0.95)) if len(chosen) else 0.0
     if long <= 0:
         return
-    width = float(np.ptp(position[known], axis=0).max()) or 1.0
+    width = float(np.ptp(position[chosen], axis=0).max()) or 1.0
     # Rounded to one digit; the 0.95 quantile is drawn as an eighth of the width.
     scale = float(f"{width / 8 / long:.1g}")
     axes.quiver(
-        *position[known].T, *(scale * moved[known]).T, angles="xy", scale_units="xy", scale=1,
+        *position[chosen].T, *(scale * moved[chosen]).T, angles="xy", scale_units="xy", scale=1,
         color="white", edgecolor=INK, linewidth=0.3, width=0.006,
     )  # fmt: skip
     axes.set_title(f"{title}, arrows {scale:g} ×")
@@ -231,35 +231,35 @@ def _directions(
     """
     middle = frame["position"].values[corners].mean(1)
     angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
-    some = np.flatnonzero(shown)
-    some = some[_select_spread(middle[some], _DIRECTIONS)]
-    spacing = float(np.sqrt(np.prod(np.maximum(np.ptp(middle[some], axis=0), 0.1)) / max(len(some), 1)))
-    half = spacing / 2 * np.stack((np.cos(angle[some]), np.sin(angle[some])), 1)
-    lines = np.stack((middle[some] - half, middle[some] + half), 1)
+    chosen = np.flatnonzero(shown)
+    chosen = chosen[_select_spread(middle[chosen], _DIRECTIONS)]
+    spacing = float(np.sqrt(np.prod(np.maximum(np.ptp(middle[chosen], axis=0), 0.1)) / max(len(chosen), 1)))
+    half = spacing / 2 * np.stack((np.cos(angle[chosen]), np.sin(angle[chosen])), 1)
+    lines = np.stack((middle[chosen] - half, middle[chosen] + half), 1)
     axes.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.7), autolim=False)
 
 
-def _select_spread(places: Values, most: int) -> NDArray[np.intp]:
+def _select_spread(positions: Values, most: int) -> NDArray[np.intp]:
     """Select about `most` of the positions (N, 2), evenly spread over the area that they cover, and return their
     indices.
 
     Of each cell of a grid, the position nearest to the centre is selected.
     """
-    if len(places) <= most:
-        return np.arange(len(places))
-    low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
+    if len(positions) <= most:
+        return np.arange(len(positions))
+    low, span = positions.min(0), np.maximum(np.ptp(positions, axis=0), 1e-9)
     side = float(np.sqrt(np.prod(span) / most))
-    cell = np.floor((places - low) / side).astype(int)
-    apart = np.linalg.norm((places - low) / side - cell - 0.5, axis=1)
-    order = np.argsort(apart, kind="stable")
+    cell = np.floor((positions - low) / side).astype(int)
+    distance = np.linalg.norm((positions - low) / side - cell - 0.5, axis=1)
+    order = np.argsort(distance, kind="stable")
     _, first = np.unique(cell[order], axis=0, return_index=True)
     return np.sort(order[first])
 
 
-def _set_limits(axes: Axes, places: Values | None) -> None:
+def _set_limits(axes: Axes, positions: Values | None) -> None:
     """Set the axis limits of a map so that it includes all positions (N, 2) mm, with y pointing down."""
-    if places is not None:
-        low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
+    if positions is not None:
+        low, high = positions.min(0) - _MARGIN_MM, positions.max(0) + _MARGIN_MM
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     elif not axes.yaxis_inverted():
         axes.invert_yaxis()

@@ -14,8 +14,8 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 def contact_outline(frame: xr.Dataset) -> Values | None:
     """Return K points (K, 2) mm on the ellipse around the apparent contact; None without contact."""
-    known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
-    if not known or not np.isfinite(frame["ellipse_center"]).all():
+    has_ellipse = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
+    if not has_ellipse or not np.isfinite(frame["ellipse_center"]).all():
         return None
     along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
     cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
@@ -44,6 +44,6 @@ def matrix_of_view(result: xr.Dataset, view: str) -> Values:
     return matrix[:2]
 
 
-def in_pixels(millimetres: Values, matrix: Values) -> Values:
+def to_pixels(millimetres: Values, matrix: Values) -> Values:
     """Convert positions (N, 2) from mm on the glass to px of a view."""
     return np.asarray(millimetres @ matrix[:, :2].T + matrix[:, 2])

@@ -45,7 +45,7 @@ def letter_panel(part: SubFigure, number: int) -> None:
     part.suptitle(panel_letter(number), x=0.01, ha="left", fontweight="bold")
 
 
-def captions_of(parts: Sequence[SubFigure], named: Sequence[str] = ()) -> list[str]:
+def join_captions(parts: Sequence[SubFigure], named: Sequence[str] = ()) -> list[str]:
     """Return one caption line per panel: letter, name (if names are given) and caption."""
     names = [f" ({name})" if name else "" for name in named] or [""] * len(parts)
     return [f"{panel_letter(k)}{names[k]}. {caption_of(part)}" for k, part in enumerate(parts)]

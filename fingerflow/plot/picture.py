@@ -16,7 +16,7 @@ from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
-from fingerflow.plot.outlines import Values, contact_outline, in_pixels, matrix_of_view, stuck_outline
+from fingerflow.plot.outlines import Values, contact_outline, matrix_of_view, stuck_outline, to_pixels
 from fingerflow.plot.wording import frame_text
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
@@ -29,7 +29,7 @@ _MASK_SHARE = 0.45  # opacity of the colour over pixels in contact
 _CONTRAST = (0.5, 99.8)  # percentiles of the grey levels that are drawn black and white
 
 
-def views_of(scene: Scene) -> tuple[str, ...]:
+def shown_views(scene: Scene) -> tuple[str, ...]:
     """Return the names of a scene's views; of views that cover the same part of the frame, only the first."""
     if "camera" in scene.views:
         return ("camera",)
@@ -52,7 +52,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     Raises:
         FingerflowError: no such frame or view, or the recording cannot be read.
     """
-    names = views_of(scene)
+    names = shown_views(scene)
     name = view or names[-1]
     if name not in names:
         raise FingerflowError(f"view {name!r}: the scene has {', '.join(names)}")
@@ -64,8 +64,8 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
             check_recording(result, scene, whole)
         counts = inputs.recording[[frame]].read()
         mask = None if name == "topography" else _mask(result, inputs, frame, counts)
-    place = scene.views[name]
-    grey = place.crop(counts)[0].astype(np.float64)
+    shown_view = scene.views[name]
+    grey = shown_view.crop(counts)[0].astype(np.float64)
     height, width = grey.shape
     axes = given_or_new(axes, height / width + 0.22)
     low, high = np.nanpercentile(grey, _CONTRAST)
@@ -74,24 +74,23 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
         shown[mask] = (1 - _MASK_SHARE) * shown[mask] + _MASK_SHARE * np.array(to_rgb(MASK))
         axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
     axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
-    one, matrix = result.isel(frame=frame), matrix_of_view(result, name)
+    data, matrix = result.isel(frame=frame), matrix_of_view(result, name)
     outlines: tuple[tuple[Values | None, dict[str, Any]], ...] = (
-        (contact_outline(one), {"color": YELLOW, "label": "gross contact"}),
-        (stuck_outline(one), {"color": STUCK, "linestyle": "--", "label": "stuck part"}),
+        (contact_outline(data), {"color": YELLOW, "label": "gross contact"}),
+        (stuck_outline(data), {"color": STUCK, "linestyle": "--", "label": "stuck part"}),
     )
     for outline, style in outlines:
         if outline is not None:
-            places = in_pixels(np.append(outline, outline[:1], 0), matrix)
-            axes.plot(*places.T, linewidth=1.4, **style)
+            outline_px = to_pixels(np.append(outline, outline[:1], 0), matrix)
+            axes.plot(*outline_px.T, linewidth=1.4, **style)
     _points(axes, result, frame, matrix)
     _scale_bar(axes, 1 / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"{name.capitalize()} view, {frame_text(one)}")
-    text = (
-        f"The {name} view in {frame_text(one)}. The gross contact is the ellipse of the region which the contact spans."
-    )
+    axes.set_title(f"{name.capitalize()} view, {frame_text(data)}")
+    text = f"The {name} view in {frame_text(data)}. "
+    text += "The gross contact is the ellipse of the region which the contact spans."
     if "position" in result:
-        text += f" n = {int(np.isfinite(one['position'].values).all(-1).sum())} points with a position."
+        text += f" n = {int(np.isfinite(data['position'].values).all(-1).sum())} points with a position."
     describe(axes, text)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
@@ -113,20 +112,20 @@ def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.gen
         light, black = glass_light(inputs.reference(view), inputs.dark(view))
         limit = 1 - torch.full((1,), threshold, dtype=light.dtype)
         contact = graph(inputs.contact_view(counts), light, black, limit)
-    found: NDArray[np.bool_] = contact.real_contact_mask[0, 0].numpy()
-    return found
+    mask: NDArray[np.bool_] = contact.real_contact_mask[0, 0].numpy()
+    return mask
 
 
 def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
     """Raise FingerflowError if a result was computed from another recording."""
-    known = result.attrs.get("recording")  # missing in results of older versions
+    stated = result.attrs.get("recording")  # missing in results of older versions
     settings = scene.recording
     end = len(recording) if settings.last_frame is None else settings.last_frame + 1
-    found = identity_of(recording[settings.first_frame : end])
-    if known not in (None, found):
+    identity = identity_of(recording[settings.first_frame : end])
+    if stated not in (None, identity):
         raise FingerflowError(
-            f"{settings.frames}: the result is not of these frames ({found}), it was computed from "
-            f"{result.attrs.get('frames')} ({known}). Name the scene of the result, or process this scene again"
+            f"{settings.frames}: the result is not of these frames ({identity}), it was computed from "
+            f"{result.attrs.get('frames')} ({stated}). Name the scene of the result, or process this scene again"
         )
 
 
@@ -137,21 +136,21 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
     if "position" not in result:
         return
     now = result["position"].values[frame]
-    known = np.isfinite(now).all(-1)
+    tracked = np.isfinite(now).all(-1)
     first = result["position"].values[0]
-    lost = ~known & np.isfinite(first).all(-1)
-    touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else known
+    lost = ~tracked & np.isfinite(first).all(-1)
+    touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else tracked
     for shown, colour, said_of in (
-        (known & touched, GREEN, "points in contact" if "in_contact" in result else "points"),
-        (known & ~touched, AWAY, "points not in contact"),
+        (tracked & touched, GREEN, "points in contact" if "in_contact" in result else "points"),
+        (tracked & ~touched, AWAY, "points not in contact"),
     ):
         if shown.any():
             axes.plot(
-                *in_pixels(now[shown], matrix).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of
+                *to_pixels(now[shown], matrix).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of
             )
     if lost.any():
         axes.plot(
-            *in_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label="points lost"
+            *to_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label="points lost"
         )
 
 

@@ -5,11 +5,11 @@ import math
 _NOTHING = 1e-9  # share of a value below which a deviation is rounding error
 
 
-def with_uncertainty(value: float, spread: float = math.nan) -> str:
+def format_uncertainty(value: float, spread: float = math.nan) -> str:
     """Return "value ± spread" as text, rounded to two significant digits of the spread (a standard deviation), or the
     value alone with three digits if the spread is unknown.
 
-    >>> with_uncertainty(33.4123, 0.5178)
+    >>> format_uncertainty(33.4123, 0.5178)
     '33.41 ± 0.52'
     """
     if not math.isfinite(value):
@@ -20,15 +20,15 @@ def with_uncertainty(value: float, spread: float = math.nan) -> str:
     return f"{_rounded(value, digits)} ± {_rounded(spread, digits)}"
 
 
-def with_interval(value: float, low: float, high: float) -> str:
+def format_interval(value: float, low: float, high: float) -> str:
     """Return "value (low to high)" rounded to two digits of half the interval's width; without interval, the value.
 
-    >>> with_interval(0.8312, 0.7344, 0.9018)
+    >>> format_interval(0.8312, 0.7344, 0.9018)
     '0.831 (0.734 to 0.902)'
     """
     half = (high - low) / 2
     if not math.isfinite(value) or not math.isfinite(half) or half <= 0:
-        return with_uncertainty(value)
+        return format_uncertainty(value)
     digits = _decimals(half, 2)
     return f"{_rounded(value, digits)} ({_rounded(low, digits)} to {_rounded(high, digits)})"
 

@@ -14,7 +14,7 @@ def frame_text(frame: xr.Dataset) -> str:
     return ", ".join(words)
 
 
-def definition_of(variable: Variable, more: str = "") -> str:
+def definition_text(variable: Variable, more: str = "") -> str:
     """Return a sentence that defines a variable or column, for captions; `more` is appended to it."""
     words, meaning = variable.words, variable.long_name
     return f"{sentence(meaning if meaning.startswith(words) else f'{words}: {meaning}')}{more}."

@@ -14,23 +14,23 @@ _LARGE_SHARE = 0.02  # share of the triangles whose strain may be larger
 def cautions(result: xr.Dataset) -> list[str]:
     """Return cautions about a result: warnings of the run, omitted frames, lost points and implausible strain."""
     warnings = json.loads(result.attrs.get("warnings", "[]"))
-    return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
+    return [*warnings, *_frame_cautions(result), *_point_cautions(result), *_strain_cautions(result)]
 
 
-def _of_frames(result: xr.Dataset) -> list[str]:
-    count, said = result.sizes["frame"], []
+def _frame_cautions(result: xr.Dataset) -> list[str]:
+    count, sentences = result.sizes["frame"], []
     if "frame_status" in result:
         bad = int((result["frame_status"].values > 0).sum())
         if bad == count:
-            said.append("No frame of this recording can be used: there are no results. Record it again.")
+            sentences.append("No frame of this recording can be used: there are no results. Record it again.")
         elif bad > count / 10:
-            said.append(f"{bad} of {count} frames are left out ({bad / count:.0%}): curves have gaps there.")
+            sentences.append(f"{bad} of {count} frames are left out ({bad / count:.0%}): curves have gaps there.")
     if "gross_contact_area" in result:
         area = result["gross_contact_area"].values
         if not np.isfinite(area).any():
-            said.append("No contact area is known in any frame.")
+            sentences.append("No contact area is known in any frame.")
         elif not np.nanmax(area) > 0:
-            said.append("Nothing touches in any frame: there is no contact to measure.")
+            sentences.append("Nothing touches in any frame: there is no contact to measure.")
         elif "median_divergence" in result:
             touching = np.nan_to_num(area) > 0
             unknown = touching & ~np.isfinite(result["median_divergence"].values)
@@ -38,21 +38,21 @@ def _of_frames(result: xr.Dataset) -> list[str]:
                 last = int(result["frame"].values[np.flatnonzero(unknown)[-1]])
                 none = "strain_energy" in result and bool((result["strain_energy"].values[unknown] == 0).any())
                 energy = ", and a strain energy of 0 there means that none is known" if none else ""
-                said.append(
+                sentences.append(
                     f"In {int(unknown.sum())} of the {int(touching.sum())} frames with contact the deformation is not "
                     f"known, the last is {last}: too few points are followed there{energy}."
                 )
-    return said
+    return sentences
 
 
-def _of_points(result: xr.Dataset) -> list[str]:
+def _point_cautions(result: xr.Dataset) -> list[str]:
     if "tracked_share" not in result or "point" not in result.sizes:
         return []
     share = result["tracked_share"].values
-    known = np.flatnonzero(np.isfinite(share))
-    if not len(known):
+    frames_with_points = np.flatnonzero(np.isfinite(share))
+    if not len(frames_with_points):
         return []
-    worst = int(known[np.argmin(share[known])])
+    worst = int(frames_with_points[np.argmin(share[frames_with_points])])
     if share[worst] > 1 - _MOST_LOST:
         return []
     return [
@@ -61,7 +61,7 @@ def _of_points(result: xr.Dataset) -> list[str]:
     ]
 
 
-def _of_strain(result: xr.Dataset) -> list[str]:
+def _strain_cautions(result: xr.Dataset) -> list[str]:
     """Return a caution, in a list, if more triangles between tracked points than expected are strained beyond what skin
     can be; otherwise an empty list.
 
@@ -70,9 +70,9 @@ def _of_strain(result: xr.Dataset) -> list[str]:
     if "strain" not in result or not result["strain"].size:
         return []
     largest = np.abs(result["strain"].values).max(-1)
-    known = np.isfinite(largest).sum(1)
+    triangles = np.isfinite(largest).sum(1)
     with np.errstate(invalid="ignore"):
-        share = (largest > _LARGE_STRAIN).sum(1) / np.where(known, known, np.nan)
+        share = (largest > _LARGE_STRAIN).sum(1) / np.where(triangles, triangles, np.nan)
     if not np.nanmax(share, initial=0.0) > _LARGE_SHARE:
         return []
     first = int(result["frame"].values[int(np.argmax(np.nan_to_num(share) > _LARGE_SHARE))])
@@ -100,5 +100,5 @@ def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
         return []
     values, counts = np.unique(status.values[int(np.flatnonzero(usable)[-1])], return_counts=True)
     names = str(status.attrs["flag_meanings"]).split()
-    found = [(names[int(value)].replace("_", " "), int(count)) for value, count in zip(values, counts, strict=True)]
-    return sorted(((name, count) for name, count in found if name != "tracked"), key=lambda one: -one[1])
+    lost = [(names[int(value)].replace("_", " "), int(count)) for value, count in zip(values, counts, strict=True)]
+    return sorted(((name, count) for name, count in lost if name != "tracked"), key=lambda counted: -counted[1])

@@ -53,17 +53,17 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
 
 
-def _compressed(found: re.Match[str]) -> str:
+def _compressed(match: re.Match[str]) -> str:
     """Return the data URI of an image as JPEG if the image is large and opaque, else unchanged."""
-    data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
+    data = np.frombuffer(base64.b64decode(match[1]), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
     if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
-        return found[0]
+        return match[0]
     coded = cv2.imencode(".jpg", image[..., :3], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
     return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode('ascii')}"
 
 
-def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
+def hover_curves(axes: Axes, count: int) -> dict[str, Any] | None:
     """Return the labelled curves of axes that have `count` values, with axis limits, labels and place in the figure,
     for the page to display values at the cursor; None if there are none.
 
@@ -74,20 +74,20 @@ def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
     lines = [line for line in named if len(np.asarray(line.get_xdata())) == count]
     if not lines:
         return None
-    place = axes.get_position()
+    box = axes.get_position()
     unit = _UNIT.search(axes.get_ylabel())
     return {
-        "box": [_rounded(one) for one in (place.x0, 1 - place.y1, place.width, place.height)],
-        "xlim": [_rounded(one) for one in axes.get_xlim()],
-        "ylim": [_rounded(one) for one in axes.get_ylim()],
+        "box": [_rounded(value) for value in (box.x0, 1 - box.y1, box.width, box.height)],
+        "xlim": [_rounded(value) for value in axes.get_xlim()],
+        "ylim": [_rounded(value) for value in axes.get_ylim()],
         "label": axes.get_xlabel(),
         "unit": "" if unit is None else unit[1],
-        "x": [_rounded(one) for one in np.asarray(lines[0].get_xdata(), dtype=float)],
+        "x": [_rounded(value) for value in np.asarray(lines[0].get_xdata(), dtype=float)],
         "curves": [
             {
                 "name": str(line.get_label()),
                 "colour": str(line.get_color()),
-                "y": [_rounded(one) for one in np.asarray(line.get_ydata(), dtype=float)],
+                "y": [_rounded(value) for value in np.asarray(line.get_ydata(), dtype=float)],
             }
             for line in lines
         ],

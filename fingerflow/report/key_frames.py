@@ -31,21 +31,21 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
     last frame in contact, and half of the largest. Frames without known fields (or contact) are left out; the list is
     empty if all are.
     """
-    known = _known(result)
-    if not known.any():
+    usable = _usable_frames(result)
+    if not usable.any():
         return []
     frames: list[ReportFrame] = []
     pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
     if pulled:
-        frames += _of_a_pull(result, known)
+        frames += _pull_frames(result, usable)
     elif varies(result, "normal_force"):
-        frames += _of_a_press(result, known)
+        frames += _press_frames(result, usable)
     if len(frames) < 2:
-        frames += _of_contact(result, known)
+        frames += _contact_frames(result, usable)
     return _select_spaced(frames, result.sizes["frame"])
 
 
-def _known(result: xr.Dataset) -> NDArray[np.bool_]:
+def _usable_frames(result: xr.Dataset) -> NDArray[np.bool_]:
     """Return a mask (F,) of frames in which any point has a known divergence or, if none was computed, a known
     displacement or position; without all of these, of frames in contact.
     """
@@ -57,34 +57,34 @@ def _known(result: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(area) > 0)
 
 
-def _of_a_press(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
-    top = frame_of_largest(result, ("normal_force",), known)
+def _press_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
+    top = frame_of_largest(result, ("normal_force",), usable)
     if top is None:
         return []
-    press = np.where(known, np.nan_to_num(result["normal_force"].values), 0.0)
+    press = np.where(usable, np.nan_to_num(result["normal_force"].values), 0.0)
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
-    found = [ReportFrame(top, "largest force")]
+    largest = [ReportFrame(top, "largest force")]
     # Put higher levels first, as they show more and are selected first.
-    return found + [ReportFrame(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
+    return largest + [ReportFrame(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
 
 
-def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
+def _pull_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
     normal, ratio = result["normal_force"].values, np.abs(result["load_ratio"].values)
-    loaded = known & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
+    loaded = usable & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
     if not loaded.any():
         return []
     top, half = _largest_and_half(np.where(loaded, ratio, -np.inf), "T/N")
     last = ReportFrame(int(np.flatnonzero(loaded)[-1]), "last frame")
     between = ReportFrame((top.frame + last.frame) // 2, "sliding")
-    return [top, last, half, *([between] if known[between.frame] else [])]
+    return [top, last, half, *([between] if usable[between.frame] else [])]
 
 
-def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[ReportFrame]:
-    area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(known))
-    area = np.where(known, np.nan_to_num(area), 0.0)
+def _contact_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
+    area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(usable))
+    area = np.where(usable, np.nan_to_num(area), 0.0)
     touching = np.flatnonzero(area > 0)
     if not len(touching):
-        return [ReportFrame(int(np.flatnonzero(known)[-1]), "last frame")]
+        return [ReportFrame(int(np.flatnonzero(usable)[-1]), "last frame")]
     top, half = _largest_and_half(area, "contact")
     return [top, ReportFrame(int(touching[-1]), "last frame in contact"), half]
 
@@ -102,8 +102,8 @@ def _select_spaced(candidates: list[ReportFrame], count: int) -> list[ReportFram
     """Select, in order of preference as given, up to five candidate frames more than 2 % of the recording's `count`
     frames apart, and return them sorted by time.
     """
-    kept: list[ReportFrame] = []
+    chosen: list[ReportFrame] = []
     for frame in candidates:
-        if len(kept) < _MOST and all(abs(frame.frame - other.frame) > _APART * count for other in kept):
-            kept.append(frame)
-    return sorted(kept)
+        if len(chosen) < _MOST and all(abs(frame.frame - earlier.frame) > _APART * count for earlier in chosen):
+            chosen.append(frame)
+    return sorted(chosen)

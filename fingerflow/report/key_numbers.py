@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.key_frames import ReportFrame
 from fingerflow.schema.variables import VARIABLES
 
@@ -39,7 +39,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[tuple
             words += " (± scatter)"
         else:
             spread = np.full(len(values), np.nan)
-        cells = [with_uncertainty(float(values[k]), float(spread[k])) for k in indices]
+        cells = [format_uncertainty(float(values[k]), float(spread[k])) for k in indices]
         rows.append((words, variable.shown_unit.name, cells))
     return rows
 

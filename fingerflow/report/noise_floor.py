@@ -30,16 +30,16 @@ def noise_floor(result: xr.Dataset, scene: Scene) -> NoiseFloor:
 
     Raises FingerflowError where fewer than two frames or three points are known.
     """
-    found = {}
+    floor = {}
     for name in MEASURED:
         values = result[name].values[1:].astype(np.float64)
-        known = values.reshape(values.shape[0] * values.shape[1], int(np.prod(values.shape[2:])))
-        known = known[np.isfinite(known).all(1)]
-        if len(known) < 3:
+        samples = values.reshape(values.shape[0] * values.shape[1], int(np.prod(values.shape[2:])))
+        samples = samples[np.isfinite(samples).all(1)]
+        if len(samples) < 3:
             raise FingerflowError(
-                f"{scene.recording.frames}: {name} is known {len(known)} times after the first frame, 3 are needed: "
+                f"{scene.recording.frames}: {name} is known {len(samples)} times after the first frame, 3 are needed: "
                 "record ten or more frames of skin or a print that rests on the glass from the first frame on"
             )
-        found[name] = float(np.sqrt(known.var(0, ddof=1).mean()))
+        floor[name] = float(np.sqrt(samples.var(0, ddof=1).mean()))
     settings = {"window_px": scene.tracking.window_px, "gauge_length_mm": scene.fields.gauge_length_mm}
-    return NoiseFloor(found["displacement"], found["divergence"], found["strain"], **settings)
+    return NoiseFloor(floor["displacement"], floor["divergence"], floor["strain"], **settings)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
 from fingerflow.models.observer.psychometric import SHARE
 from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
-from fingerflow.plot.rounding import with_interval
+from fingerflow.plot.rounding import format_interval
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
@@ -74,7 +74,8 @@ def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str,
     axes.set(yticks=range(len(estimates)), yticklabels=list(estimates), xlabel=quantity)
     axes.invert_yaxis()
     values = "; ".join(
-        f"{name} {with_interval(one.value, *one.interval)}, n = {one.trials}" for name, one in estimates.items()
+        f"{name} {format_interval(estimate.value, *estimate.interval)}, n = {estimate.trials}"
+        for name, estimate in estimates.items()
     )
     return finished(
         axes, f"Estimate of {quantity} (dot) with its 95 % interval (line), in trials; dashed: chance. {values}."
@@ -85,14 +86,14 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
     """Draw figure S12 A: a histogram of a quantity's medians `values`, one per participant, with the fitted mixture of
     two Gaussians and the border between the two groups of participants.
     """
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known)]
-    _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    _, edges, _ = axes.hist(finite, bins=max(6, round(2 * finite.size**0.5)), color=GREY, alpha=0.6)
     if groups.groups:
         x = np.linspace(edges[0] - 2 * groups.deviation, edges[-1] + 2 * groups.deviation, 300)
         for mean, share, style in zip(groups.means, groups.shares, line_styles(2), strict=True):
             density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
-            axes.plot(x, share * density * known.size * (edges[1] - edges[0]), **style)
+            axes.plot(x, share * density * finite.size * (edges[1] - edges[0]), **style)
         axes.axvline(groups.border, color=INK, linestyle=":")
         axes.set_title(
             f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants"
@@ -101,7 +102,7 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
     return finished(
         axes,
         "Histogram of the participants' medians, and the mixture of two Gaussians of one standard deviation where it "
-        f"explains them better than one (p); dotted: border of the groups. n = {known.size} participants.",
+        f"explains them better than one (p); dotted: border of the groups. n = {finite.size} participants.",
     )
 
 
@@ -126,7 +127,7 @@ def draw_psychometric(
             axes.plot(limits, [SHARE, SHARE], color=colour, linewidth=3, alpha=0.4)
     axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
     thresholds = "; ".join(
-        f"{name} {with_interval(fit.threshold, *fit.interval)}, n = {fit.trials} trials"
+        f"{name} {format_interval(fit.threshold, *fit.interval)}, n = {fit.trials} trials"
         if np.isfinite(fit.threshold)
         else f"{name} none ({fit.reason}), n = {fit.trials} trials"
         for name, (*_, fit) in curves.items()

@@ -19,10 +19,10 @@ from fingerflow.plot.abscissa import varies
 from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_style
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import FigureFiles
-from fingerflow.plot.picture import views_of
+from fingerflow.plot.picture import shown_views
 from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
-from fingerflow.report.inline_svg import curves_of, inline_svg
+from fingerflow.report.inline_svg import hover_curves, inline_svg
 from fingerflow.report.key_frames import ReportFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
@@ -48,11 +48,11 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """Group of figures that are shown together; `kind` names the layout, a class of page.css."""
+    """Group of figures that are shown together; `layout` names it, a class of page.css."""
 
     label: str
     figures: list[Drawn]
-    kind: str = "grid"
+    layout: str = "grid"
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class _Figures:
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
         figure = axes.get_figure(root=True)
         assert isinstance(figure, Figure)
-        drawn = self.whole(figure, name, label)  # drawn before `curves_of`, as drawing settles the layout
-        return replace(drawn, curves=curves_of(axes, self.result.sizes["frame"]))
+        drawn = self.whole(figure, name, label)  # drawn before `hover_curves`, as drawing settles the layout
+        return replace(drawn, curves=hover_curves(axes, self.result.sizes["frame"]))
 
     def whole(self, figure: Figure, name: str, label: str) -> Drawn:
         svg = inline_svg(figure, name, label)
@@ -94,13 +94,13 @@ class _Figures:
             self.files.save(figure, self.folder, name)
         return Drawn(name, svg, caption_of(figure))
 
-    def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
-        """Return a section of the page with one curve for each pair (drawing function, variable) in `given` whose
+    def curves(self, title: str, drawings: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
+        """Return a section of the page with one curve for each pair (drawing function, variable) in `drawings` whose
         variable has values in the result; None if none has.
 
         If the normal force varies, a second panel is against the other of force and time.
         """
-        there = [(one, variable) for one, variable in given if _known(self.result, variable)]
+        there = [(draw, variable) for draw, variable in drawings if _has_values(self.result, variable)]
         if not there:
             return None
         first = plot.abscissa(self.result).name
@@ -113,12 +113,12 @@ class _Figures:
         ]
         return Section(title, panels, notes)
 
-    def each(self, given: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
-        """Draw one figure for each pair (drawing function, variable) in `given`, passing the same settings, such as
+    def each(self, drawings: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
+        """Draw one figure for each pair (drawing function, variable) in `drawings`, passing the same settings, such as
         `against`, to every function.
         """
         figures = []
-        for draw_one, variable in given:
+        for draw_one, variable in drawings:
             on = draw_one(self.result, **settings)
             figures.append(
                 self.drawn(on, "-".join((variable, *settings.values())), f"{on.get_title()} against {on.get_xlabel()}")
@@ -181,7 +181,7 @@ def write_report(
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
-            columns=[{"why": one.why, "number": int(numbers[one.frame])} for one in frames],
+            columns=[{"why": frame.why, "number": int(numbers[frame.frame])} for frame in frames],
             numbers=key_numbers(result, frames),
             comparison=comparison,
             sections=sections,
@@ -208,25 +208,28 @@ def write_report(
 def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
-    most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
+    most = next((k for k, frame in enumerate(frames) if frame.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
         pictured = frames or [ReportFrame(0, "first frame")]
         panels = [
             Panel(
-                one.why,
+                frame.why,
                 [
                     make.drawn(
-                        plot.picture(result, scene, one.frame, view=view), f"picture-{view}-{one.frame}", f"{view} view"
+                        plot.picture(result, scene, frame.frame, view=view),
+                        f"picture-{view}-{frame.frame}",
+                        f"{view} view",
                     )
-                    for view in views_of(scene)
+                    for view in shown_views(scene)
                 ],
                 "grid pictures",
             )
-            for one in pictured
+            for frame in pictured
         ]
         sections.append(Section("What was seen", panels, first=max(most, 0)))
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
-    loads = [one for one in time_only if one[1] in result and (one[1] == "normal_force" or varies(result, one[1]))]
+    loads = [(draw, name) for draw, name in time_only if name in result]
+    loads = [(draw, name) for draw, name in loads if name == "normal_force" or varies(result, name)]
     if loads:
         sections.append(Section("Loading", [Panel("", make.each(loads))]))
     sections.append(
@@ -243,7 +246,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     sections.append(make.curves("Deformation, medians over the gross contact", deformation, counted))
     sections.append(_maps(make, result, frames, max(most, 0)))
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
-        trial = SlipTrial.of(result, "Partial slip")
+        trial = SlipTrial.read(result, "Partial slip")
         slip = make.whole(trial_figure(trial, make.wide_mm), "partial-slip", verdict_line(trial))
         sections.append(Section(verdict_line(trial), [Panel("", [slip], "strip")]))
     quality: list[tuple[Draw, str]] = [
@@ -251,43 +254,47 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
         (plot.forward_backward, "forward_backward_median"),
         (plot.position_std, "position_std_px"),
     ]
-    shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
+    shown = [(draw, name) for draw, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))
-    return [one for one in sections if one is not None]
+    return [section for section in sections if section is not None]
 
 
 def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], first: int) -> Section | None:
     """Return the page's section with maps over the contact at the key frames `frames`, each quantity with one colour
     scale, or None without maps; the reader first sees frame number `first` of these.
     """
-    places = [one.frame for one in frames]
-    shown = [result.isel(frame=place) for place in places]
+    indices = [frame.frame for frame in frames]
+    shown = [result.isel(frame=index) for index in indices]
     drawable = [name for name in _MAPS if name in plot.drawable(result)]
-    there = [name for name in drawable if any(np.isfinite(plot.QUANTITIES[name].values(one)).any() for one in shown)]
-    if not there or not places:
+    there = [
+        name
+        for name in drawable
+        if any(np.isfinite(plot.QUANTITIES[name].values(shown_frame)).any() for shown_frame in shown)
+    ]
+    if not there or not indices:
         return None
-    limits = {name: plot.colour_limit(result, name, places) for name in there}
+    limits = {name: plot.colour_limit(result, name, indices) for name in there}
     panels = [
         Panel(
-            one.why,
+            frame.why,
             [
                 make.drawn(
-                    plot.field_map(result, name, one.frame, limit=limits[name]),
-                    f"map-{name}-{one.frame}",
-                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=one.frame))}",
+                    plot.field_map(result, name, frame.frame, limit=limits[name]),
+                    f"map-{name}-{frame.frame}",
+                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=frame.frame))}",
                 )
                 for name in there
             ],
             "grid maps",
         )
-        for one in frames
+        for frame in frames
     ]
     note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
     return Section("Maps on the skin", panels, (note,), first)
 
 
-def _known(result: xr.Dataset, variable: str) -> bool:
+def _has_values(result: xr.Dataset, variable: str) -> bool:
     return variable in result and bool(np.isfinite(result[variable].values).any())
 
 

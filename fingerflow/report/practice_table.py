@@ -90,16 +90,16 @@ def _analysis(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str,
 def _noise_floors(result: xr.Dataset, floor: Mapping[str, float] | None, window: int, gauge: float) -> Rows:
     rows = []
     for name, key in (("displacement", "displacement_mm"), ("divergence", "divergence"), ("strain", "strain")):
-        variable, said = VARIABLES[name], "not measured: `fingerflow noise-floor` on still frames"
+        variable, text = VARIABLES[name], "not measured: `fingerflow noise-floor` on still frames"
         unit = variable.shown_unit
         if floor is not None and (floor["window_px"], floor["gauge_length_mm"]) != (window, gauge):
-            said = "measured with another window or gauge length: measure again"
+            text = "measured with another window or gauge length: measure again"
         elif floor is not None:
-            said = f"{unit.factor * floor[key]:.3g} {unit.name}, measured in still frames"
+            text = f"{unit.factor * floor[key]:.3g} {unit.name}, measured in still frames"
         stated = result[f"{name}_std"].values if f"{name}_std" in result else np.array([])
         if np.isfinite(stated).any():
-            said += f" (this result states {unit.factor * float(np.nanmedian(stated)):.2g} {unit.name} in the median)"
-        rows.append((f"noise floor, {name}", said))
+            text += f" (this result states {unit.factor * float(np.nanmedian(stated)):.2g} {unit.name} in the median)"
+        rows.append((f"noise floor, {name}", text))
     return rows
 
 
@@ -113,8 +113,8 @@ def _view_sizes(views: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
     if "height" in views:
         return dict.fromkeys(("contact", "topography"), (views["height"], views["width"]))
     # The other names are aliases of this view for stages.
-    some = {"camera": views["camera"]} if "camera" in views else views
-    spans = {name: (view["rows"], view["columns"]) for name, view in some.items()}
+    shown = {"camera": views["camera"]} if "camera" in views else views
+    spans = {name: (view["rows"], view["columns"]) for name, view in shown.items()}
     return {name: (rows[1] - rows[0], columns[1] - columns[0]) for name, (rows, columns) in spans.items()}
 
 
@@ -143,8 +143,8 @@ def _spacing(result: xr.Dataset) -> str:
     """
     position = result["position_px"].values
     frame = int(np.isfinite(position).all(-1).sum(1).argmax())
-    known = position[frame][np.isfinite(position[frame]).all(-1)]
-    if len(known) < 3:
+    points = position[frame][np.isfinite(position[frame]).all(-1)]
+    if len(points) < 3:
         return ""
-    nearest = cKDTree(known).query(known, 2)[0][:, 1]
+    nearest = cKDTree(points).query(points, 2)[0][:, 1]
     return f", nearest neighbour at {np.median(nearest):.1f} px in the median"

@@ -53,7 +53,7 @@ def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above:
             if set(sides) <= set(value):
                 ranges = (f"{side} {value[side][0]} to {value[side][1] - 1}" for side in sides)
                 rows.append((f"{above}{words}", ", ".join(ranges)))
-                value = {name: one for name, one in value.items() if name not in sides}
+                value = {name: setting for name, setting in value.items() if name not in sides}
             rows += _rows(value, key, f"{above}{words}: ")
             continue
         text = _value(value)
@@ -67,5 +67,5 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        return ", ".join(_value(one) for one in value)
+        return ", ".join(_value(entry) for entry in value)
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from fingerflow.plot.axes_style import TWO_COLUMNS_MM, figure_style, new_figure
 from fingerflow.plot.captions import caption_of, describe
-from fingerflow.plot.panels import captions_of, letter_panel
+from fingerflow.plot.panels import join_captions, letter_panel
 
 _COLUMNS = 3
 _WIDE_MM, _HIGH_MM = 55.0, 48.0  # mm, least width and height of a panel in which its text fits
@@ -27,7 +27,7 @@ class SheetPanel:
     rows: float = 1.0
 
     @classmethod
-    def of_axes(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
+    def single(cls, letter: str, draw: Callable[..., Any], *values: Any, columns: int = 1) -> "SheetPanel":
         """Return a panel with one axes, which is drawn by calling ``draw(axes, *values)``."""
         return cls(letter, lambda part: draw(part.subplots(), *values), columns)
 
@@ -72,7 +72,7 @@ class Sheet:
                     at += wide
         heading = f"Figure {self.name}{': ' * bool(self.title)}{self.title}."
         names = [f"as {self.name} {panel.letter.replace(' (', ', ').rstrip(')')}" for panel in self.panels]
-        captions = captions_of(parts, names) if len(parts) > 1 else [caption_of(parts[0])]
+        captions = join_captions(parts, names) if len(parts) > 1 else [caption_of(parts[0])]
         describe(figure, "\n".join((heading, *captions)))
         return figure
 
@@ -81,7 +81,7 @@ class Sheet:
         columns = max(1, min(_COLUMNS, int(width_mm // _WIDE_MM), sum(panel.columns for panel in self.panels)))
         rows: list[list[SheetPanel]] = []
         for panel in self.panels:
-            taken = sum(min(other.columns, columns) for other in rows[-1]) if rows else columns
+            taken = sum(min(panel_before.columns, columns) for panel_before in rows[-1]) if rows else columns
             if taken + min(panel.columns, columns) > columns:
                 rows.append([])
             rows[-1].append(panel)

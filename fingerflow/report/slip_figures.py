@@ -17,7 +17,7 @@ from fingerflow.models.partial_slip import (
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished, line_styles
 from fingerflow.plot.captions import describe
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 PRINTED = "moved by less than 40 µm"
@@ -93,17 +93,17 @@ def draw_trial(
     if fit is not None and fit.identified:
         draw_partial_slip(axes, fit.mu_s, max(fit.mu_k, 0.0), rf"$\mu_s$ = {fit.mu_s:.2f}, $\mu_k$ = {fit.mu_k:.2f}")
     axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
-    known = int((np.isfinite(area) & np.isfinite(load)).sum())
-    said = [
+    measured = int((np.isfinite(area) & np.isfinite(load)).sum())
+    caption = [
         "Stuck area over contact area, d², against the friction ratio T/N, tangential over normal force; yellow: "
         f"T/N within {100 * CORRIDOR:g} % of its value at the complete loss of adhesion."
     ]
     if printed_area is not None:
-        said.append("Crosses: d² by the printed criterion, displacement below 40 µm.")
+        caption.append("Crosses: d² by the printed criterion, displacement below 40 µm.")
     if collapses:
-        critical = with_uncertainty(verdict.critical_area, verdict.critical_area_std)
-        said.append(f"Dotted, with a band of ± one standard deviation: critical d² {critical}. Thick: its collapse.")
-    return finished(axes, " ".join([*said, f"n = {known} frames."]))
+        critical = format_uncertainty(verdict.critical_area, verdict.critical_area_std)
+        caption.append(f"Dotted, with a band of ± one standard deviation: critical d² {critical}. Thick: its collapse.")
+    return finished(axes, " ".join([*caption, f"n = {measured} frames."]))
 
 
 def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
@@ -156,7 +156,7 @@ def draw_over_time(
     if verdict.loss_frame >= 0:
         axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")
     axes.set(xlabel="time (s)", ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
-    collapse = with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)
+    collapse = format_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)
     lasts = f" Thick: the collapse, {collapse} ms (± one standard deviation)." if collapses else ""
     return finished(axes, f"d² against time.{lasts} n = {int(np.isfinite(area).sum())} frames.")
 
@@ -168,7 +168,7 @@ def _draw_collapse(axes: Axes, x: NDArray[Any], area: NDArray[Any], verdict: Tri
     if verdict.outcome != "vanishes abruptly":
         return False
     collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
-    name = f"collapse, {with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
+    name = f"collapse, {format_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
     axes.plot(x[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
     return True
 

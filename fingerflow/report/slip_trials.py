@@ -17,8 +17,8 @@ from fingerflow.plot.axes_style import ONE_COLUMN_MM, TWO_COLUMNS_MM, figure_sty
 from fingerflow.plot.captions import describe
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.outlines import contact_outline, stuck_outline
-from fingerflow.plot.panels import captions_of, row_of_panels
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.panels import join_captions, row_of_panels
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
 
 
@@ -32,7 +32,7 @@ class SlipTrial:
     fit: FrictionFit | None
 
     @classmethod
-    def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
+    def read(cls, result: xr.Dataset, name: str) -> "SlipTrial":
         """Return the trial stored in a result data set with the variable `stuck_ratio`."""
         stored = result["stuck_ratio"].attrs
         verdict = TrialVerdict(**_numbers(stored["verdict"]))
@@ -56,17 +56,17 @@ def verdict_line(trial: SlipTrial) -> str:
     """Return one line of text on how a trial loses its stuck area (abruptly, gradually or undecided): by change-point
     detection, by the rule printed in the paper, and by the fitted model.
     """
-    found = trial.verdict
-    numbers = [f"as printed: {found.printed_outcome}", f"by the model: {found.model_outcome}", found.reason]
-    if math.isfinite(found.loss_load_ratio):
-        numbers.append(f"T/N {found.loss_load_ratio:.2f} at the loss")
-    if found.outcome == "vanishes abruptly":
+    verdict = trial.verdict
+    numbers = [f"as printed: {verdict.printed_outcome}", f"by the model: {verdict.model_outcome}", verdict.reason]
+    if math.isfinite(verdict.loss_load_ratio):
+        numbers.append(f"T/N {verdict.loss_load_ratio:.2f} at the loss")
+    if verdict.outcome == "vanishes abruptly":
         numbers.append(
-            f"extent d {found.critical_extent:.2f}, "
-            f"collapse {with_uncertainty(found.collapse_ms, found.collapse_ms_std)} ms, "
-            f"{with_uncertainty(found.collapse_rate, found.collapse_rate_std)} per second"
+            f"extent d {verdict.critical_extent:.2f}, "
+            f"collapse {format_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms, "
+            f"{format_uncertainty(verdict.collapse_rate, verdict.collapse_rate_std)} per second"
         )
-    return f"{trial.name}: {found.outcome} ({'; '.join(numbers)})"
+    return f"{trial.name}: {verdict.outcome} ({'; '.join(numbers)})"
 
 
 def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
@@ -123,12 +123,12 @@ def trial_figure(trial: SlipTrial, width_mm: float = TWO_COLUMNS_MM) -> Figure:
         left, middle, right = (part.subplots() for part in parts)
         # Show the last frame of slow loading, as the stick region has almost vanished later.
         frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-        position, one = np.asarray(result["position"]), result.isel(frame=frame)
-        draw_motion(left, position[0], position[frame] - position[0], contact_outline(one), stuck_outline(one))
+        position, shown = np.asarray(result["position"]), result.isel(frame=frame)
+        draw_motion(left, position[0], position[frame] - position[0], contact_outline(shown), stuck_outline(shown))
         printed, deviation = (result.get(name) for name in ("printed_stuck_ratio", "stuck_ratio_std"))
         draw_trial(middle, area, load, verdict, trial.fit, printed)
         draw_over_time(right, result["time"], area, verdict, deviation, printed)
-    captions = captions_of(parts)
+    captions = join_captions(parts)
     captions[0] += f" At {float(result['time'][frame]):.2f} s, the end of slow loading."
     describe(figure, "\n".join((f"Trial {verdict_line(replace(trial, name=trial.words))}.", *captions)))
     return figure

@@ -14,7 +14,7 @@ from fingerflow.models.observer.trials_table import COLUMNS, leave_out_moved
 from fingerflow.report import trial_metrics
 from fingerflow.report.observer import draw_counts, draw_estimates, draw_groups, draw_psychometric, draw_roc
 from fingerflow.report.sheet import Sheet, SheetPanel
-from fingerflow.report.trial_metrics import AMPLITUDE, label_of, participant_medians
+from fingerflow.report.trial_metrics import AMPLITUDE, metric_label, participant_medians
 from fingerflow.schema.trial_columns import DIFFERENCE
 
 Panels = tuple[tuple[str, Callable[..., Any], tuple[str, ...]], ...]
@@ -79,11 +79,11 @@ def supplement_sheet(name: str, trials: Trials, design: str = FORCED_CHOICE) -> 
     title, of_recordings, drawn = _OF_METRICS[name]
     panels, left_out = [], [(letter, _RECORDINGS) for letter in of_recordings]
     for letter, draw, names in drawn:
-        metrics = [_with_values(trials, metric) for metric in names]
+        metrics = [_measured_name(trials, metric) for metric in names]
         if lacks := _missing(trials, *metrics):
             left_out.append((letter, lacks))
         else:
-            panels.append(SheetPanel.of_axes(letter, draw, trials, *metrics))
+            panels.append(SheetPanel.single(letter, draw, trials, *metrics))
     return Sheet(name, tuple(panels), tuple(left_out), title)
 
 
@@ -95,15 +95,19 @@ def _ideal_observer(trials: Trials) -> Sheet:
         return Sheet("S11", (), (("it", lacks),))
     if "global_displacement" in trials.metrics:
         trials = leave_out_moved(trials)
-    found = {name.replace("_", " "): one for name, one in observe(trials, metrics).items()}
-    printed = {name: one.printed for name, one in found.items()}
-    first = next(iter(found))
+    ideal = {name.replace("_", " "): seen for name, seen in observe(trials, metrics).items()}
+    printed = {name: seen.printed for name, seen in ideal.items()}
+    first = next(iter(ideal))
     panels = (
-        SheetPanel.of_axes("A", draw_counts, printed[first], first),
-        SheetPanel.of_axes("B", draw_roc, printed, columns=2),
-        SheetPanel.of_axes("C, d'", draw_estimates, {name: one.d_prime for name, one in found.items()}, "d'", 0),
-        SheetPanel.of_axes(
-            "C, AUC", draw_estimates, {name: one.auc for name, one in found.items()}, "area under the ROC", 0.5
+        SheetPanel.single("A", draw_counts, printed[first], first),
+        SheetPanel.single("B", draw_roc, printed, columns=2),
+        SheetPanel.single("C, d'", draw_estimates, {name: seen.d_prime for name, seen in ideal.items()}, "d'", 0),
+        SheetPanel.single(
+            "C, AUC",
+            draw_estimates,
+            {name: seen.auc for name, seen in ideal.items()},
+            "area under the ROC",
+            0.5,
         ),
     )
     return Sheet("S11", panels, (("the rest", lacks),) if lacks else (), "ideal observer of each metric")
@@ -111,7 +115,7 @@ def _ideal_observer(trials: Trials) -> Sheet:
 
 def _individual_performance(trials: Trials, design: str) -> Sheet:
     """Return figure S12: groups of participants by median divergence (or its difference), and their answers."""
-    metric = _with_values(trials, "divergence" + DIFFERENCE)
+    metric = _measured_name(trials, "divergence" + DIFFERENCE)
     if lacks := _missing(trials, metric):
         return Sheet("S12", (), (("it", lacks),))
     names, medians = participant_medians(trials, metric)
@@ -119,11 +123,11 @@ def _individual_performance(trials: Trials, design: str) -> Sheet:
     parts = {"all": trials}
     if groups.groups == 2:
         is_softer = np.isin(trials.participant, names[groups.membership > 0.5])
-        parts = {"stiffer skin": _of(trials, ~is_softer), "softer skin": _of(trials, is_softer)}
-    panels = [SheetPanel.of_axes("A", draw_groups, medians, groups, f"median {label_of(metric)}")]
+        parts = {"stiffer skin": _select_trials(trials, ~is_softer), "softer skin": _select_trials(trials, is_softer)}
+    panels = [SheetPanel.single("A", draw_groups, medians, groups, f"median {metric_label(metric)}")]
     panels += [
-        SheetPanel.of_axes(f"B, {name}" if len(parts) > 1 else "B", trial_metrics.draw_share_against, own, metric)
-        for name, own in parts.items()
+        SheetPanel.single(f"B, {name}" if len(parts) > 1 else "B", trial_metrics.draw_share_against, part, metric)
+        for name, part in parts.items()
     ]
     left_out = [("A", f"two groups: {groups.reason}")] if groups.reason else []
     if not np.issubdtype(trials.condition.dtype, np.number):
@@ -132,33 +136,33 @@ def _individual_performance(trials: Trials, design: str) -> Sheet:
     elif np.unique(trials.condition).size < _FEWEST_AMPLITUDES:
         left_out.append(("C", f"{_FEWEST_AMPLITUDES} amplitudes in the column condition or more"))
     else:
-        panels.append(SheetPanel.of_axes("C", _draw_curves, parts, GUESSES[design]))
+        panels.append(SheetPanel.single("C", _draw_curves, parts, GUESSES[design]))
     return Sheet("S12", tuple(panels), tuple(left_out), "performance of participants")
 
 
 def _draw_curves(axes: Axes, parts: dict[str, Trials], guess: float | None) -> None:
     curves = {}
     for name, trials in parts.items():
-        amplitudes, place = np.unique(trials.condition.astype(np.float64), return_inverse=True)
+        amplitudes, column = np.unique(trials.condition.astype(np.float64), return_inverse=True)
         who, person = np.unique(trials.participant, return_inverse=True)
-        block = person * amplitudes.size + place
+        block = person * amplitudes.size + column
         answers, counts = (
             np.bincount(block, weights, who.size * amplitudes.size).reshape(who.size, amplitudes.size)
             for weights in (trials.answer, None)
         )
-        person, place = np.nonzero(counts)
-        blocks = amplitudes[place], answers[person, place], counts[person, place]
+        person, column = np.nonzero(counts)
+        blocks = amplitudes[column], answers[person, column], counts[person, column]
         fit = fit_psychometric(*blocks, guess=guess, participants=who[person])
         curves[name] = (amplitudes, answers.sum(0), counts.sum(0), fit)
     draw_psychometric(axes, curves, AMPLITUDE)
 
 
-def _of(trials: Trials, chosen: NDArray[np.bool_]) -> Trials:
+def _select_trials(trials: Trials, chosen: NDArray[np.bool_]) -> Trials:
     columns = {name: getattr(trials, name)[chosen] for name in COLUMNS}
     return replace(trials, **columns, metrics={name: values[chosen] for name, values in trials.metrics.items()})
 
 
-def _with_values(trials: Trials, metric: str) -> str:
+def _measured_name(trials: Trials, metric: str) -> str:
     """Return a metric's name, or without `_difference` where the difference has no values."""
     return metric.removesuffix(DIFFERENCE) if _missing(trials, metric) else metric
 

@@ -13,8 +13,8 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
-from fingerflow.plot.rounding import with_interval, with_uncertainty
-from fingerflow.plot.wording import definition_of, sentence
+from fingerflow.plot.rounding import format_interval, format_uncertainty
+from fingerflow.plot.wording import definition_text, sentence
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 
 Values = NDArray[np.float64]
@@ -31,32 +31,32 @@ METRICS = (
 )  # fmt: skip
 
 
-def label_of(metric: str) -> str:
+def metric_label(metric: str) -> str:
     """Return the axis label of a metric; `_difference` in its name stands for comparison minus reference."""
-    own = NUMBERS[metric.removesuffix(DIFFERENCE)]
-    return own.add_unit(f"{own.words} difference" if metric.endswith(DIFFERENCE) else own.words)
+    column = NUMBERS[metric.removesuffix(DIFFERENCE)]
+    return column.add_unit(f"{column.words} difference" if metric.endswith(DIFFERENCE) else column.words)
 
 
 def _defined(metric: str) -> str:
     less = ", comparison less reference" if metric.endswith(DIFFERENCE) else ""
-    return definition_of(NUMBERS[metric.removesuffix(DIFFERENCE)], less)
+    return definition_text(NUMBERS[metric.removesuffix(DIFFERENCE)], less)
 
 
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figures S5 B, C, D and H: histogram of a metric with its mean and standard deviation."""
     values = _shown(trials, metric)
-    known = values[np.isfinite(values)]
-    axes.hist(known, bins=max(8, min(40, round(known.size**0.5))) if known.size else 8, color=GREY, alpha=0.7)
-    if known.size > 1:
-        mean, deviation = known.mean(), known.std(ddof=1)
+    finite = values[np.isfinite(values)]
+    axes.hist(finite, bins=max(8, min(40, round(finite.size**0.5))) if finite.size else 8, color=GREY, alpha=0.7)
+    if finite.size > 1:
+        mean, deviation = finite.mean(), finite.std(ddof=1)
         axes.axvline(mean, color=INK)
         axes.axvspan(mean - deviation, mean + deviation, color=INK, alpha=0.12, linewidth=0)
-        axes.set_title(f"{with_uncertainty(mean, deviation)}, {known.size} trials")
-    axes.set(xlabel=label_of(metric), ylabel="trials")
+        axes.set_title(f"{format_uncertainty(mean, deviation)}, {finite.size} trials")
+    axes.set(xlabel=metric_label(metric), ylabel="trials")
     return finished(
         axes,
         f"Histogram. {_defined(metric)} Line and band: mean ± one standard deviation over trials. "
-        f"n = {known.size} trials.",
+        f"n = {finite.size} trials.",
     )
 
 
@@ -66,46 +66,46 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
     Participants are the units of the intervals and a random effect of the ANOVA.
     """
     values = _shown(trials, metric)
-    known = np.isfinite(values)
-    if known.any():
-        edges = np.unique(np.quantile(values[known], np.linspace(0, 1, _BINS + 1)))
-        which = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, max(len(edges) - 2, 0))
-        answers = trials.answer[known]
+    finite = np.isfinite(values)
+    if finite.any():
+        edges = np.unique(np.quantile(values[finite], np.linspace(0, 1, _BINS + 1)))
+        which = np.clip(np.searchsorted(edges, values[finite], side="right") - 1, 0, max(len(edges) - 2, 0))
+        answers = trials.answer[finite]
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
-        middles = np.array([np.median(values[known][group]) for group in groups])
-        limits = np.array([_wilson(answers[group], trials.participant[known][group]) for group in groups]).T
+        middles = np.array([np.median(values[finite][group]) for group in groups])
+        limits = np.array([_wilson(answers[group], trials.participant[finite][group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
-    axes.set(xlabel=label_of(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
+    axes.set(xlabel=metric_label(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
     axes.set_title(_anova_text(test))
     return finished(
         axes,
         f"Share of trials in which the comparison was felt as more slippery, in {_BINS} bins of equally many trials at "
         f"their median. {_defined(metric)} Bars: 95 % intervals, participants as units. {_anova_sentence(test)} "
-        f"n = {int(known.sum())} trials.",
+        f"n = {int(finite.sum())} trials.",
     )
 
 
 def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Draw figure S5 I: share of "more slippery" answers by vibration amplitude, for three levels of a metric."""
     values = _shown(trials, metric)
-    known = np.isfinite(values)
-    conditions, place = _conditions(trials)
-    low, high = np.quantile(values[known], (1 / 3, 2 / 3)) if known.any() else (np.nan, np.nan)
-    third = np.where(known, (values >= low).astype(int) + (values >= high), -1)
+    finite = np.isfinite(values)
+    conditions, condition = _conditions(trials)
+    low, high = np.quantile(values[finite], (1 / 3, 2 / 3)) if finite.any() else (np.nan, np.nan)
+    third = np.where(finite, (values >= low).astype(int) + (values >= high), -1)
     names = (f"< {low:.3g}", f"{low:.3g} to {high:.3g}", f"≥ {high:.3g}")
     for number, (name, style, hatch) in enumerate(zip(names, line_styles(3, True), _HATCHES, strict=True)):
-        answers = [trials.answer[(third == number) & (place == index)] for index in range(len(conditions))]
-        shares = [float(own.mean()) if own.size else np.nan for own in answers]
+        answers = [trials.answer[(third == number) & (condition == index)] for index in range(len(conditions))]
+        shares = [float(group.mean()) if group.size else np.nan for group in answers]
         where = np.arange(len(conditions)) + 0.27 * (number - 1)
         axes.bar(where, shares, 0.25, label=name, color=style["color"], hatch=hatch, edgecolor="white", linewidth=0)
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
-    size = f"{int(known.sum())} trials of {np.unique(trials.participant[known]).size} participants"
+    size = f"{int(finite.sum())} trials of {np.unique(trials.participant[finite]).size} participants"
     axes.set_title(size)
     return finish_with_side_legend(
         axes,
-        label_of(metric),
+        metric_label(metric),
         "Share of trials in which the comparison was felt as more slippery, by vibration amplitude, for trials in the "
         f"low, middle and high third of the metric. {_defined(metric)} n = {size}.",
     )
@@ -125,20 +125,20 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     values = _shown(trials, metric)
     if normalised:
         values = _over_own_median(values, trials.participant)
-    conditions, place = _conditions(trials)
+    conditions, condition = _conditions(trials)
     for index in range(len(conditions)):
-        own = values[place == index]
-        own = own[np.isfinite(own)]
-        if not own.size:
+        group = values[condition == index]
+        group = group[np.isfinite(group)]
+        if not group.size:
             continue
         # Spread the dots in the order of the table and not at random, so that figures are reproducible.
-        axes.plot(index + np.linspace(-0.3, 0.3, own.size), own, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
-        if own.size > 1:
-            mean, deviation = own.mean(), own.std(ddof=1)
+        axes.plot(index + np.linspace(-0.3, 0.3, group.size), group, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
+        if group.size > 1:
+            mean, deviation = group.mean(), group.std(ddof=1)
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
-        axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
+        axes.plot([index - 0.3, index + 0.3], [np.median(group)] * 2, color=INK, linewidth=2)
     test = repeated_anova(values, trials.condition, trials.participant)
-    label = label_of(metric)
+    label = metric_label(metric)
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
     axes.set_title(_anova_text(test))
@@ -159,38 +159,38 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     """
     values = _shown(trials, metric)
     conditions, _ = _conditions(trials)
-    medians, shares, condition, who = dots_of(trials, values)
+    medians, shares, condition, who = participant_dots(trials, values)
     for index, style in enumerate(dot_styles(len(conditions))):
-        own = condition == index
-        axes.plot(medians[own], shares[own], label=conditions[index], **style)
-    found = spearman(medians, shares, participants=who)
-    axes.set(xlabel=f"median {label_of(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.05))
+        dots = condition == index
+        axes.plot(medians[dots], shares[dots], label=conditions[index], **style)
+    correlation = spearman(medians, shares, participants=who)
+    axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.05))
     axes.locator_params(axis="x", nbins=5)
-    size = f"{found.trials} dots of {found.participants} participants"
-    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {size}")
+    size = f"{correlation.trials} dots of {correlation.participants} participants"
+    axes.set_title(f"Spearman {correlation.value:.2f}, {_p(correlation.p)}, {size}")
     return finish_with_side_legend(
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
         f"participant and amplitude. {_defined(metric)} Spearman's rank correlation (95 % interval): "
-        f"{with_interval(found.value, *found.interval)}, {_p(found.p)}; n = {size}.",
+        f"{format_interval(correlation.value, *correlation.interval)}, {_p(correlation.p)}; n = {size}.",
     )
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R²."""
     x, y = _draw_by_participant(axes, trials, first, second)
-    found = pearson(x, y, trials.participant)
-    if np.isfinite(found.value):
+    correlation = pearson(x, y, trials.participant)
+    if np.isfinite(correlation.value):
         both = np.isfinite(x) & np.isfinite(y)
         line = stats.linregress(x[both], y[both])
         ends = np.array([x[both].min(), x[both].max()])
-        slope = with_uncertainty(line.slope, line.stderr)
-        offset = with_uncertainty(line.intercept, line.intercept_stderr)
+        slope = format_uncertainty(line.slope, line.stderr)
+        offset = format_uncertainty(line.intercept, line.intercept_stderr)
         axes.plot(ends, line.slope * ends + line.intercept, color=RED, linewidth=1.2)
-        axes.set_title(f"slope {slope}, offset {offset}, R² = {found.value**2:.2f}")
-    axes.set(xlabel=label_of(first), ylabel=label_of(second))
-    size = f"{found.trials} trials of {np.unique(trials.participant).size} participants"
+        axes.set_title(f"slope {slope}, offset {offset}, R² = {correlation.value**2:.2f}")
+    axes.set(xlabel=metric_label(first), ylabel=metric_label(second))
+    size = f"{correlation.trials} trials of {np.unique(trials.participant).size} participants"
     return finished(
         axes,
         f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} Line: least squares; "
@@ -200,31 +200,31 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
 
 def draw_medians(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figure S13 C: one median over the contact against another, a dot a trial, coloured by participant."""
-    found = pearson(*_draw_by_participant(axes, trials, first, second), participants=trials.participant)
-    low, high = found.interval
-    axes.set(xlabel=f"median {label_of(first)}", ylabel=f"median {label_of(second)}")
-    axes.set_title(f"r = {with_interval(found.value, low, high)}, {found.trials} trials")
+    correlation = pearson(*_draw_by_participant(axes, trials, first, second), participants=trials.participant)
+    low, high = correlation.interval
+    axes.set(xlabel=f"median {metric_label(first)}", ylabel=f"median {metric_label(second)}")
+    axes.set_title(f"r = {format_interval(correlation.value, low, high)}, {correlation.trials} trials")
     return finished(
         axes,
         f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} r: Pearson's "
-        f"correlation with its 95 % interval, participants as units. n = {found.trials} trials of "
+        f"correlation with its 95 % interval, participants as units. n = {correlation.trials} trials of "
         f"{np.unique(trials.participant).size} participants.",
     )
 
 
-def dots_of(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
+def participant_dots(trials: Trials, values: Values) -> tuple[Values, Values, NDArray[np.intp], NDArray[Any]]:
     """Return, for N pairs of participant and condition, four arrays (N,): the median of the trials' `values`, the share
     of "more slippery" answers, the index of the condition, and the participant.
 
     Pairs without a known value are left out.
     """
-    conditions, place = np.unique(trials.condition, return_inverse=True)
+    conditions, level = np.unique(trials.condition, return_inverse=True)
     dots = []
     for participant in np.unique(trials.participant):
         for index in range(len(conditions)):
-            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
-            if own.any():
-                dots.append((float(np.median(values[own])), float(trials.answer[own].mean()), index, participant))
+            group = (level == index) & (trials.participant == participant) & np.isfinite(values)
+            if group.any():
+                dots.append((float(np.median(values[group])), float(trials.answer[group].mean()), index, participant))
     medians, shares, condition, who = zip(*dots, strict=True) if dots else ((), (), (), ())
     return np.array(medians), np.array(shares), np.array(condition, dtype=np.intp), np.array(who)
 
@@ -233,8 +233,8 @@ def participant_medians(trials: Trials, metric: str) -> tuple[NDArray[Any], Valu
     """Return the participants' names and the median of a metric for each, in its axis unit; NaN where unknown."""
     names = np.unique(trials.participant)
     values = _shown(trials, metric)
-    own = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
-    return names, np.array([np.median(known) if known.size else np.nan for known in own])
+    groups = (values[(trials.participant == name) & np.isfinite(values)] for name in names)
+    return names, np.array([np.median(group) if group.size else np.nan for group in groups])
 
 
 def finish_with_side_legend(axes: Axes, title: str, caption: str) -> Axes:
@@ -254,8 +254,8 @@ def _draw_by_participant(axes: Axes, trials: Trials, first: str, second: str) ->
     x, y = _shown(trials, first), _shown(trials, second)
     names = np.unique(trials.participant)
     for name, style in zip(names, dot_styles(names.size), strict=True):
-        own = trials.participant == name
-        axes.plot(x[own], y[own], markersize=2.5, markeredgewidth=0, **style)
+        trials_of_one = trials.participant == name
+        axes.plot(x[trials_of_one], y[trials_of_one], markersize=2.5, markeredgewidth=0, **style)
     return x, y
 
 
@@ -267,17 +267,17 @@ def _shown(trials: Trials, metric: str) -> Values:
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
     """Return the names of the conditions in ascending order, and the index of its condition for each trial."""
-    values, place = np.unique(trials.condition, return_inverse=True)
-    return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
+    values, index = np.unique(trials.condition, return_inverse=True)
+    return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], index
 
 
 def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
     scaled = np.full(values.shape, np.nan)
     for name in np.unique(participant):
-        own = participant == name
-        known = values[own & np.isfinite(values)]
-        if known.size and np.median(known) > 0:
-            scaled[own] = values[own] / np.median(known)
+        theirs = participant == name
+        finite = values[theirs & np.isfinite(values)]
+        if finite.size and np.median(finite) > 0:
+            scaled[theirs] = values[theirs] / np.median(finite)
     return scaled
 
 
@@ -289,12 +289,12 @@ def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[floa
     1965). The quantile is Student's with P - 1 degrees of freedom.
     """
     n, share = float(answers.size), float(answers.mean())
-    _, own = np.unique(participant, return_inverse=True)
-    apart = np.bincount(own, answers - share)
-    if apart.size > 1 and 0 < share < 1:
-        effect = apart.size / (apart.size - 1) * float(apart @ apart) / (n * share * (1 - share))
+    _, person = np.unique(participant, return_inverse=True)
+    effects = np.bincount(person, answers - share)
+    if effects.size > 1 and 0 < share < 1:
+        effect = effects.size / (effects.size - 1) * float(effects @ effects) / (n * share * (1 - share))
         n /= max(effect, 1.0)
-    z = float(stats.t.ppf(0.975, max(apart.size - 1, 1)))
+    z = float(stats.t.ppf(0.975, max(effects.size - 1, 1)))
     middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     reach = z / (1 + z**2 / n) * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n * n)))
     return middle - reach, middle + reach

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.plot.outlines import contact_outline, in_pixels, matrix_of_view, stuck_outline
-from fingerflow.plot.picture import check_recording, views_of
+from fingerflow.plot.outlines import contact_outline, matrix_of_view, stuck_outline, to_pixels
+from fingerflow.plot.picture import check_recording, shown_views
 from fingerflow.recordings import Recording
 from fingerflow.schema.scene import Scene
 
@@ -30,7 +30,7 @@ class ViewPainter:
         self._result = result
         self._outlined = result[[name for name in _OUTLINED if name in result]]
         self._recording = recording
-        self._views = [(scene.views[name], matrix_of_view(result, name)) for name in views_of(scene)]
+        self._views = [(scene.views[name], matrix_of_view(result, name)) for name in shown_views(scene)]
         self._levels: dict[int, tuple[float, float]] = {}
         self._first = scene.recording.first_frame
 
@@ -38,8 +38,8 @@ class ViewPainter:
         """Return an RGB image (H, W, 3) of a frame, by its index in the result: its views side by side, with contact,
         points, and displacement arrows lengthened by `arrow_scale` (0: no arrows).
         """
-        picture, one = self._recording[self._first + frame], self._outlined.isel(frame=frame)
-        outlines = ((contact_outline(one), CONTACT, 1), (stuck_outline(one), STUCK, 2))
+        picture, outlined = self._recording[self._first + frame], self._outlined.isel(frame=frame)
+        outlines = ((contact_outline(outlined), CONTACT, 1), (stuck_outline(outlined), STUCK, 2))
         parts = []
         for number, (view, matrix) in enumerate(self._views):
             part = self._grey(number, view.crop(picture))
@@ -65,23 +65,26 @@ class ViewPainter:
         if "position" not in self._result:
             return
         positions = self._result["position"].values
-        known = np.isfinite(positions[frame]).all(-1)
+        tracked = np.isfinite(positions[frame]).all(-1)
         now = _drawing_coordinates(positions[frame], matrix)
         if "displacement" in self._result and arrow_scale:
             moved = self._result["displacement"].values[frame]
-            shown = known & np.isfinite(moved).all(-1)
+            shown = tracked & np.isfinite(moved).all(-1)
             tips = _drawing_coordinates(positions[frame] + arrow_scale * moved, matrix)
             arrows = part.copy()
             cv2.polylines(arrows, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
             cv2.addWeighted(arrows, _ARROW_OPACITY, part, 1 - _ARROW_OPACITY, 0, dst=part)
-        lost = ~known & np.isfinite(positions[0]).all(-1)
-        for places, colour in ((now[known], TRACKED), (_drawing_coordinates(positions[0], matrix)[lost], LOST)):
-            for place in places.tolist():
-                cv2.circle(part, place, 14, colour, -1, cv2.LINE_AA, 3)
+        lost = ~tracked & np.isfinite(positions[0]).all(-1)
+        for drawn, colour in (
+            (now[tracked], TRACKED),
+            (_drawing_coordinates(positions[0], matrix)[lost], LOST),
+        ):
+            for position in drawn.tolist():
+                cv2.circle(part, position, 14, colour, -1, cv2.LINE_AA, 3)
 
 
 def _drawing_coordinates(millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
     """Convert positions (N, 2), mm on the glass, by the affine map `matrix` (2, 3) to px of a view, as integers in 1/8
     px, which OpenCV draws; arbitrary where NaN.
     """
-    return np.round(np.nan_to_num(in_pixels(millimetres, matrix)) * 8).astype(np.int32)
+    return np.round(np.nan_to_num(to_pixels(millimetres, matrix)) * 8).astype(np.int32)

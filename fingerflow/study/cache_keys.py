@@ -59,10 +59,10 @@ class Keys:
     inputs: Mapping[str, InputFile]
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "Keys":
+    def parse(cls, stored: Mapping[str, Any]) -> "Keys":
         """Return the cache keys stored in `row.json`; raise KeyError or TypeError if the JSON holds anything else."""
-        inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
-        return cls(found["result"], found["row"], inputs)
+        inputs = {name: InputFile(**facts) for name, facts in stored["inputs"].items()}
+        return cls(stored["result"], stored["row"], inputs)
 
     def changed_inputs(self, now: "Keys") -> list[str]:
         """Return the scene-file keys, such as `recording.frames`, of the input files that differ between these cache
@@ -73,7 +73,7 @@ class Keys:
         return [name for name, before, after in both if not (before and after and same_content(before, after))]
 
 
-def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
+def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
     """Compute the cache keys of a trial from its current input files, settings and code version.
 
     A file that `earlier` lists with the same size and modification time is not read again.
@@ -89,21 +89,21 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     named = {name: value for name, value in values.items() if isinstance(value, str) and value in paths}
     inputs = {name: describe_file(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
     # Identify files by their content, not by their names.
-    values |= {name: [one.size, one.digest] for name, one in inputs.items()}
-    result = digest_of(values, code_of("result"))
-    return Keys(result, digest_of(result, code_of("row")), inputs)
+    values |= {name: [file.size, file.digest] for name, file in inputs.items()}
+    result = digest_of(values, code_digest("result"))
+    return Keys(result, digest_of(result, code_digest("row")), inputs)
 
 
 def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
     """Return size, time and digest of a file or folder, taking `earlier.digest` if size and time are equal."""
     file = Path(str(path).partition("::")[0])
     try:
-        facts = [(one, one.stat()) for one in _files_of(file)]
+        facts = [(path, path.stat()) for path in _list_files(file)]
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
         if earlier is not None and (earlier.size, earlier.modified) == (size, modified):
             return InputFile(str(path), size, modified, earlier.digest)
         member = str(path).partition("::")[2].encode()
-        contents = (part for one, fact in facts for part in _content(one, fact.st_size))
+        contents = (part for path, fact in facts for part in _content(path, fact.st_size))
         digest = digest_of_bytes(chain([member], contents))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
@@ -122,22 +122,24 @@ def all_codes() -> dict[str, str]:
     """Return a digest of the source code that computes results and one of the code that computes table rows, under the
     keys "result" and "row".
     """
-    return {part: code_of(part) for part in _PARTS}
+    return {part: code_digest(part) for part in _PARTS}
 
 
 @cache
-def code_of(part: str) -> str:
+def code_digest(part: str) -> str:
     """Return a digest of the source code that computes "result" or "row" of a trial."""
     if part == "result":
         return code_version()
     return digest_of(*((Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in _ROW))
 
 
-def _files_of(file: Path) -> list[Path]:
+def _list_files(file: Path) -> list[Path]:
     if file.is_dir():
-        return sorted(one for one in file.rglob("*") if one.is_file())
+        return sorted(path for path in file.rglob("*") if path.is_file())
     if file.suffix.lower() in _IN_TWO:
-        return sorted(one for one in file.parent.iterdir() if one.stem == file.stem and one.suffix.lower() in _IN_TWO)
+        return sorted(
+            path for path in file.parent.iterdir() if path.stem == file.stem and path.suffix.lower() in _IN_TWO
+        )
     return [file]
 
 

@@ -57,14 +57,14 @@ def run_on_workers(
         FingerflowError: the cluster is not available.
         Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
     """
-    many = workers_for(count, workers)
+    worker_count = workers_for(count, workers)
     # A local cluster is replaced after so many tasks, when none is running; other clusters follow their own rules.
-    each_round = _RENEWED_AFTER * many if scheduler is None else None
+    each_round = _RENEWED_AFTER * worker_count if scheduler is None else None
     waiting = iter(tasks)
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
-            with _client(scheduler, many, threads_each(scheduler, many)) as client:
+            with _client(scheduler, worker_count, threads_each(scheduler, worker_count)) as client:
                 for result in _run_tasks(client, function, of_round, result_of_error):
                     bar.update()
                     yield result
@@ -106,12 +106,12 @@ def _run_tasks(
     try:
         with _interrupt_on_sigterm():
             if not client.nthreads():
-                place = client.scheduler.address
+                address = client.scheduler.address
                 tqdm.write(
-                    f"warning: no worker is at {place}, so nothing is processed; waiting until one comes",
+                    f"warning: no worker is at {address}, so nothing is processed; waiting until one comes",
                     file=sys.stderr,
                 )
-            waiting = as_completed([submit(*one) for one in islice(tasks, capacity())])
+            waiting = as_completed([submit(name, task) for name, task in islice(tasks, capacity())])
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
@@ -120,8 +120,8 @@ def _run_tasks(
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
-                for one in islice(tasks, max(0, capacity() - len(names))):
-                    waiting.add(submit(*one))
+                for name, task in islice(tasks, max(0, capacity() - len(names))):
+                    waiting.add(submit(name, task))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
     except (Interrupted, FingerflowError):
@@ -167,12 +167,12 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
         environment["distributed.worker.multiprocessing-method"] = "forkserver"
     # A worker's profiler keeps a call tree for every second of the last hour, 0.4 MB per small recording. Logs of
     # messages and transitions serve Dask's developers and take 16 MB in the client and its scheduler.
-    own = {
+    settings = {
         "distributed.comm.retry.count": 3,
         "distributed.worker.profile.enabled": False,
         "distributed.admin.low-level-log-length": 100,
     }
-    with dask.config.set({**environment, **own}):
+    with dask.config.set({**environment, **settings}):
         cluster: Any = None
         try:
             if scheduler is not None and scheduler.startswith(_ADDRESS):
@@ -218,14 +218,14 @@ def _preload_modules() -> None:
 
 
 def _deployment(name: str) -> Callable[[], Any]:
-    module, _, kind = name.rpartition(".")
+    module, _, name_in_module = name.rpartition(".")
     try:
-        found: Callable[[], Any] = getattr(import_module(module), kind)
+        deployment: Callable[[], Any] = getattr(import_module(module), name_in_module)
     except (ImportError, AttributeError, ValueError) as error:
         raise FingerflowError(
             f"--scheduler {name}: neither an address such as tcp://host:8786 nor a class that can be imported ({error})"
         ) from error
-    return found
+    return deployment
 
 
 @contextmanager

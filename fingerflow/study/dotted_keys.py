@@ -4,22 +4,22 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 
-def flattened(tables: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
+def flattened(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the values of nested tables as pairs (dotted key, value), such as ("tracking.points", 200)."""
     for name, value in tables.items():
         if isinstance(value, Mapping):
-            yield from flattened(value, f"{place}{name}.")
+            yield from flattened(value, f"{prefix}{name}.")
         else:
-            yield f"{place}{name}", value
+            yield f"{prefix}{name}", value
 
 
 def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested tables built from a flat dictionary with dotted keys."""
     tables: dict[str, Any] = {}
     for dotted, value in values.items():
-        place = tables
+        table = tables
         *above, last = dotted.split(".")
         for name in above:
-            place = place.setdefault(name, {})
-        place[last] = value
+            table = table.setdefault(name, {})
+        table[last] = value
     return tables

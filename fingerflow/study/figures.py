@@ -67,10 +67,10 @@ def write_figures(
     for name in FIGURES:
         trials = sample.trials
         if name == "S1":
-            own = frame.set_index(["participant", "trial", "condition"])
-            places = list(zip(trials.participant, trials.trial, trials.condition, strict=True))
+            table = frame.set_index(["participant", "trial", "condition"])
+            keys = list(zip(trials.participant, trials.trial, trials.condition, strict=True))
             at_3n = {
-                area: own.loc[places, f"{area}_at_3n"].to_numpy(float) for area in _AREAS if f"{area}_at_3n" in own
+                area: table.loc[keys, f"{area}_at_3n"].to_numpy(float) for area in _AREAS if f"{area}_at_3n" in table
             }
             trials = replace(trials, metrics={**trials.metrics, **at_3n})
         sheet = supplement_sheet(name, trials, design)
@@ -83,7 +83,7 @@ def write_figures(
         ]
         for letter, metric in _CURVES.get(name, ()):
             if (curves["metric"] == metric).any():
-                panels.append(SheetPanel.of_axes(letter, draw_curves, curves, metric))
+                panels.append(SheetPanel.single(letter, draw_curves, curves, metric))
         drawn = {panel.letter[0] for panel in panels}
         missing = [(letter, need) for letter, need in sheet.left_out if letter not in drawn]
         left_out = Sheet(name, (), tuple(missing)).missing()
@@ -102,14 +102,14 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     """Draw the mean of a metric of the trials against normal force, one curve per condition (vibration amplitude), with
     its 95 % interval over participants as a band; `curves` is the table `curves.csv` as a DataFrame.
     """
-    own = curves[curves["metric"] == metric]
-    conditions = list(dict.fromkeys(own["condition"]))
+    rows = curves[curves["metric"] == metric]
+    conditions = list(dict.fromkeys(rows["condition"]))
     shown = NUMBERS[metric]
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.
-    means = shown.shown_values(own["mean"])
+    means = shown.shown_values(rows["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
     for condition, style in zip(conditions, line_styles(len(conditions), ordered=True), strict=True):
-        part = own[own["condition"] == condition]
+        part = rows[rows["condition"] == condition]
         force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
         label = f"{condition:g}" if isinstance(condition, float) else str(condition)
         axes.plot(force, mean, label=label if len(conditions) <= _MOST_NAMED else None, **style)
@@ -121,8 +121,8 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     caption = (
         f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
         "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
-        f"n = {int(own['participants'].max())} participants, "
-        f"{int(own.groupby('condition')['trials'].max().sum())} trials."
+        f"n = {int(rows['participants'].max())} participants, "
+        f"{int(rows.groupby('condition')['trials'].max().sum())} trials."
     )
     named = bool(axes.get_legend_handles_labels()[0])
     return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)

@@ -54,19 +54,19 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
         raise FingerflowError(f"{folder} is no folder; name the one that holds the recordings")
     files = [file for file in sorted(folder.rglob("*")) if not any(part.startswith(".") for part in file.parts)]
     scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
-    rows, shared = _of_scenes(folder, scenes) if scenes else _of_recordings(folder, files)
+    rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
     if answers is not None:
-        found = matching(rows, answers)
-        for row, known in zip(rows, found, strict=True):
-            row.update({name: value for name, value in known.items() if value})
-        if not any(found):
+        answered = matching(rows, answers)
+        for row, answer_row in zip(rows, answered, strict=True):
+            row.update({name: value for name, value in answer_row.items() if value})
+        if not any(answered):
             example = read_rows(answers)[0]
             raise FingerflowError(
                 f"{answers}: none of its trials is one of {folder}, such as participant {rows[0].get(PARTICIPANT)!r}, "
                 f"trial {rows[0].get(TRIAL)!r}; it has {example[PARTICIPANT]!r}, {example[TRIAL]!r}"
             )
-    others = (name for row in rows for name in row)
-    names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *others)))
+    columns = (name for row in rows for name in row)
+    names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *columns)))
     if not any(FORCES in row for row in rows):
         names.remove(FORCES)
     text = io.StringIO()
@@ -88,7 +88,7 @@ def _is_scene(file: Path) -> bool:
         return False
 
 
-def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+def _scene_rows(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
     flat: list[dict[str, Any]] = []
     rows = []
     for file in scenes:
@@ -99,7 +99,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
                 values[name] = relative(file.parent / value, folder)
         flat.append(values)
         rows.append(_guessed(file.parent.relative_to(folder) if file.stem == "scene" else file.relative_to(folder)))
-    common = {name: value for name, value in flat[0].items() if all(one.get(name) == value for one in flat)}
+    common = {name: value for name, value in flat[0].items() if all(scene.get(name) == value for scene in flat)}
     for row, values in zip(rows, flat, strict=True):
         for name, value in values.items():
             if name not in common or name == "recording.frames":
@@ -109,7 +109,7 @@ def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str
     return rows, nested(common)
 
 
-def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+def _recording_rows(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
     recordings = [
         file
         for file in files
@@ -126,10 +126,12 @@ def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]
     rows = []
     for file in recordings:
         row = _guessed(file.relative_to(folder)) | {RECORDING: relative(file, folder)}
-        beside = [one for one in files if one.parent == file.parent and one.suffix.lower() in READER_OF and one != file]
-        same = [one for one in beside if one.stem == file.stem]
-        alone = [one for one in recordings if one.parent == file.parent] == [file]
-        forces = same or (beside if alone else [])
+        near = [
+            path for path in files if path.parent == file.parent and path.suffix.lower() in READER_OF and path != file
+        ]
+        same = [path for path in near if path.stem == file.stem]
+        alone = [path for path in recordings if path.parent == file.parent] == [file]
+        forces = same or (near if alone else [])
         if len(forces) == 1:
             row[FORCES] = relative(forces[0], folder)
         rows.append(row)
@@ -147,14 +149,14 @@ def _holds_frames(file: Path) -> bool:
         return False
 
 
-def _guessed(place: Path) -> dict[str, str]:
-    text = place.as_posix().lower()
-    found: dict[str, str] = {}
+def _guessed(path: Path) -> dict[str, str]:
+    text = path.as_posix().lower()
+    guesses: dict[str, str] = {}
     for name, expression in _GUESSES.items():
         matches = expression.findall(text)
         if matches:
-            found[name] = re.sub("[,p]", ".", matches[-1])
-    return found
+            guesses[name] = re.sub("[,p]", ".", matches[-1])
+    return guesses
 
 
 def _manifest_text(shared: Mapping[str, Any]) -> str:
@@ -184,9 +186,9 @@ def _as_scene_tables(text: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _toml_tables(values: Mapping[str, Any], place: tuple[str, ...]) -> str:
+def _toml_tables(values: Mapping[str, Any], above: tuple[str, ...]) -> str:
     plain = {name: value for name, value in values.items() if not isinstance(value, Mapping)}
-    own = "".join(f"{name} = {toml_value(value)}\n" for name, value in plain.items())
-    lines = [f"[{'.'.join(place)}]\n{own}"] if plain else []
-    tables = [_toml_tables(value, (*place, name)) for name, value in values.items() if isinstance(value, Mapping)]
+    lines_here = "".join(f"{name} = {toml_value(value)}\n" for name, value in plain.items())
+    lines = [f"[{'.'.join(above)}]\n{lines_here}"] if plain else []
+    tables = [_toml_tables(value, (*above, name)) for name, value in values.items() if isinstance(value, Mapping)]
     return "\n".join(lines + tables)

@@ -7,7 +7,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -37,20 +36,20 @@ class TrialEntry:
 
     Attributes:
         name: of its folder among the results, unique in the study.
-        place: "trials.csv, row 7", for errors.
+        origin: "trials.csv, row 7", for errors.
         participant, trial, condition: as written in the row; an empty trial becomes the number of the row.
         answer: True if the comparison was felt as more slippery, None without an answer.
-        others: columns that are neither of these nor keys of the scene; they are copied to the table of trials.
+        extra: columns that are neither of these nor keys of the scene; they are copied to the table of trials.
         settings: tables and keys of the scene that differ from the shared one, including the recording.
     """
 
     name: str
-    place: str
+    origin: str
     participant: str
     trial: str
     condition: str
     answer: bool | None
-    others: Mapping[str, str]
+    extra: Mapping[str, str]
     settings: Mapping[str, Any]
 
 
@@ -64,16 +63,11 @@ class Manifest:
     trials: tuple[TrialEntry, ...]
     design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
 
-    def scene_of(self, entry: TrialEntry) -> Scene:
+    def build_scene(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
         FingerflowError with row, key, value and remedy if it is invalid.
         """
-        return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
-
-    @cached_property
-    def by_name(self) -> dict[str, TrialEntry]:
-        """Return the trials by name; the results of a trial are in a folder of that name."""
-        return {entry.name: entry for entry in self.trials}
+        return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.origin}: [scene] of {self.path}")
 
 
 def load_manifest(path: str | Path) -> Manifest:
@@ -121,13 +115,13 @@ def load_manifest(path: str | Path) -> Manifest:
         raise FingerflowError(f"{path}: [study] needs trials, a CSV file; `fingerflow study init FOLDER` writes one")
     table = path.parent / study["trials"]
     rows = read_rows(table)
-    places = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
+    labels = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
     if "answers" in study:
-        for row, found in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
-            row.update({name: value for name, value in found.items() if not row.get(name)})
+        for row, answer_row in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
+            row.update({name: value for name, value in answer_row.items() if not row.get(name)})
             row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
-    return Manifest(path, results, shared, _entries(rows, places, path), design)
+    return Manifest(path, results, shared, _entries(rows, labels, path), design)
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -145,48 +139,48 @@ def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str,
     lacking = [name for name in (PARTICIPANT, TRIAL, ANSWER) if name not in table[0]]
     if lacking:
         raise FingerflowError(f"{answers}: has no column {', '.join(lacking)}; it has {', '.join(table[0])}")
-    known: dict[tuple[str, str], dict[str, str]] = {}
+    answer_rows: dict[tuple[str, str], dict[str, str]] = {}
     for number, row in enumerate(table, start=2):
         key = row[PARTICIPANT], row[TRIAL]
-        if key in known:
+        if key in answer_rows:
             raise FingerflowError(f"{answers}, row {number}: participant {key[0]}, trial {key[1]} is there twice")
-        known[key] = row
-    return [known.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
+        answer_rows[key] = row
+    return [answer_rows.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
 
 
-def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple[TrialEntry, ...]:
+def _entries(rows: list[dict[str, str]], labels: list[str], path: Path) -> tuple[TrialEntry, ...]:
     lacking = [name for name in (RECORDING, PARTICIPANT, CONDITION) if name not in rows[0]]
     if lacking:
         close = {name: difflib.get_close_matches(name, rows[0], n=1) for name in lacking}
-        hints = [f"did you mean {found[0]!r} by {name}? " for name, found in close.items() if found]
+        hints = [f"did you mean {entries[0]!r} by {name}? " for name, entries in close.items() if entries]
         raise FingerflowError(
-            f"{places[0]}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
+            f"{labels[0]}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
         )
     for name in rows[0]:
         if "." in name:
-            _check_key(name, places[0])
+            _check_key(name, labels[0])
         elif name in OF_RESULTS:
-            raise FingerflowError(f"{places[0]}: the column {name!r} is one that the study measures; rename it")
-    wrong, found, names = [], [], dict[str, str]()
-    for number, (row, place) in enumerate(zip(rows, places, strict=True), start=1):
+            raise FingerflowError(f"{labels[0]}: the column {name!r} is one that the study measures; rename it")
+    wrong, entries, names = [], [], dict[str, str]()
+    for number, (row, label) in enumerate(zip(rows, labels, strict=True), start=1):
         try:
-            entry = _entry(row, place, str(number))
+            entry = _entry(row, label, str(number))
         except FingerflowError as error:
             wrong.append(str(error))
             continue
         if entry.name in names:
             wrong.append(
-                f"{place}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, is "
+                f"{label}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, is "
                 f"also {names[entry.name]}; number the trials"
             )
-        names[entry.name] = place
-        found.append(entry)
-    trials = Counter((entry.participant, entry.trial) for entry in found)
-    for entry in found:
-        named = entry.others.get(REFERENCE)
+        names[entry.name] = label
+        entries.append(entry)
+    trials = Counter((entry.participant, entry.trial) for entry in entries)
+    for entry in entries:
+        named = entry.extra.get(REFERENCE)
         if named and (count := trials[entry.participant, named]) != 1:
             wrong.append(
-                f"{entry.place}: reference is {named!r}, and {count} trials of participant {entry.participant} have "
+                f"{entry.origin}: reference is {named!r}, and {count} trials of participant {entry.participant} have "
                 f"that number; name one"
             )
     if wrong:
@@ -194,17 +188,17 @@ def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple
         raise FingerflowError(
             "\n".join(wrong[:_MOST_SHOWN] + ([f"and {more} rows more in {path}"] if more > 0 else []))
         )
-    return tuple(found)
+    return tuple(entries)
 
 
-def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
+def _entry(row: Mapping[str, str], label: str, number: str) -> TrialEntry:
     for name in (RECORDING, PARTICIPANT, CONDITION):
         if not row[name]:
-            raise FingerflowError(f"{place}: {name} is empty; fill it in, or remove the row")
+            raise FingerflowError(f"{label}: {name} is empty; fill it in, or remove the row")
     answer = row.get(ANSWER, "").lower()
     if answer not in ANSWERS and answer not in NOTHING:
         raise FingerflowError(
-            f"{place}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
+            f"{label}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
             f"nothing where there is no answer"
         )
     settings = {_KEY_OF[name]: row[name] for name in _KEY_OF if row.get(name)}
@@ -213,26 +207,26 @@ def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
     parts = (row[PARTICIPANT], row[CONDITION], trial)
     return TrialEntry(
         name="_".join(_file_name(part) for part in parts),
-        place=place,
+        origin=label,
         participant=row[PARTICIPANT],
         trial=trial,
         condition=row[CONDITION],
         answer=ANSWERS.get(answer),
-        others={name: cell for name, cell in row.items() if name not in KNOWN and "." not in name},
+        extra={name: cell for name, cell in row.items() if name not in KNOWN and "." not in name},
         settings=nested(settings),
     )
 
 
-def _check_key(dotted: str, place: str) -> None:
+def _check_key(dotted: str, label: str) -> None:
     """Raise FingerflowError if a dotted column name is no key of scene files; keys in `views` are not checked."""
-    known: Mapping[str, Any] = SCENE
+    keys: Mapping[str, Any] = SCENE
     for number, part in enumerate(dotted.split(".")):
         if part == "views" and number == 0:
             return
-        if part not in known:
-            raise FingerflowError(f"{place}: the column {dotted!r} is no key of a scene; {_known_here(part, known)}")
-        table = known[part]
-        known = table.keys if isinstance(table, SceneTable) else {}
+        if part not in keys:
+            raise FingerflowError(f"{label}: the column {dotted!r} is no key of a scene; {_known_here(part, keys)}")
+        table = keys[part]
+        keys = table.keys if isinstance(table, SceneTable) else {}
 
 
 def _parse_cell(cell: str) -> Any:
@@ -245,22 +239,22 @@ def _parse_cell(cell: str) -> Any:
 
 def _file_name(text: str) -> str:
     """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
-    return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
+    return re.sub(r"[^\w.-]|_", lambda character: f"%{ord(character[0]):02x}", text, flags=re.ASCII)
 
 
-def _merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(shared)
-    for name, value in own.items():
+    for name, value in changes.items():
         there = merged.get(name)
         merged[name] = _merged(there, value) if isinstance(there, Mapping) and isinstance(value, Mapping) else value
     return merged
 
 
-def _refuse_unknown(path: Path, written: Mapping[str, Any], known: tuple[str, ...], table: str = "") -> None:
+def _refuse_unknown(path: Path, written: Mapping[str, Any], allowed: tuple[str, ...], table: str = "") -> None:
     for name in written:
-        if name not in known:
-            raise FingerflowError(f"{path}: {table}{name} is not a key; {_known_here(name, known)}")
+        if name not in allowed:
+            raise FingerflowError(f"{path}: {table}{name} is not a key; {_known_here(name, allowed)}")
 
 
-def _known_here(name: str, known: Iterable[str]) -> str:
-    return f"{did_you_mean(name, known)}known here: {', '.join(known)}"
+def _known_here(name: str, allowed: Iterable[str]) -> str:
+    return f"{did_you_mean(name, allowed)}known here: {', '.join(allowed)}"

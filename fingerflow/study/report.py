@@ -14,7 +14,7 @@ from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import PNG, FigureFiles
-from fingerflow.plot.rounding import with_interval, with_uncertainty
+from fingerflow.plot.rounding import format_interval, format_uncertainty
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
@@ -27,7 +27,7 @@ from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.cluster import run_on_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.statistics import sample_of, statistics_of
+from fingerflow.study.statistics import read_sample, study_statistics
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row
 
@@ -55,7 +55,7 @@ def write_study_report(
 
     tables = write_tables(manifest)
     frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves).map(plain_cell)
-    sample = sample_of(frame)
+    sample = read_sample(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
 
     def of_error(name: str, error: BaseException) -> str:
@@ -64,9 +64,9 @@ def write_study_report(
     written = run_on_workers(
         write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
     )
-    failed = [said for said in written if said]
+    failed = [failure for failure in written if failure]
     figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design, figure_files)
-    statistics = statistics_of(sample)
+    statistics = study_statistics(sample)
     text = json.dumps(statistics, indent=1, ensure_ascii=False)
     write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("index.html").read_text("utf-8"))
@@ -81,18 +81,18 @@ def write_study_report(
         statistics=statistics,
         metrics=NUMBERS,
         pages_failed=failed,
-        with_interval=_with_interval,
-        with_uncertainty=with_uncertainty,
+        format_interval=_interval_text,
+        format_uncertainty=format_uncertainty,
     )
     path = manifest.results / "index.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
 
 
-def _with_interval(value: float, interval: Sequence[float | None]) -> str:
+def _interval_text(value: float, interval: Sequence[float | None]) -> str:
     """Return an estimate and its interval as text; an unknown number is None, as read from JSON."""
     low, high = (math.nan if limit is None else limit for limit in interval)
-    return with_interval(value, low, high)
+    return format_interval(value, low, high)
 
 
 def write_page(manifest: Manifest) -> str:
@@ -103,7 +103,7 @@ def write_page(manifest: Manifest) -> str:
     if stored is None or stored.result is None:
         return ""
     try:
-        scene = manifest.scene_of(entry)
+        scene = manifest.build_scene(entry)
         write_report(load_result(folder / stored.result), scene, folder, video=False)
         _write_thumbnail(folder / stored.result, scene, folder / "thumbnail.jpg")
     except FingerflowError as error:
@@ -123,8 +123,8 @@ def outliers(frame: Any) -> list[tuple[float, str]]:
     alike = away.groupby(conditions)
     spread = _MAD * alike.transform("median")
     score = (away / spread).where((spread > 0) & (alike.transform("count") >= _FEWEST_ALIKE)).fillna(0.0)
-    found = zip(score.max(axis=1), score.idxmax(axis=1), strict=True)
-    return [(float(most), str(metric) if most > 0 else "") for most, metric in found]
+    largest = zip(score.max(axis=1), score.idxmax(axis=1), strict=True)
+    return [(float(most), str(metric) if most > 0 else "") for most, metric in largest]
 
 
 def _without_pages(manifest: Manifest) -> Iterator[TrialEntry]:
@@ -134,8 +134,8 @@ def _without_pages(manifest: Manifest) -> Iterator[TrialEntry]:
         if stored is None or stored.status != MEASURED:
             continue
         row = (folder / "row.json").stat().st_mtime_ns
-        made = [folder / "report.html", folder / "thumbnail.jpg"]
-        if not all(one.exists() and one.stat().st_mtime_ns >= row for one in made):
+        pages = [folder / "report.html", folder / "thumbnail.jpg"]
+        if not all(page.exists() and page.stat().st_mtime_ns >= row for page in pages):
             yield entry
 
 

@@ -23,10 +23,10 @@ CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "stra
 _COMPUTED = ("strain", "strain_across", "strain_rate", "force_angle", "coverage")
 #: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
-    f"{one.name}{suffix}": f"{one.variable}{suffix}"
-    for one in AT_MOMENTS
-    if one.name not in _COMPUTED
-    for suffix in (("", "_std") if one.has_std else ("",))
+    f"{moment.name}{suffix}": f"{moment.variable}{suffix}"
+    for moment in AT_MOMENTS
+    if moment.name not in _COMPUTED
+    for suffix in (("", "_std") if moment.has_std else ("",))
 }
 READ = (
     *_SERIES.values(),
@@ -61,14 +61,14 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
             continue
         for moment, where in trial.moments.items():
             suffix = "" if moment == AT_MAX and not largest else f"_{moment}"
-            row[f"{name}{suffix}"] = _at(series, where)
+            row[f"{name}{suffix}"] = _interpolated(series, where)
             if has_std and deviation is not None:
-                row[f"{name}{suffix}_std"] = _at(deviation, where)
+                row[f"{name}{suffix}_std"] = _interpolated(deviation, where)
         if largest:
             row[name] = trial.largest(series)
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series}
-    known = {name: _known(value) for name, value in row.items()} | trial.facts()
-    return known, {name: curve for name, curve in curves.items() if any(value is not None for value in curve)}
+    numbers = {name: _finite(value) for name, value in row.items()} | trial.facts()
+    return numbers, {name: curve for name, curve in curves.items() if any(value is not None for value in curve)}
 
 
 class _Trial:
@@ -109,19 +109,19 @@ class _Trial:
         return self.onset + int(np.nanargmax(part)) if np.isfinite(part).any() else None
 
     def _series(self) -> dict[str, Series]:
-        found = {name: self._values(variable) for name, variable in _SERIES.items()}
-        known = {name: values for name, values in found.items() if values is not None}
-        known |= self._strains()
+        measured = {name: self._values(variable) for name, variable in _SERIES.items()}
+        series = {name: values for name, values in measured.items() if values is not None}
+        series |= self._strains()
         ratio = self._values("load_ratio")
         if ratio is not None and self._force is not None:
             pressed = self._force >= _ANGLE_SHARE * np.nanmax(self._force, initial=0.0)
-            known["force_angle"] = np.where(pressed, np.abs(np.arctan(ratio)), np.nan)
+            series["force_angle"] = np.where(pressed, np.abs(np.arctan(ratio)), np.nan)
         if "status" in self._result and "in_contact" in self._result:
             covered = self._result["in_contact"].values > 0
             tracked = covered & (self._result["status"].values == 0)
             count = covered.sum(1)
-            known["coverage"] = np.where((count > 0) & self._usable, tracked.sum(1) / np.maximum(count, 1), np.nan)
-        return known
+            series["coverage"] = np.where((count > 0) & self._usable, tracked.sum(1) / np.maximum(count, 1), np.nan)
+        return series
 
     def _strains(self) -> dict[str, Series]:
         if self.top is None or "median_strain" not in self._result:
@@ -130,15 +130,15 @@ class _Trial:
         strain, deviation = self._values("median_strain"), self._values("median_strain_std")
         rates = self._values("median_strain_rate")
         assert strain is not None and deviation is not None and rates is not None  # noqa: PT018
-        found = {}
+        strains = {}
         for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2)):
             cosine, sine = np.cos(turned), np.sin(turned)
             weights = np.array([cosine**2, sine**2, 2 * cosine * sine])
-            found[name] = strain @ weights
-            found[f"{name}_std"] = np.sqrt(deviation**2 @ weights**2)
+            strains[name] = strain @ weights
+            strains[f"{name}_std"] = np.sqrt(deviation**2 @ weights**2)
             if name == "strain":
-                found["strain_rate"] = rates @ weights
-        return found
+                strains["strain_rate"] = rates @ weights
+        return strains
 
     def _moments(self) -> dict[str, Moment]:
         moments: dict[str, Moment] = {}
@@ -172,7 +172,7 @@ class _Trial:
         """Return a time series of the trial interpolated at the normal forces of `FORCE_GRID`, with None at forces
         where it has no value.
         """
-        return [None if where is None else _known(_at(series, where)) for where in self._grid]
+        return [None if where is None else _finite(_interpolated(series, where)) for where in self._grid]
 
     def largest(self, series: Series) -> float:
         """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
@@ -182,27 +182,27 @@ class _Trial:
 
     def trial_numbers(self) -> dict[str, float]:
         """Return numbers that describe the trial as a whole, such as its duration and its largest force."""
-        found: dict[str, float] = {}
+        numbers: dict[str, float] = {}
         if self.onset is None or self.last is None or self.top is None:
-            return found
-        found["duration"] = self._time[self.last] - self._time[self.onset]
+            return numbers
+        numbers["duration"] = self._time[self.last] - self._time[self.onset]
         if self._force is not None:
-            found["max_force"] = self._force[self.top]
-            found["time_to_max_force"] = self._time[self.top] - self._time[self.onset]
-            found["force_rate"] = _largest(rate(self._force, self._time, self._window)[self.onset : self.top + 1])
+            numbers["max_force"] = self._force[self.top]
+            numbers["time_to_max_force"] = self._time[self.top] - self._time[self.onset]
+            numbers["force_rate"] = _largest(rate(self._force, self._time, self._window)[self.onset : self.top + 1])
         axes = self._values("ellipse_semi_axes")
         if axes is not None:
-            found["longest_axis_ratio"] = axes[self.top, 0] / axes[self.top, 1]
+            numbers["longest_axis_ratio"] = axes[self.top, 0] / axes[self.top, 1]
         if "displacement" in self._result:
-            found |= self._of_displacement()
+            numbers |= self._displacement_numbers()
         stuck, ratio = self._values("stuck_ratio"), self._values("load_ratio")
         if stuck is not None and ratio is not None:
             slid = np.isfinite(ratio) & (stuck <= _SLID)
             if slid.sum() >= _FEWEST_SLID:
-                found["friction"] = float(np.median(np.abs(ratio[slid])))
-        return found
+                numbers["friction"] = float(np.median(np.abs(ratio[slid])))
+        return numbers
 
-    def _of_displacement(self) -> dict[str, float]:
+    def _displacement_numbers(self) -> dict[str, float]:
         assert self.onset is not None and self.last is not None and self.top is not None  # noqa: PT018
         moved = np.asarray(self._result["displacement"].values[self.onset : self.last + 1], dtype=np.float64)
         usable = self._usable[self.onset : self.last + 1]
@@ -235,7 +235,7 @@ class _Trial:
         }
 
 
-def _known(value: float | None) -> float | None:
+def _finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
@@ -243,7 +243,7 @@ def _largest(values: Series) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
 
 
-def _at(series: Series, where: Moment) -> float:
+def _interpolated(series: Series, where: Moment) -> float:
     before, after, share = where
     if share == 1 or before == after:
         return float(series[after])

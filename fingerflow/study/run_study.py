@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
-from fingerflow.study.cache_keys import all_codes, keys_of
+from fingerflow.study.cache_keys import all_codes, trial_keys
 from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trial
@@ -36,16 +36,16 @@ class Summary:
 
     def __str__(self) -> str:
         """Return a text with one line of counts, and one line for each failed trial."""
-        counts = Counter(one.status for one in self.outcomes)
+        counts = Counter(outcome.status for outcome in self.outcomes)
         left = self.planned - len(self.outcomes)
         lines = [
             f"{counts[MEASURED]} trials measured, {counts[FAILED]} failed, {self.skipped} were done already"
             + (f", {left} not run" if left else "")
         ]
         lines += [
-            f"  {one.name}: {one.reason}{' (is tried again by the next run)' if one.passing else ''}"
-            for one in self.outcomes
-            if one.status == FAILED
+            f"  {outcome.name}: {outcome.reason}{' (is tried again by the next run)' if outcome.passing else ''}"
+            for outcome in self.outcomes
+            if outcome.status == FAILED
         ]
         return "\n".join(lines + ([f"stopped: {self.interrupted}"] if self.interrupted else []))
 
@@ -64,8 +64,8 @@ def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = F
     if not entries:
         names = ", ".join(entry.name for entry in manifest.trials[:3])
         raise FingerflowError(f"--only {only}: no trial has such a name; they are {names} ...")
-    found = (_plan_trial(manifest, entry, retry_failed) for entry in entries)
-    return [one for one in found if one is not None]
+    plans = (_plan_trial(manifest, entry, retry_failed) for entry in entries)
+    return [planned for planned in plans if planned is not None]
 
 
 def run_study(
@@ -98,13 +98,15 @@ def run_study(
     if not planned:
         return summary
     codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
-    jobs = ((one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.redo, codes, threads)) for one in planned)
+    jobs = (
+        (plan.entry.name, Job(replace(manifest, trials=(plan.entry,)), plan.redo, codes, threads)) for plan in planned
+    )
 
-    def of_error(name: str, error: BaseException) -> Outcome:
+    def failed_outcome(name: str, error: BaseException) -> Outcome:
         return _outcome_of_error(error, name, manifest)
 
     try:
-        for outcome in run_on_workers(run_trial, jobs, len(planned), of_error, scheduler, workers, progress):
+        for outcome in run_on_workers(run_trial, jobs, len(planned), failed_outcome, scheduler, workers, progress):
             summary.outcomes.append(outcome)
     except Interrupted as stop:
         summary.interrupted = str(stop)
@@ -119,7 +121,7 @@ def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Pl
     if stored.status == FAILED and (stored.passing or retry_failed):
         return Planned(entry, "everything", f"failed: {stored.reason}")
     try:
-        keys = keys_of(manifest.scene_of(entry), None if stored.keys is None else stored.keys.inputs)
+        keys = trial_keys(manifest.build_scene(entry), None if stored.keys is None else stored.keys.inputs)
     except FingerflowError as error:
         # The trial would fail with the same message again, so its row is final.
         return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fingerflow.results.atomic_write import write_atomically
-from fingerflow.study.simulated_trials import Design, Presses, answers_of, draw_presses, recording_of
+from fingerflow.study.simulated_trials import Design, Presses, answer_table, draw_presses, make_recording
 from fingerflow.synthetic import write_recording
 
 _COLUMNS = ("participant", "trial", "reference", "answer", "true_friction", "true_softness", "true_force",
@@ -28,7 +28,7 @@ def write_recordings(folder: Path, design: Design) -> None:
     Raises FingerflowError if a recording cannot be written.
     """
     presses = draw_presses(design)
-    answers = answers_of(design, *presses.pairs())
+    answers = answer_table(design, *presses.pairs())
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -43,7 +43,7 @@ def write_recordings(folder: Path, design: Design) -> None:
     write_atomically(folder / "truth.json", lambda part: part.write_text(json.dumps(asdict(design)), encoding="utf-8"))
     for number, name in enumerate(tqdm(names, desc="synthetic presses", unit="press")):
         if not (folder / name).exists():
-            write_recording(folder / name, recording_of(design, presses, number), progress=False)
+            write_recording(folder / name, make_recording(design, presses, number), progress=False)
 
 
 def _truth(design: Design, presses: Presses, number: int) -> tuple[str, ...]:

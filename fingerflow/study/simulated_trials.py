@@ -86,7 +86,7 @@ class Design:
     view_px: int = 512
     seed: int = 0
 
-    def friction_at(self, amplitude: Values) -> Values:
+    def friction_for(self, amplitude: Values) -> Values:
         """Return the friction coefficient at vibration amplitudes in µm."""
         low, high = self.friction
         return np.asarray(low * (high / low) ** np.sqrt(self._share(amplitude)))
@@ -95,7 +95,7 @@ class Design:
         """Return the mask (P,) of those of the P participants who have the softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
-    def angle_at(self, amplitude: Values) -> Values:
+    def load_angle(self, amplitude: Values) -> Values:
         """Return the mean angle (degrees) between force and surface normal at vibration amplitudes in µm."""
         high, low = self.angle
         return np.asarray(high + (low - high) * self._share(amplitude))
@@ -146,8 +146,8 @@ def draw_presses(design: Design) -> Presses:
     soft = design.is_soft()[participant]
     force, time = _draw_kinematics(design, draw, count)
     hold = draw.uniform(*design.hold, count)
-    friction = design.friction_at(amplitude)
-    angle = np.radians(design.angle_at(amplitude)) * draw.gamma(4.0, 0.25, count)
+    friction = design.friction_for(amplitude)
+    angle = np.radians(design.load_angle(amplitude)) * draw.gamma(4.0, 0.25, count)
     length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
     direction = draw.uniform(0, 2 * math.pi, count)
     divergence, area = _peak_values(design, soft, amplitude, force)
@@ -168,7 +168,7 @@ def draw_presses(design: Design) -> Presses:
     )
 
 
-def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArray[np.bool_]:
+def answer_table(design: Design, reference: Presses, comparison: Presses) -> NDArray[np.bool_]:
     """Return the answers (T,) of a simulated observer in T trials, given the two presses of each: True if the
     comparison press felt more slippery.
 
@@ -181,7 +181,7 @@ def answers_of(design: Design, reference: Presses, comparison: Presses) -> NDArr
     return np.asarray(felt > 0)
 
 
-def recording_of(design: Design, presses: Presses, number: int) -> ChainPress:
+def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
     """Return press `number` of a study as a synthetic recording."""
     time, duration = float(presses.time_to_peak[number]), float(presses.duration[number])
     frames_before = 2
@@ -214,8 +214,8 @@ def median_divergence(press: ChainPress) -> float:
     radius = ellipse.semi_axes[0] * (np.arange(_RINGS) + 0.5) / _RINGS
     material = at_peak.truth.material(np.stack((radius, 0 * radius), -1) + ellipse.centre, 0)
     field = np.trace(at_peak.truth.gradient(material, 0), axis1=-2, axis2=-1)
-    known = np.isfinite(field)
-    return float(weighted_median(torch.from_numpy(field[known]), torch.from_numpy(radius[known])))
+    finite = np.isfinite(field)
+    return float(weighted_median(torch.from_numpy(field[finite]), torch.from_numpy(radius[finite])))
 
 
 def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> tuple[Values, Values]:
@@ -247,8 +247,8 @@ def _draw_real_share(
     """
     mean, deviation = design.real_area
     fall = 1 - design.real_area_fall * design._share(amplitude)
-    own = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
-    share = mean / 70.1 / fall.mean() * fall * own * _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
+    person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
+    share = mean / 70.1 / fall.mean() * fall * person * _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
     return np.asarray(np.clip(share, *_SHARES))
 
 
@@ -274,12 +274,12 @@ def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, for
     Both are interpolated over the force from tables of the skin-chain model.
     """
     divergence, area = np.empty(force.size), np.empty(force.size)
-    for friction in np.unique(design.friction_at(amplitude)):
+    for friction in np.unique(design.friction_for(amplitude)):
         for softer in (False, True):
-            own = (design.friction_at(amplitude) == friction) & (soft == softer)
+            group = (design.friction_for(amplitude) == friction) & (soft == softer)
             table = _peak_table(design.softness[int(softer)], float(friction))
             for values, column in ((divergence, 0), (area, 1)):
-                values[own] = np.interp(force[own], _FORCES_N, table[:, column])
+                values[group] = np.interp(force[group], _FORCES_N, table[:, column])
     return divergence, area
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models import observer
-from fingerflow.report.trial_metrics import METRICS, dots_of, participant_medians
+from fingerflow.report.trial_metrics import METRICS, participant_dots, participant_medians
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.trial_files import MEASURED
@@ -41,7 +41,7 @@ class Sample:
     counted: Counted
 
 
-def sample_of(frame: Any) -> Sample:
+def read_sample(frame: Any) -> Sample:
     """Select the trials of a table that statistics can use: measured and, if the study has answers, answered.
 
     `frame` is a DataFrame with the columns of `write_tables`.
@@ -68,7 +68,7 @@ def sample_of(frame: Any) -> Sample:
     )
 
 
-def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
+def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     """Compute all statistics of the trials in `sample` as plain numbers, for `statistics.json` and the HTML report of a
     study.
 
@@ -88,7 +88,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     `force_rate` and `observer` exist only with answers.
 
     Args:
-        sample: of `sample_of`.
+        sample: of `read_sample`.
         resamples: of intervals and tests.
     """
     differences = sample.trials
@@ -110,7 +110,7 @@ def statistics_of(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
         statistics["by_answer"] = _anovas(trials, trials.answer)
         shares = {name: correlate_with_answers(trials, values) for name, values in differences.metrics.items()}
         statistics["shares"] = _corrected(shares)
-        statistics["force_rate"] = _of_force_rate(trials)
+        statistics["force_rate"] = _force_rate_rows(trials)
         statistics["observer"] = _observed(trials, resamples)
     plain: dict[str, Any] = json_value(statistics)
     return plain
@@ -124,9 +124,9 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
     """
     from statsmodels.stats.multitest import multipletests
 
-    known = {name: value for name, value in p.items() if np.isfinite(value)}
-    corrected = multipletests(list(known.values()), method="holm")[1].tolist() if known else []
-    return dict(p) | dict(zip(known, corrected, strict=True))
+    finite = {name: value for name, value in p.items() if np.isfinite(value)}
+    corrected = multipletests(list(finite.values()), method="holm")[1].tolist() if finite else []
+    return dict(p) | dict(zip(finite, corrected, strict=True))
 
 
 def _corrected(tests: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -171,11 +171,11 @@ def correlate_with_answers(trials: observer.Trials, values: NDArray[np.float64])
 
     Each pair of values is the median metric and the share of one participant in one condition.
     """
-    medians, shares, _, who = dots_of(trials, values)
+    medians, shares, _, who = participant_dots(trials, values)
     return observer.spearman(medians, shares, who)
 
 
-def _of_force_rate(trials: observer.Trials) -> Any:
+def _force_rate_rows(trials: observer.Trials) -> Any:
     if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
         return {"reason": "needs the rate of the force and conditions that are numbers"}
     small = trials.condition <= _LARGEST_AMPLITUDE

@@ -51,7 +51,7 @@ def write_tables(manifest: Manifest) -> Tables:
             f"the table of trials needs pandas and pyarrow ({error}): pip install 'fingerflow-engine[study]'"
         ) from error
     stored = [(entry, read_row(manifest.results / entry.name)) for entry in manifest.trials]
-    frame = pd.DataFrame(rows_of(manifest, stored))
+    frame = pd.DataFrame(table_rows(manifest, stored))
     for name, values in normalised(frame).items():
         frame[name] = values
     frame = pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
@@ -61,16 +61,16 @@ def write_tables(manifest: Manifest) -> Tables:
     table = pa.Table.from_pandas(frame, preserve_index=False)
     described = NUMBERS | FACTS | DIFFERENCES
     fields = [
-        one.with_metadata({"units": known.units, "long_name": known.long_name})
-        if (known := described.get(one.name))
-        else one
-        for one in table.schema
+        column.with_metadata({"units": variable.units, "long_name": variable.long_name})
+        if (variable := described.get(column.name))
+        else column
+        for column in table.schema
     ]
     table = table.cast(pa.schema(fields, metadata=table.schema.metadata))
     write_atomically(paths.trials, lambda part: parquet.write_table(table, part))
     write_atomically(paths.csv, lambda part: frame.map(quoted_cell).to_csv(part, index=False))
     variables = pd.DataFrame(
-        [(one.name, one.units, one.long_name) for one in described.values() if one.name in frame],
+        [(column.name, column.units, column.long_name) for column in described.values() if column.name in frame],
         columns=["column", "unit", "definition"],
     )
     write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
@@ -80,27 +80,27 @@ def write_tables(manifest: Manifest) -> Tables:
     return paths
 
 
-def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
+def table_rows(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
     """Return one row of the study's table for each trial and its stored outcome: columns of the manifest, status and
     files, and measured numbers, NaN where unknown.
     """
-    numeric = all(np.isfinite(_number_of(entry.condition)) for entry, _ in stored)
+    numeric = all(np.isfinite(_parse_number(entry.condition)) for entry, _ in stored)
     rows = []
-    for entry, found in stored:
-        known = found.row if found is not None and found.status == MEASURED else {}
-        result = None if found is None or found.result is None else manifest.results / entry.name / found.result
+    for entry, trial in stored:
+        measured = trial.row if trial is not None and trial.status == MEASURED else {}
+        result = None if trial is None or trial.result is None else manifest.results / entry.name / trial.result
         recording = (manifest.path.parent / entry.settings["recording"]["frames"]).resolve()
         facts = {
-            "status": NOT_RUN if found is None else found.status,
-            "reason": "" if found is None else found.reason,
+            "status": NOT_RUN if trial is None else trial.status,
+            "reason": "" if trial is None else trial.reason,
             "recording": relative(recording, manifest.path.parent),
             "result": None if result is None else relative(result, manifest.path.parent),
-            **{name: known.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
+            **{name: measured.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
         }
-        numbers = {name: np.nan if known.get(name) is None else float(known[name]) for name in NUMBERS}
+        numbers = {name: np.nan if measured.get(name) is None else float(measured[name]) for name in NUMBERS}
         condition = float(entry.condition) if numeric else entry.condition
         row = {"participant": entry.participant, "trial": entry.trial, "condition": condition, "answer": entry.answer}
-        rows.append(row | dict(entry.others) | facts | numbers)
+        rows.append(row | dict(entry.extra) | facts | numbers)
     return rows
 
 
@@ -108,11 +108,11 @@ def normalised(frame: Any) -> dict[str, Any]:
     """Return, as new columns of the table of trials, the contact areas, each divided by the median over all trials of
     its participant; NaN where unknown.
     """
-    found = {}
+    columns = {}
     for name in NORMALISED:
         median = frame.groupby("participant")[name].transform("median")
-        found[f"{name}_normalised"] = frame[name] / median.where(median > 0)
-    return found
+        columns[f"{name}_normalised"] = frame[name] / median.where(median > 0)
+    return columns
 
 
 def differences(frame: Any) -> dict[str, Any]:
@@ -125,10 +125,10 @@ def differences(frame: Any) -> dict[str, Any]:
         return {}
     # A reference must be the only trial of its number. No trial has an empty number, so trials without a reference find
     # none.
-    own = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
-    places = list(zip(frame["participant"], frame[REFERENCE], strict=True))
+    numbered = frame.drop_duplicates(["participant", "trial"], keep=False).set_index(["participant", "trial"])
+    references = list(zip(frame["participant"], frame[REFERENCE], strict=True))
     numbers = [name.removesuffix(DIFFERENCE) for name in DIFFERENCES]
-    return {f"{name}{DIFFERENCE}": frame[name] - own[name].reindex(places).to_numpy() for name in numbers}
+    return {f"{name}{DIFFERENCE}": frame[name] - numbered[name].reindex(references).to_numpy() for name in numbers}
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
@@ -142,34 +142,34 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    conditions = sorted({entry.condition for entry, _ in stored}, key=lambda text: (_number_of(text), text))
+    conditions = sorted({entry.condition for entry, _ in stored}, key=lambda text: (_parse_number(text), text))
     for metric in CURVES:
         for condition in conditions:
-            own = [
-                (entry.participant, found.curves[metric])
-                for entry, found in stored
-                if entry.condition == condition and found is not None and metric in found.curves
+            group = [
+                (entry.participant, trial.curves[metric])
+                for entry, trial in stored
+                if entry.condition == condition and trial is not None and metric in trial.curves
             ]
-            if not own:
+            if not group:
                 continue
-            curves = pd.DataFrame([curve for _, curve in own], index=[name for name, _ in own], dtype=np.float64)
-            known, means = curves.count(), curves.groupby(level=0).mean()
+            curves = pd.DataFrame([curve for _, curve in group], index=[name for name, _ in group], dtype=np.float64)
+            counts, means = curves.count(), curves.groupby(level=0).mean()
             people, mean_of_means = means.count(), means.mean()
             reach = stats.t.ppf((1 + _LEVEL) / 2, people - 1) * means.std() / np.sqrt(people)
-            for column in np.flatnonzero(known / len(own) >= _MOST_MISSING):
-                mean, trials = float(mean_of_means[column]), int(known[column])
+            for column in np.flatnonzero(counts / len(group) >= _MOST_MISSING):
+                mean, trials = float(mean_of_means[column]), int(counts[column])
                 rows.append(
                     {
                         "metric": metric, "unit": NUMBERS[metric].units, "condition": condition,
                         "normal_force_N": float(FORCE_GRID[column]), "mean": mean, "low": mean - reach[column],
                         "high": mean + reach[column], "participants": int(people[column]), "trials": trials,
-                        "without": len(own) - trials,
+                        "without": len(group) - trials,
                     }
                 )  # fmt: skip
     return rows
 
 
-def _number_of(text: str) -> float:
+def _parse_number(text: str) -> float:
     """Parse a text as a number; return infinity if it is not one."""
     try:
         return float(text)

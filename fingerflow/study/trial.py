@@ -21,7 +21,7 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError, is_out_of_memory
 from fingerflow.pipeline.run import process_to_file
 from fingerflow.results.result import open_result, read_own
-from fingerflow.study.cache_keys import Keys, all_codes, code_of, describe_file, keys_of
+from fingerflow.study.cache_keys import Keys, all_codes, code_digest, describe_file, trial_keys
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
@@ -37,7 +37,7 @@ class Job:
     Attributes:
         manifest: of this trial alone.
         redo: "everything", what settings or code have "changed", or the "row" alone.
-        codes: the client's `code_of` by part, which the worker's must equal.
+        codes: the client's `code_digest` by part, which the worker's must equal.
         threads: number of threads that a worker uses.
     """
 
@@ -65,7 +65,7 @@ def run_trial(job: Job) -> Outcome:
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
-    different = [part for part, code in job.codes.items() if code_of(part) != code]
+    different = [part for part, code in job.codes.items() if code_digest(part) != code]
     if different:
         raise FingerflowError(
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
@@ -78,9 +78,9 @@ def run_trial(job: Job) -> Outcome:
     keys: Keys | None = None
     trace: dict[str, str] = {}
     try:
-        scene = job.manifest.scene_of(entry)
+        scene = job.manifest.build_scene(entry)
         stored = read_row(folder)
-        keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
+        keys = trial_keys(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return Outcome(entry.name, MEASURED, "was done by another run meanwhile")
         path, earlier = folder / result_name(keys), None
@@ -130,8 +130,10 @@ def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
 def _is_transient(error: BaseException) -> bool:
     """Return True if an error is transient, such as lack of memory, so that a second run of the trial may succeed."""
     return any(
-        is_out_of_memory(one) or isinstance(one, NoRoomError) or (isinstance(one, OSError) and one.errno in _PASSING)
-        for one in _chain(error)
+        is_out_of_memory(link)
+        or isinstance(link, NoRoomError)
+        or (isinstance(link, OSError) and link.errno in _PASSING)
+        for link in _chain(error)
     )
 
 

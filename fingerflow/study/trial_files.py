@@ -68,19 +68,19 @@ def write_row(folder: Path, trial: TrialRow) -> None:
     content = json.loads(json.dumps(asdict(trial), allow_nan=False))
     text = json.dumps(content | {_DIGEST: digest_of(content)}, indent=1, ensure_ascii=False)
     write_atomically(folder / "row.json", lambda part: part.write_text(text, encoding="utf-8"))
-    for other in folder.glob("result-*.h5"):
-        if other.name != trial.result:
-            other.unlink(missing_ok=True)
+    for file in folder.glob("result-*.h5"):
+        if file.name != trial.result:
+            file.unlink(missing_ok=True)
 
 
 def read_row(folder: Path) -> TrialRow | None:
     """Return the row stored in a trial's folder; None if it is missing or damaged, so that the trial is run again."""
     try:
-        found = json.loads((folder / "row.json").read_text(encoding="utf-8"))
-        if found.pop(_DIGEST) != digest_of(found):
+        stored = json.loads((folder / "row.json").read_text(encoding="utf-8"))
+        if stored.pop(_DIGEST) != digest_of(stored):
             return None
-        keys = None if found["keys"] is None else Keys.from_json(found["keys"])
-        content = None if found["content"] is None else InputFile(**found["content"])
-        return TrialRow(**{**found, "keys": keys, "content": content})
+        keys = None if stored["keys"] is None else Keys.parse(stored["keys"])
+        content = None if stored["content"] is None else InputFile(**stored["content"])
+        return TrialRow(**{**stored, "keys": keys, "content": content})
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

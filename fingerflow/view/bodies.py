@@ -67,16 +67,16 @@ class TableBody(Body):
     points: list[Number] = []
 
 
-def body_of(sent: bytes, kind: type[Body]) -> dict[str, Any]:
+def parse_body(sent: bytes, model: type[Body]) -> dict[str, Any]:
     """Return the fields of a JSON request body; raise FingerflowError for invalid JSON or a field of wrong type."""
     try:
-        content = kind.model_validate_json(sent).model_dump()
+        content = model.model_validate_json(sent).model_dump()
     except ValidationError as error:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
             raise FingerflowError("what was sent is no JSON") from None
-        place = ".".join(map(str, first["loc"])) or "the body"
-        raise FingerflowError(f"{place} of what was sent is wrong: {first['msg']}; reload the page") from None
+        field = ".".join(map(str, first["loc"])) or "the body"
+        raise FingerflowError(f"{field} of what was sent is wrong: {first['msg']}; reload the page") from None
     if r"\u0000" in json.dumps(content):
         raise FingerflowError("what was sent has a zero byte, which no name of a file or key can have; leave it out")
     return content

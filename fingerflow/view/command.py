@@ -42,7 +42,7 @@ class Command:
             self._listener.join(5)
         counts = _COUNT.findall(self._said)
         name, done, of = counts[-1] if counts else ("", "0", "0")
-        said = [line for line in re.split(r"[\r\n]+", self._said) if line.strip() and not _COUNT.search(line)]
+        lines = [line for line in re.split(r"[\r\n]+", self._said) if line.strip() and not _COUNT.search(line)]
         return {
             "running": code is None,
             "failed": code not in (None, 0),
@@ -50,7 +50,7 @@ class Command:
             "step": name,
             "done": int(done),
             "of": int(of),
-            "said": said[-12:],
+            "said": lines[-12:],
             "to": str(self.to),
         }
 

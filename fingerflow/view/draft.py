@@ -16,7 +16,7 @@ from fingerflow.schema.scene_check import MISSING, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.scene_template import scene_text
-from fingerflow.view.key_forms import field_name, in_words_of_page
+from fingerflow.view.key_forms import field_name, reword
 
 Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
@@ -48,19 +48,19 @@ class Draft:
         self._stored = stored
 
     @classmethod
-    def of_file(cls, path: Path) -> "Draft":
+    def read(cls, path: Path) -> "Draft":
         """Return the draft of an existing scene file; raise FingerflowError if it cannot be read or is not TOML."""
         text = _read(path)
         return cls(path, text, text)
 
     @classmethod
-    def of_recording(cls, recording: Recording) -> "Draft":
+    def create(cls, recording: Recording) -> "Draft":
         """Return a new draft for a recording, with two default views; keys that the user must set are absent."""
         height, width = recording.frame_shape
         path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
         draft = cls(path, text, None)
-        draft.set(("views",), _views_of("press", height, width))
+        draft.set(("views",), _default_views("press", height, width))
         draft.set(("background", "frames"), None)
         return draft
 
@@ -80,10 +80,10 @@ class Draft:
 
     def table(self, name: str) -> dict[str, Any]:
         """Return the values of one table of the draft; empty if the table is missing or invalid."""
-        found = self.values().get(name)
-        return found if isinstance(found, dict) else {}
+        table = self.values().get(name)
+        return table if isinstance(table, dict) else {}
 
-    def kind(self) -> str:
+    def scene_kind(self) -> str:
         """Return the kind of the scene (such as press or slip) that the draft sets, or the default kind."""
         values = self.values()
         return str(values.get("kind", default_kind(values)))
@@ -92,10 +92,12 @@ class Draft:
         """Return the draft's validation problems: key, name of its field on the page, and a message that continues a
         sentence after that name.
         """
-        found = SceneCheck(self.values(), self.path.parent, "process").problems()
+        problems = SceneCheck(self.values(), self.path.parent, "process").problems()
         # The remedy of a missing key addresses those who edit the file by hand.
-        said = [_NEEDED.get(key, "is needed") if said == MISSING else in_words_of_page(said) for key, said in found]
-        return [{"key": key, "field": field_name(key), "said": one} for (key, _), one in zip(found, said, strict=True)]
+        texts = [_NEEDED.get(key, "is needed") if texts == MISSING else reword(texts) for key, texts in problems]
+        return [
+            {"key": key, "field": field_name(key), "said": text} for (key, _), text in zip(problems, texts, strict=True)
+        ]
 
     def scene(self) -> Scene:
         """Return the scene that the draft describes; raise FingerflowError if it is invalid."""
@@ -112,24 +114,24 @@ class Draft:
         *tables, last = keys
         if value is not None and len(tables) == 1:
             self._uncomment(tables[0], last)
-        place: Any = self._document
+        table: Any = self._document
         around = []
         for name in tables:
-            if name not in place:
+            if name not in table:
                 if value is None:
                     return
-                place[name] = tomlkit.table()
-            around.append((place, name))
-            place = place[name]
-            if not isinstance(place, TomlTable | dict):
+                table[name] = tomlkit.table()
+            around.append((table, name))
+            table = table[name]
+            if not isinstance(table, TomlTable | dict):
                 raise FingerflowError(f"{'.'.join(keys)}: {name} is no table in {self.path}; correct it there")
         if value is not None:
             try:
-                place[last] = value
+                table[last] = value
             except TOMLKitError:
                 raise FingerflowError(f"{'.'.join(keys)}: {value!r} is no valid TOML value; correct it") from None
-        elif last in place:
-            del place[last]
+        elif last in table:
+            del table[last]
             for outer, name in reversed(around):
                 if not len(outer[name]) and not _is_needed(name):
                     del outer[name]
@@ -138,16 +140,16 @@ class Draft:
         """Activate the commented-out line of a key, and the commented-out heading of its table, where they stand in the
         text.
         """
-        known = self.table(table)
-        if key in known:
+        values = self.table(table)
+        if key in values:
             return
         lines, heading, number = self.text.splitlines(keepends=True), "", 0
         for k, line in enumerate(lines):
-            if found := _HEADING.match(line):
-                heading, number = found[1], k
+            if heading_match := _HEADING.match(line):
+                heading, number = heading_match[1], k
             elif heading == table and line.startswith(f"# {key} = "):
                 if lines[number].startswith("# "):
-                    if known:  # the table stands elsewhere
+                    if values:  # the table stands elsewhere
                         return
                     lines[number] = lines[number].removeprefix("# ")
                 lines[k] = line.removeprefix("# ")
@@ -163,14 +165,14 @@ class Draft:
         """
         if kind not in KINDS:
             raise FingerflowError(f"kind is {kind!r}: it should be one of {', '.join(KINDS)}")
-        views, known = self.table("views"), KINDS[kind]
+        views, scene_kind = self.table("views"), KINDS[kind]
         stated = "kind" in self._document
         if kind != default_kind(self.values()) or stated:
             if not stated:  # top-level keys must precede all tables
                 self._document = _parsed(f'kind = "{kind}"\n{self.text}', self.path)
             self._document["kind"] = kind
-        if set(views) - {*known.views, *known.optional_views} or set(known.views) - set(views):
-            self.set(("views",), _views_of(kind, *frame_shape))
+        if set(views) - {*scene_kind.views, *scene_kind.optional_views} or set(scene_kind.views) - set(views):
+            self.set(("views",), _default_views(kind, *frame_shape))
 
     def write(self, to: Path | None = None, replace: bool = False) -> Path:
         """Validate the draft as `process` does, write it as the scene file or to another path `to`, and return the path
@@ -191,18 +193,18 @@ class Draft:
         return path
 
 
-def names_in(folder: Path) -> tuple[list[str], list[str]]:
+def list_names(folder: Path) -> tuple[list[str], list[str]]:
     """Return the names of folders and of files in a folder, at most 300 of each, without hidden ones.
 
     Raises FingerflowError if the folder cannot be read.
     """
     try:
-        found = sorted((one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: one.name)
-        folders = {one.name for one in found if one.is_dir()}
+        paths = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=lambda path: path.name)
+        folders = {path.name for path in paths if path.is_dir()}
     except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
         raise FingerflowError(f"{folder}: cannot be read ({error}); choose another folder") from None
-    names = [one.name for one in found]
-    return [one for one in names if one in folders][:_MOST_FILES], [one for one in names if one not in folders][
+    names = [path.name for path in paths]
+    return [path for path in names if path in folders][:_MOST_FILES], [path for path in names if path not in folders][
         :_MOST_FILES
     ]
 
@@ -210,13 +212,13 @@ def names_in(folder: Path) -> tuple[list[str], list[str]]:
 def files_beside(path: Path) -> list[str]:
     """Return the names of files and folders in the folder of a path, as choices for an input field."""
     try:
-        folders, files = names_in(path.parent)
+        folders, files = list_names(path.parent)
         return sorted([*folders, *files])
     except FingerflowError:
         return []
 
 
-def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
+def _default_views(kind: str, height: int, width: int) -> dict[str, Any]:
     """Return default views for a kind of scene: both halves of the frame (Willemet et al. 2021), or all of it."""
     rows = [0, height]
     if "contact" in KINDS[kind].views:
@@ -235,10 +237,10 @@ def _is_needed(table: str) -> bool:
 
 def _free(path: Path) -> Path:
     """Return a path at which no file exists: the given path, or the same with a number after the stem."""
-    found, number = path, 2
-    while found.exists():
-        found, number = path.with_stem(f"{path.stem}-{number}"), number + 1
-    return found
+    free, number = path, 2
+    while free.exists():
+        free, number = path.with_stem(f"{path.stem}-{number}"), number + 1
+    return free
 
 
 def _read(path: Path) -> str:

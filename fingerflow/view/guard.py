@@ -39,14 +39,14 @@ class Guard:
         if refused is not None:
             await refused(scope, receive, send)
         else:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, _add_headers(send))
 
     def _refused(self, headers: Headers, scope: Scope) -> Response | None:
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
             return PlainTextResponse("this address is not served under that name", 421)
-        own = f"http://{hosts[0].lower()}"
-        if any(origin.lower() != own for origin in origins):
+        this_origin = f"http://{hosts[0].lower()}"
+        if any(origin.lower() != this_origin for origin in origins):
             return PlainTextResponse("pages of other sites are refused", 403)
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _opens_start_page(
             headers, scope
@@ -70,13 +70,13 @@ def _opens_start_page(headers: Headers, scope: Scope) -> bool:
     return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
 
 
-def _with_headers(send: Send) -> Send:
+def _add_headers(send: Send) -> Send:
     async def sending(message: object) -> None:
         if isinstance(message, dict) and message["type"] == "http.response.start":
-            own = list(message.get("headers", []))
-            stated = {name for name, _ in own}
+            headers = list(message.get("headers", []))
+            stated = {name for name, _ in headers}
             added = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
-            message = {**message, "headers": [*own, *(one for one in added if one[0] not in stated)]}
+            message = {**message, "headers": [*headers, *(header for header in added if header[0] not in stated)]}
         await send(message)  # type: ignore[arg-type]
 
     return sending

@@ -19,7 +19,7 @@ def forms() -> dict[str, dict[str, Any]]:
     return {
         name: {
             "help": table.help,
-            "keys": [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)],
+            "keys": [_form(key, entry) for key, entry in table.keys.items() if isinstance(entry, SceneKey)],
         }
         for name, table in SCENE.items()
     }
@@ -42,7 +42,7 @@ def field_name(key: str) -> str:
     return key if name else table.capitalize()
 
 
-def in_words_of_page(text: str) -> str:
+def reword(text: str) -> str:
     """Return a message in which each key of a scene file, written as `forces.normal`, `[forces] normal` or `[forces]`,
     is replaced by the quoted words by which the page names it.
     """
@@ -54,13 +54,13 @@ _BRACKETED = re.compile(rf"\[{_TABLES}((?:\.\w+)*)\](?: (\w+))?")
 _DOTTED = re.compile(rf"(?<![\w/.\[-]){_TABLES}((?:\.\w+)+)")  # a file such as forces.csv has no known key
 
 
-def _named(found: re.Match[str]) -> str:
-    key, after = found[1] + found[2], found[3] if found.re is _BRACKETED else ""
+def _named(match: re.Match[str]) -> str:
+    key, after = match[1] + match[2], match[3] if match.re is _BRACKETED else ""
     if after and field_name(f"{key}.{after}") != f"{key}.{after}" and not key.startswith("views"):
         key, after = f"{key}.{after}", ""
     name = field_name(key)
     if name == key:
-        return found[0]
+        return match[0]
     return (name if key.startswith("views") else f'"{name}"') + (f" {after}" if after else "")
 
 

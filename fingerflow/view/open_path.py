@@ -24,17 +24,17 @@ def open_path(path: Path | None) -> tuple[Draft | None, Path | None]:
     if not path.exists() and "::" not in str(path):
         raise FingerflowError(f"{path} does not exist; name a scene, a recording or a result")
     if path.suffix.lower() == ".toml":
-        beside = path.parent / RESULT
-        return Draft.of_file(path), beside if beside.is_file() and is_result(beside) else None
+        result = path.parent / RESULT
+        return Draft.read(path), result if result.is_file() and is_result(result) else None
     if path.is_file() and is_result(path):
-        return _draft_of(path), path
+        return _open_draft(path), path
     with open_recording(path) as recording:
-        return Draft.of_recording(recording), None
+        return Draft.create(recording), None
 
 
-def _draft_of(result: Path) -> Draft | None:
+def _open_draft(result: Path) -> Draft | None:
     """Return a draft of the scene file from which a result was computed, or None if that file cannot be read."""
     try:
-        return Draft.of_file(scene_of(result))
+        return Draft.read(scene_of(result))
     except FingerflowError:
         return None

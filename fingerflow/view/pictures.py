@@ -27,17 +27,17 @@ class Pictures:
             raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
         self.recording = recording
         self.every = -(-max(recording.frame_shape) // _MOST_SIDE)
-        some = [recording[k][::_STEP, ::_STEP] for k in (0, len(recording) // 2)]
-        known = np.concatenate([one[np.isfinite(one)] for one in some])
-        low, high = np.percentile(known, (_DARKEST, _BRIGHTEST)) if known.size else (0.0, 1.0)
+        samples = [recording[k][::_STEP, ::_STEP] for k in (0, len(recording) // 2)]
+        counts = np.concatenate([sample[np.isfinite(sample)] for sample in samples])
+        low, high = np.percentile(counts, (_DARKEST, _BRIGHTEST)) if counts.size else (0.0, 1.0)
         self._low, self._scale = float(low), 255 / max(float(high - low), 1e-9)
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """Return the 8-bit image (h, w) of a frame of the recording, given by its index in the file."""
-        return self.of(self.recording[frame])
+        return self.convert(self.recording[frame])
 
-    def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
+    def convert(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
         """Convert a frame (H, W) to an 8-bit image (h, w), subsampled by `every`, with the recording's contrast."""
         shown = frame[:: self.every, :: self.every]
         if shown.dtype == np.uint8:

@@ -60,12 +60,12 @@ class Previewer:
         """Return normal force, tangential force and their ratio (F,) at the frames that the scene selects, as far as
         known, by variable name.
         """
-        given = {
+        forces = {
             "normal_force": self._loading.normal,
             "tangential_force": self._loading.tangential,
             "load_ratio": self._loading.ratio,
         }
-        return {name: values for name, values in given.items() if values is not None}
+        return {name: values for name, values in forces.items() if values is not None}
 
     def contact(self, frame: int) -> tuple[NDArray[np.bool_], dict[str, Any]]:
         """Return the predicted contact in a frame, given by its index among the selected frames of the recording: the
@@ -73,9 +73,9 @@ class Previewer:
         """
         if frame not in self._seen:
             with torch.inference_mode():
-                found = self._contact.step(self._batch(frame))
+                contact = self._contact.step(self._batch(frame))
             numbers = {name: values[frame] for name, values in self._contact.series.items() if name != "frame_status"}
-            self._seen = {frame: (found.real_contact_mask[0, 0], numbers)}
+            self._seen = {frame: (contact.real_contact_mask[0, 0], numbers)}
         return self._seen[frame]
 
     def chosen(self) -> tuple[NDArray[np.floating], int, list[str]]:
@@ -117,7 +117,7 @@ class Previewer:
 def all_of_default_stages(scene: Scene) -> list[str]:
     """Return the names of all variables of a default run's stages, including those computed only on request."""
     stages = plan(None, scene).stages
-    return [one.name for stage in stages for one in stage.gives if all(map(scene.has, one.needs))]
+    return [output.name for stage in stages for output in stage.gives if all(map(scene.has, output.needs))]
 
 
 def _input_settings(scene: Scene) -> Sequence[Any]:

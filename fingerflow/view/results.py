@@ -14,7 +14,7 @@ from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import open_result
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
-from fingerflow.view.key_forms import in_words_of_page
+from fingerflow.view.key_forms import reword
 
 _SAMPLED = 24  # number of frames that set the range of colours
 _RANGE = 0.96  # quantile of the values at the end of the range of colours
@@ -58,7 +58,7 @@ class Results:
             "first_frame": int(data["frame"][0]),
             "points": data.sizes.get("point", 0),
             "frame_of_largest_load": data.sizes["frame"] // 2 if largest is None else largest,
-            "warnings": [*map(in_words_of_page, json.loads(data.attrs["warnings"]))],
+            "warnings": [*map(reword, json.loads(data.attrs["warnings"]))],
             "mm_per_px": float(data.attrs["mm_per_px"]),
             "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
             "maps": self._menu_entries(("frame", "point")) + self._menu_entries(("frame", "triangle")),
@@ -98,7 +98,7 @@ class Results:
                 arrays[name] = self._row(name, frame).astype(np.uint8)
                 numbers[name] = {key: float(data[name].attrs[key]) for key in ("cell_mm", "first_cell_mm")}
         if shown is not None:
-            arrays["shown"] = self._of_frame(shown, frame).astype(np.float32)
+            arrays["shown"] = self._frame_values(shown, frame).astype(np.float32)
         return numbers, arrays
 
     def triangles(self) -> NDArray[np.int32]:
@@ -116,7 +116,7 @@ class Results:
             raise FingerflowError(f"{key} is no course of frames: choose one of those that are listed")
         return values
 
-    def of_points(self, key: str, points: Sequence[int]) -> Values:
+    def point_courses(self, key: str, points: Sequence[int]) -> Values:
         """Return time series (F, K) of the variable that a key names at K selected points, without duplicates and in
         ascending order.
         """
@@ -128,7 +128,7 @@ class Results:
             raise FingerflowError(f"the points {list(points)[:5]} are not among the {self.data.sizes['point']} there")
         return self._component(key, variable.dims, variable.isel(point=chosen).values)
 
-    def range_of(self, key: str) -> tuple[float, float]:
+    def value_range(self, key: str) -> tuple[float, float]:
         """Return the colour limits, for all frames, of the map that a key names: symmetric about 0 for signed values,
         else starting at 0.
 
@@ -137,7 +137,7 @@ class Results:
         if key not in self._ranges:
             count = self.data.sizes["frame"]
             frames = np.unique(np.linspace(0, count - 1, min(count, _SAMPLED)).round().astype(int))
-            values = np.concatenate([self._of_frame(key, int(k)).ravel() for k in frames])
+            values = np.concatenate([self._frame_values(key, int(k)).ravel() for k in frames])
             values = values[np.isfinite(values)]
             low, high = np.quantile(values, (1 - _RANGE, _RANGE)) if values.size else (0.0, 1.0)
             if low < 0:
@@ -156,8 +156,10 @@ class Results:
         for key in keys:
             columns |= self._column(key, key, self.course(key))
         if point_key and len(points):
-            said = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
-            columns |= self._column(point_key, f"{point_key} of {said}", median_of(self.of_points(point_key, points)))
+            points_named = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
+            columns |= self._column(
+                point_key, f"{point_key} of {points_named}", course_median(self.point_courses(point_key, points))
+            )
         return _csv(columns)
 
     def table_of_frame(self, frame: int, shown: str | None) -> str:
@@ -175,8 +177,8 @@ class Results:
             middle = arrays["position"].astype(float)[corners].mean(axis=1)
             columns = {"triangle": np.arange(len(corners)), "x (mm)": middle[:, 0], "y (mm)": middle[:, 1]}
         else:
-            place = arrays["position"].astype(float)
-            columns = {"point": np.arange(len(place)), "x (mm)": place[:, 0], "y (mm)": place[:, 1]}
+            position = arrays["position"].astype(float)
+            columns = {"point": np.arange(len(position)), "x (mm)": position[:, 0], "y (mm)": position[:, 1]}
             columns["status"] = arrays["status"]
         if shown is not None:
             columns |= self._column(shown, shown, arrays["shown"].astype(float))
@@ -186,7 +188,7 @@ class Results:
         """Return entries for menus of the page (key, definition and last dimension) of the variables that begin with
         the given dimensions, one for each component.
         """
-        found = []
+        entries = []
         for name, variable in self.data.data_vars.items():
             rest = variable.dims[len(dims) :]
             if variable.dims[: len(dims)] != dims or name in _PLACES or any(dim not in LABELS for dim in rest):
@@ -196,9 +198,9 @@ class Results:
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)
-                said = in_words_of_page(str(variable.attrs.get("long_name", name)))
-                found.append({"key": key, "said": said, "of": dims[-1]})
-        return found
+                title = reword(str(variable.attrs.get("long_name", name)))
+                entries.append({"key": key, "said": title, "of": dims[-1]})
+        return entries
 
     def _arrow_scale(self) -> float:
         """Return the factor, to one digit, by which arrows are longer than displacements, so that the largest are drawn
@@ -206,7 +208,7 @@ class Results:
         """
         if "displacement" not in self.data:
             return 0.0
-        _, largest = self.range_of("displacement:length")
+        _, largest = self.value_range("displacement:length")
         return float(f"{_ARROW_PX * float(self.data.attrs['mm_per_px']) / largest:.1g}")
 
     def _name(self, key: str) -> str:
@@ -223,7 +225,7 @@ class Results:
         unit = shown_unit(name, str(self.data[name].attrs.get("units", "")))
         return {unit.heading(heading): unit.factor * values}
 
-    def _of_frame(self, key: str, frame: int) -> Values:
+    def _frame_values(self, key: str, frame: int) -> Values:
         name = self._name(key)
         return self._component(key, self.data[name].dims[1:], self._row(name, frame))
 
@@ -250,7 +252,7 @@ class Results:
             raise FingerflowError(f"frame {frame} is not among the {self.data.sizes['frame']} of {self.path}")
 
 
-def median_of(values: Values) -> Values:
+def course_median(values: Values) -> Values:
     """Return the median (F,) over K points of time series (F, K), ignoring NaN."""
     # Import here, since this also imports torch, which the first image must not wait for.
     from fingerflow.pipeline.stages.preparation.series import nanmedian

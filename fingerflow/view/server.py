@@ -21,11 +21,11 @@ from fingerflow.schema.json_value import json_value
 from fingerflow.schema.variable_record import IN_PERCENT
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.view import bodies
-from fingerflow.view.bodies import Body, body_of
+from fingerflow.view.bodies import Body, parse_body
 from fingerflow.view.connection import Connection
 from fingerflow.view.draft import NeedsLeaveError
 from fingerflow.view.guard import Guard
-from fingerflow.view.key_forms import in_words_of_page
+from fingerflow.view.key_forms import reword
 from fingerflow.view.open_path import open_path
 from fingerflow.view.session import Session
 
@@ -164,7 +164,7 @@ def application(session: Session) -> Starlette:
 
 
 def _variables(_: object) -> dict[str, dict[str, object]]:
-    return {name: one.shown() for name, one in VARIABLES.items()}
+    return {name: variable.shown() for name, variable in VARIABLES.items()}
 
 
 def _switch_unit(_: object) -> dict[str, dict[str, object]]:
@@ -182,9 +182,9 @@ def _get(answer: Answer) -> Callable[[Request], Any]:
     return endpoint
 
 
-def _post(act: Callable[[Mapping[str, Any]], Any], kind: type[Body]) -> Callable[[Request], Any]:
+def _post(act: Callable[[Mapping[str, Any]], Any], model: type[Body]) -> Callable[[Request], Any]:
     async def endpoint(request: Request) -> Response:
-        return _response(await run_in_threadpool(act, body_of(await request.body(), kind)))
+        return _response(await run_in_threadpool(act, parse_body(await request.body(), model)))
 
     return endpoint
 
@@ -201,4 +201,4 @@ def _response(answer: Any) -> Response:
 
 async def _refused(_: Request, error: Exception) -> Response:
     asks = {"asks": True} if isinstance(error, NeedsLeaveError) else {}
-    return JSONResponse({"error": in_words_of_page(str(error)), **asks}, 409 if asks else 422)
+    return JSONResponse({"error": reword(str(error)), **asks}, 409 if asks else 422)

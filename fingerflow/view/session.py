@@ -21,11 +21,11 @@ from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.views import View
 from fingerflow.view.command import Command
-from fingerflow.view.draft import Draft, files_beside, names_in
-from fingerflow.view.key_forms import field_name, forms, in_words_of_page
+from fingerflow.view.draft import Draft, files_beside, list_names
+from fingerflow.view.key_forms import field_name, forms, reword
 from fingerflow.view.open_path import RESULT
 from fingerflow.view.pictures import Pictures
-from fingerflow.view.results import Results, median_of
+from fingerflow.view.results import Results, course_median
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does not need it
     from fingerflow.view.preview import Previewer
@@ -88,7 +88,7 @@ class Session:
             facts: Facts = {
                 "draft": str(draft.path),
                 "values": draft.values(),
-                "kind": draft.kind(),
+                "kind": draft.scene_kind(),
                 "problems": draft.problems(),
                 "stored": draft.is_stored,
                 "text": draft.text,
@@ -102,19 +102,19 @@ class Session:
             try:
                 pictures = self._pictures_of_draft()
             except FingerflowError as error:
-                facts["recording"], facts["recording_error"] = None, in_words_of_page(str(error))
+                facts["recording"], facts["recording_error"] = None, reword(str(error))
             else:
                 facts["recording"] = _recording_facts(pictures)
                 if pictures.recording.times is None:
-                    said, key = "is needed: the recording does not state it (Hz)", "recording.frame_rate"
-                    facts["problems"].append({"key": key, "field": field_name(key), "said": said})
+                    problem, key = "is needed: the recording does not state it (Hz)", "recording.frame_rate"
+                    facts["problems"].append({"key": key, "field": field_name(key), "said": problem})
             return facts
 
     def folder(self, at: str) -> Facts:
         """Return the folders and files in a folder, which is given relative to that of the scene file."""
         start = self._drafted().path.parent
         folder = (start / at).resolve()
-        folders, files = names_in(folder)
+        folders, files = list_names(folder)
         relative = os.path.relpath(folder, start).replace(os.sep, "/")
         return {"folder": str(folder), "at": "" if relative == "." else relative, "folders": folders, "files": files}
 
@@ -132,11 +132,11 @@ class Session:
             arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
             if contact:
                 try:
-                    facts["numbers"], found = self._contact_of(self._previewer(), frame)
+                    facts["numbers"], maps = self._contact_facts(self._previewer(), frame)
                 except FingerflowError as error:
-                    facts["why_no_contact"] = in_words_of_page(str(error))
+                    facts["why_no_contact"] = reword(str(error))
                 else:
-                    arrays |= found
+                    arrays |= maps
             return packed(facts, arrays)
 
     def points(self) -> bytes:
@@ -146,7 +146,7 @@ class Session:
         with self._lock:
             points, frame, warnings = self._previewer().chosen()
             first = self._previewer().scene.recording.first_frame
-            facts = {"frame": frame + first, "warnings": [*map(in_words_of_page, warnings)]}
+            facts = {"frame": frame + first, "warnings": [*map(reword, warnings)]}
             return packed(facts, {"points": points.astype(np.float32)})
 
     def forces(self) -> bytes:
@@ -158,7 +158,7 @@ class Session:
             scene = previewer.scene
             facts = {
                 "first_frame": scene.recording.first_frame,
-                "warnings": [*map(in_words_of_page, previewer.warnings)],
+                "warnings": [*map(reword, previewer.warnings)],
                 "mm_per_px": scene.calibration.mm_per_px,
                 "topography_to_contact": scene.calibration.topography_to_contact,
             }
@@ -170,37 +170,37 @@ class Session:
             path = None if self._draft is None else _calibration_picture(self._draft)
             return None if path is None else path.read_bytes()
 
-    def calibrate(self, asked: Mapping[str, Any]) -> Facts:
+    def calibrate(self, request: Mapping[str, Any]) -> Facts:
         """Calibrate from image files with the views of the draft, as `fingerflow calibrate` does, and return `setup()`.
 
-        `asked` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
+        `request` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
         folder; the calibration file written there becomes that of the draft.
         """
         from fingerflow.calibration import FILE, calibrate_files
 
         with self._lock:
             draft = self._drafted()
-            folder, given = draft.path.parent, draft.table("views")
-            if not asked.get("ring"):
+            folder, stated = draft.path.parent, draft.table("views")
+            if not request.get("ring"):
                 raise FingerflowError("name the picture of the ring: it gives the scale")
             ring, target, background = (
-                folder / str(asked[name]) if asked.get(name) else None for name in ("ring", "target", "background")
+                folder / str(request[name]) if request.get(name) else None for name in ("ring", "target", "background")
             )
-            places = {"contact": given.get("contact", given.get("camera"))}
+            ranges = {"contact": stated.get("contact", stated.get("camera"))}
             if target is not None:
-                places["topography"] = given.get("topography")
-            views = {name: View(one["rows"], one["columns"]) for name, one in places.items() if one}
+                ranges["topography"] = stated.get("topography")
+            views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
             assert ring is not None
-            found = calibrate_files(
-                ring, target, background, views, float(asked.get("hole_radius_mm") or 2.75), folder / FILE
+            calibration = calibrate_files(
+                ring, target, background, views, float(request.get("hole_radius_mm") or 2.75), folder / FILE
             )
             for key in ("mm_per_px", "topography_to_contact"):
                 draft.set(("calibration", key), None)
             draft.set(("calibration", "file"), FILE)
-            warnings = [*map(in_words_of_page, found.warnings)]
-            return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": warnings}}
+            warnings = [*map(reword, calibration.warnings)]
+            return {**self.setup(), "calibrated": {"mm_per_px": calibration.mm_per_px, "warnings": warnings}}
 
-    def edit(self, asked: Mapping[str, Any]) -> Facts:
+    def edit(self, request: Mapping[str, Any]) -> Facts:
         """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
 
         Raises:
@@ -208,29 +208,29 @@ class Session:
         """
         with self._lock:
             draft, refused = self._drafted(), []
-            for key, value in asked["set"]:
+            for key, value in request["set"]:
                 try:
                     if key == "kind":
                         draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
                     else:
-                        draft.set(tuple(str(key).split(".")), _value_of(value))
+                        draft.set(tuple(str(key).split(".")), _shown_value(value))
                 except FingerflowError as error:
                     refused.append(str(error))
             if refused:
                 raise FingerflowError("; ".join(refused))
             return self.setup()
 
-    def write(self, asked: Mapping[str, Any]) -> Facts:
+    def write(self, request: Mapping[str, Any]) -> Facts:
         """Write the scene file; raise NeedsLeaveError before overwriting content that the page has not read."""
         with self._lock:
-            name = asked.get("to")
+            name = request.get("to")
             to = None if not name else self._drafted().path.parent / str(name)
-            self._drafted().write(to, bool(asked.get("replace")))
+            self._drafted().write(to, bool(request.get("replace")))
             return self.setup()
 
     # Processing.
 
-    def process(self, asked: Mapping[str, Any]) -> Facts:
+    def process(self, request: Mapping[str, Any]) -> Facts:
         """Start `fingerflow process` on the saved scene; the command writes `result.h5` into the folder of the scene.
 
         With `all`, also request the variables computed only on request: principal strains, shear.
@@ -245,7 +245,7 @@ class Session:
             self._close_result()  # some systems cannot replace an open file
             if is_result(to) and _same_frames(to, scene):  # reuses results that are still valid
                 arguments += ["--from", to]
-            if asked.get("all"):
+            if request.get("all"):
                 from fingerflow.view.preview import all_of_default_stages
 
                 for name in all_of_default_stages(scene):
@@ -253,9 +253,9 @@ class Session:
             self._runs["process"] = Command(arguments, to)
             return self.progress("process")
 
-    def report(self, asked: Mapping[str, Any]) -> Facts:
+    def report(self, request: Mapping[str, Any]) -> Facts:
         """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
-        del asked
+        del request
         with self._lock:
             self._refuse_two()
             result, scene = self._opened_result().path, self._result_scene().path
@@ -267,9 +267,9 @@ class Session:
         run = self._runs.get("report")
         return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
-    def end(self, asked: Mapping[str, Any]) -> Facts:
+    def end(self, request: Mapping[str, Any]) -> Facts:
         """Stop a running `process` or `report` command, and return its progress."""
-        of = str(asked.get("of"))
+        of = str(request.get("of"))
         if of in self._runs:
             self._runs[of].end()
         return self.progress(of)
@@ -281,7 +281,7 @@ class Session:
         state = self._runs[of].state()
         if of == "process" and state["ended_well"]:
             self._result_path = self._runs[of].to
-        return {**state, "said": [*map(in_words_of_page, state["said"])]}
+        return {**state, "said": [*map(reword, state["said"])]}
 
     def _refuse_two(self) -> None:
         if any(run.state()["running"] for run in self._runs.values()):
@@ -300,7 +300,7 @@ class Session:
                     name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()
                 }
                 facts["kind"], facts["scene"] = scene.kind, str(scene.path)
-                facts["recording"] = _recording_facts(self._pictures_of(scene.recording.frames, None))
+                facts["recording"] = _recording_facts(self._shown_pictures(scene.recording.frames, None))
             except FingerflowError as error:
                 facts["recording"], facts["recording_error"] = None, str(error)
             return facts
@@ -313,13 +313,13 @@ class Session:
             facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
             try:
                 scene = self._result_scene()
-                pictures = self._pictures_of(scene.recording.frames, None)
+                pictures = self._shown_pictures(scene.recording.frames, None)
                 facts["every"], facts["shape"] = pictures.every, pictures.recording.frame_shape
                 number = frame + scene.recording.first_frame
                 arrays["picture"] = pictures.picture(number)
                 if contact:
-                    self._result_preview = self._result_preview or _previewer_of(scene)
-                    arrays |= self._contact_of(self._result_preview, number)[1]
+                    self._result_preview = self._result_preview or _make_previewer(scene)
+                    arrays |= self._contact_facts(self._result_preview, number)[1]
             except FingerflowError as error:
                 facts["why_no_picture"] = str(error)
             return packed(facts, arrays)
@@ -327,7 +327,7 @@ class Session:
     def result_range(self, key: str) -> Facts:
         """Return the limits of the colour scale for a key (variable, or variable:component)."""
         with self._lock:
-            return {"key": key, "range": self._opened_result().range_of(key)}
+            return {"key": key, "range": self._opened_result().value_range(key)}
 
     def triangles(self) -> bytes:
         """Return the corners of the result's triangles as packed bytes."""
@@ -340,26 +340,26 @@ class Session:
             result = self._opened_result()
             return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
-    def history(self, asked: Mapping[str, Any]) -> bytes:
+    def history(self, request: Mapping[str, Any]) -> bytes:
         """Return the time series of a variable at one point with its status, or the median over several points, with
         the number of points at which it is known, as packed bytes.
         """
-        key, points = asked["key"], [int(one) for one in asked["points"]]
+        key, points = request["key"], [int(point) for point in request["points"]]
         with self._lock:
             result = self._opened_result()
-            values = result.of_points(key, points)
-            arrays = {"values": median_of(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
+            values = result.point_courses(key, points)
+            arrays = {"values": course_median(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
             if len(points) == 1 and "status" in result.data:
-                arrays["status"] = result.of_points("status", points)[:, 0].astype(np.uint8)
+                arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
             return packed({"key": key, "points": points}, arrays)
 
-    def table(self, asked: Mapping[str, Any]) -> str:
+    def table(self, request: Mapping[str, Any]) -> str:
         """Return CSV text of the time series, or of the frame, that the page displays."""
         with self._lock:
             result = self._opened_result()
-            if asked["of"] == "frame":
-                return result.table_of_frame(int(asked["frame"]), asked.get("shown"))
-            return result.table_of_courses(asked["keys"], [int(k) for k in asked["points"]], asked.get("shown"))
+            if request["of"] == "frame":
+                return result.table_of_frame(int(request["frame"]), request.get("shown"))
+            return result.table_of_courses(request["keys"], [int(k) for k in request["points"]], request.get("shown"))
 
     # What is opened.
 
@@ -384,13 +384,13 @@ class Session:
 
     def _pictures_of_draft(self) -> Pictures:
         draft = self._drafted()
-        said = draft.table("recording")
-        frames, rate = said.get("frames"), said.get("frame_rate")
+        recording = draft.table("recording")
+        frames, rate = recording.get("frames"), recording.get("frame_rate")
         if not isinstance(frames, str):
             raise FingerflowError("choose a recording: no file is named in [recording] frames")
-        return self._pictures_of(draft.path.parent / frames, rate if isinstance(rate, float | int) else None)
+        return self._shown_pictures(draft.path.parent / frames, rate if isinstance(rate, float | int) else None)
 
-    def _pictures_of(self, path: Path, rate: float | None) -> Pictures:
+    def _shown_pictures(self, path: Path, rate: float | None) -> Pictures:
         if (path, rate) not in self._pictures:
             self._pictures[path, rate] = Pictures(open_recording(path, frame_rate=rate))
         return self._pictures[path, rate]
@@ -399,18 +399,18 @@ class Session:
         text = self._drafted().text
         if self._preview is None or self._preview[0] != text:
             before = None if self._preview is None else self._preview[1]
-            self._preview = (text, _previewer_of(self._drafted().scene(), before))
+            self._preview = (text, _make_previewer(self._drafted().scene(), before))
         return self._preview[1]
 
-    def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
+    def _contact_facts(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
         """Return the predicted contact in a frame (index in the file): numbers by name and arrays by name, the latter
         empty for a frame that the scene does not select.
         """
-        place = number - previewer.scene.recording.first_frame
-        if not 0 <= place < len(previewer.times):
+        index = number - previewer.scene.recording.first_frame
+        if not 0 <= index < len(previewer.times):
             return {"counts": False}, {}
-        mask, numbers = previewer.contact(place)
-        return {"counts": True, "time": float(previewer.times[place]), **numbers}, {"mask": mask.astype(np.uint8)}
+        mask, numbers = previewer.contact(index)
+        return {"counts": True, "time": float(previewer.times[index]), **numbers}, {"mask": mask.astype(np.uint8)}
 
     def _opened_result(self) -> Results:
         if self._result is None:
@@ -432,18 +432,18 @@ class Session:
 
 
 def _recording_facts(pictures: Pictures) -> Facts:
-    found = pictures.recording
+    recording = pictures.recording
     return {
-        "path": str(found.path),
-        "frames": len(found),
-        "shape": found.frame_shape,
-        "bit_depth": found.bit_depth,
-        "frame_rate": found.frame_rate,
-        "warnings": found.warnings,
+        "path": str(recording.path),
+        "frames": len(recording),
+        "shape": recording.frame_shape,
+        "bit_depth": recording.bit_depth,
+        "frame_rate": recording.frame_rate,
+        "warnings": recording.warnings,
     }
 
 
-def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer":
+def _make_previewer(scene: Scene, before: "Previewer | None" = None) -> "Previewer":
     from fingerflow.view.preview import Previewer
 
     return Previewer(scene, before)
@@ -461,7 +461,7 @@ def _same_frames(result: Path, scene: Scene) -> bool:
         return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
 
 
-def _value_of(value: Any) -> Any:
+def _shown_value(value: Any) -> Any:
     """Return a value sent by the page as a Python value; TOML text is parsed, or kept as text if invalid."""
     if not isinstance(value, dict) or "toml" not in value:
         return value

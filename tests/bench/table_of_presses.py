@@ -8,7 +8,7 @@ import pandas as pd
 from bench.papers.presses import PressStudy
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.simulated_trials import Design
-from fingerflow.study.statistics import sample_of, statistics_of
+from fingerflow.study.statistics import read_sample, study_statistics
 
 DESIGN = Design(participants=16, trials=4)
 FORCES_N = (1.0, 2.0, 3.0)
@@ -83,6 +83,6 @@ def curves() -> pd.DataFrame:
 def study() -> PressStudy:
     """Return the study of this table, without recordings, models or traces."""
     frame = table()
-    sample = sample_of(frame)
-    statistics = statistics_of(sample, resamples=100)
+    sample = read_sample(frame)
+    statistics = study_statistics(sample, resamples=100)
     return PressStudy(None, frame, curves(), sample, statistics, DESIGN, None)  # type: ignore[arg-type]

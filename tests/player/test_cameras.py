@@ -24,7 +24,7 @@ def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
     """
     clock, late = CameraClock(), np.array([3, 2, 4, 2, 42, 38, 34, 2.5]) / 1e3
     stamps = 100 + np.arange(len(late)) / 250
-    seen = [clock.see(stamp, 7000 + stamp - 100 + one) for stamp, one in zip(stamps, late, strict=True)]
+    seen = [clock.update(stamp, 7000 + stamp - 100 + one) for stamp, one in zip(stamps, late, strict=True)]
     intervals, latencies = np.diff([one[0] for one in seen]), 7000 + stamps - 100 + late - [one[1] for one in seen]
     np.testing.assert_allclose(intervals, 1 / 250, atol=1e-9)
     # From the second frame on the shortest transfer, 2 ms, is known: the time beyond it is latency.
@@ -34,14 +34,14 @@ def test_a_clock_tells_late_arrivals_from_the_offset() -> None:
     stamps = np.arange(0, 60, 0.05)
     for drift in (1 - 1e-4, 1 + 1e-4):
         clock = CameraClock()
-        drifting = [stamp * drift - clock.see(stamp, stamp * drift)[1] for stamp in stamps]
+        drifting = [stamp * drift - clock.update(stamp, stamp * drift)[1] for stamp in stamps]
         assert 0 <= min(drifting) <= max(drifting) <= 1.1e-3
 
 
 def test_a_clock_that_starts_again_is_measured_anew(caplog: pytest.LogCaptureFixture) -> None:
     clock = CameraClock()
     for stamp, arrival in ((50.0, 1000.0), (50.1, 1000.1), (0.0, 1000.2), (0.1, 1000.3), (0.05, 1000.4)):
-        time, exposed = clock.see(stamp, arrival)
+        time, exposed = clock.update(stamp, arrival)
         assert time == pytest.approx(arrival)
         assert exposed == pytest.approx(arrival)
     assert caplog.text.count("is not after the one before") == 1

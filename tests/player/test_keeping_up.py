@@ -21,5 +21,5 @@ def test_how_results_fall_behind_is_said(
     age: float, trailing: int, lost: tuple[int, int], median: float | None, said: str
 ) -> None:
     rule = KeepingUp(waiting=4)
-    assert rule.said(0.0, 0.0, 0, (0, 0), None) == ""
-    assert rule.said(0.5, age, trailing, lost, median) == said
+    assert rule.describe(0.0, 0.0, 0, (0, 0), None) == ""
+    assert rule.describe(0.5, age, trailing, lost, median) == said

@@ -20,7 +20,7 @@ from fingerflow.player.addresses import open_address
 from fingerflow.player.live_forces import LiveForces, SensorForces
 from fingerflow.player.options import SENSORS
 from fingerflow.player.sensors.callback_sensor import CallbackSensor
-from fingerflow.player.sensors.sensor import ForceSample, sample_of
+from fingerflow.player.sensors.sensor import ForceSample, parse_sample
 
 
 class Recorded:
@@ -44,23 +44,23 @@ def test_a_frame_has_the_sample_nearest_in_time() -> None:
     sensor = Recorded([ForceSample(10 + k / 100, k, -k) for k in range(100)])
     forces = SensorForces(sensor, "recorded")
     assert sensor.ended.wait(30)
-    assert forces.at(0, 10.504) == {"normal_force": 50, "tangential_force": -50}
-    assert forces.at(0, 10.506)["normal_force"] == 51
-    assert forces.at(0, 9.96)["normal_force"] == 0
-    assert forces.at(0, 11.03)["normal_force"] == 99
+    assert forces.read(0, 10.504) == {"normal_force": 50, "tangential_force": -50}
+    assert forces.read(0, 10.506)["normal_force"] == 51
+    assert forces.read(0, 9.96)["normal_force"] == 0
+    assert forces.read(0, 11.03)["normal_force"] == 99
     # More than 50 ms from every sample, and before the first one, the force is unknown.
     for unknown in (9.94, 11.05):
-        assert np.isnan(list(forces.at(0, unknown).values())).all()
+        assert np.isnan(list(forces.read(0, unknown).values())).all()
     forces.close()
 
 
 @pytest.mark.parametrize(("given", "normal", "tangential"), [((2.0,), 2, np.nan), ((2, -3), 2, 3), ((2, 3, 4), 2, 5)])
 def test_one_to_three_forces_are_a_sample(given: tuple[float, ...], normal: float, tangential: float) -> None:
-    found = sample_of(1.0, given)
+    found = parse_sample(1.0, given)
     assert (found.time, found.normal) == (1, normal)
     assert found.tangential == pytest.approx(tangential, nan_ok=True)
     with pytest.raises(PlayerError, match="the force sensor gives 4 numbers; it must give the normal force"):
-        sample_of(1.0, (1, 2, 3, 4))
+        parse_sample(1.0, (1, 2, 3, 4))
 
 
 def test_forces_go_into_records_outputs_and_triggers(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,7 +123,7 @@ def test_a_sensor_that_fails_is_read_again_and_is_said(caplog: pytest.LogCapture
 
     forces = SensorForces(CallbackSensor(read), "own")
     assert ended.wait(30)
-    assert forces.at(0, time.perf_counter() - 1e-4)["normal_force"] in (2.0, pytest.approx(np.nan, nan_ok=True))
+    assert forces.read(0, time.perf_counter() - 1e-4)["normal_force"] in (2.0, pytest.approx(np.nan, nan_ok=True))
     forces.close()
     assert "own: no force: cable" in caplog.text
 

@@ -48,20 +48,20 @@ def _closed_form(progress: float) -> float:
     """Return the median of tr(F(p) G^-1) - 2 over the contact at progress p, with G = F(p0) + (dx/dp) (grad p0)^T and
     p0 the progress at onset.
     """
-    now, step = Pose.at(progress, SHAPE), 1e-5
+    now, step = Pose.reached(progress, SHAPE), 1e-5
     places = synthetic_truth._lattice(2000) * np.array(now.seen_axes())
     skin = places @ np.linalg.inv(now.deformation()).T
 
     low, high = np.zeros(len(skin)), np.full(len(skin), 1.0)
     for _ in range(40):
         middle = (low + high) / 2
-        touched = Pose.at(middle, SHAPE).reach(skin) < 1
+        touched = Pose.reached(middle, SHAPE).reach(skin) < 1
         low, high = np.where(touched, low, middle), np.where(touched, middle, high)
     onset: Values = high
-    then, later, before = (Pose.at(onset + change, SHAPE) for change in (0, step, -step))
+    then, later, before = (Pose.reached(onset + change, SHAPE) for change in (0, step, -step))
     slope = np.stack([(then.reach(skin + one) - then.reach(skin - one)) / (2 * step) for one in step * np.eye(2)], -1)
     growth = (later.reach(skin) - before.reach(skin)) / (2 * step)
     gradient = np.where(onset[:, None] > 1e-6, -slope / growth[:, None], 0)
-    speed = (later.place(skin) - before.place(skin)) / (2 * step)
+    speed = (later.positions(skin) - before.positions(skin)) / (2 * step)
     reference = then.deformation() + speed[:, :, None] * gradient[:, None, :]
     return float(np.median(np.einsum("ij,nji->n", now.deformation(), np.linalg.inv(reference)) - 2))

@@ -25,7 +25,7 @@ def drawn(title: str = "Contact area") -> Figure:
 
 @pytest.mark.parametrize(("width", "mm"), [("85mm", 85.0), ("18 cm", 180.0), ("3.5in", 88.9)])
 def test_each_format_has_the_width(width: str, mm: float, tmp_path: Path) -> None:
-    files = FigureFiles.of("pdf, svg,PNG", width)
+    files = FigureFiles.parse("pdf, svg,PNG", width)
     assert files.width_mm == pytest.approx(mm)
     with figure_style(files.width_mm or 0.0):
         first = files.save(drawn(), tmp_path / "new", "area")
@@ -47,7 +47,7 @@ def test_each_format_has_the_width(width: str, mm: float, tmp_path: Path) -> Non
 
 def test_text_stays_text(tmp_path: Path) -> None:
     with figure_style():
-        pdf = FigureFiles.of("pdf,svg").save(drawn(), tmp_path, "area").read_bytes()
+        pdf = FigureFiles.parse("pdf,svg").save(drawn(), tmp_path, "area").read_bytes()
     assert b"/CIDFontType2" in pdf or b"/TrueType" in pdf  # type 42
     assert b"/Type3" not in pdf
     svg = (tmp_path / "area.svg").read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ def test_the_caption_lies_beside_the_figure_and_both_are_ours(tmp_path: Path) ->
 
 
 def test_a_file_is_the_same_each_time(tmp_path: Path) -> None:
-    files = FigureFiles.of("pdf,svg,png")
+    files = FigureFiles.parse("pdf,svg,png")
     for name in ("one", "two"):
         with figure_style():
             files.save(drawn(), tmp_path / name, "area")
@@ -95,7 +95,7 @@ def test_a_file_is_the_same_each_time(tmp_path: Path) -> None:
 )
 def test_wrong_values_are_named(formats: str, width: str | None, message: str) -> None:
     with pytest.raises(FingerflowError, match=re.escape(message)):
-        FigureFiles.of(formats, width)
+        FigureFiles.parse(formats, width)
 
 
 def test_long_titles_are_broken_at_clauses() -> None:

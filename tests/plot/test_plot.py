@@ -71,7 +71,7 @@ def test_maps_of_two_recordings_differ_and_are_theirs(quantity: str, trials: lis
         values = np.asarray(mesh.get_array())
         last = result.isel(frame=15)
         expected = plot.QUANTITIES[quantity].values(last)
-        if not plot.QUANTITIES[quantity].of_triangles:
+        if not plot.QUANTITIES[quantity].triangle_mean:
             expected = expected[result["triangles"].values].mean(1)
         known = np.isfinite(expected) & np.isfinite(last["position"].values[result["triangles"].values]).all((1, 2))
         assert known.sum() > 30

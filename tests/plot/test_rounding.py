@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fingerflow.plot.rounding import with_interval, with_uncertainty
+from fingerflow.plot.rounding import format_interval, format_uncertainty
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ from fingerflow.plot.rounding import with_interval, with_uncertainty
     ],
 )
 def test_two_digits_of_the_deviation(value: float, spread: float, said: str) -> None:
-    assert with_uncertainty(value, spread) == said
+    assert format_uncertainty(value, spread) == said
 
 
 @pytest.mark.parametrize(
@@ -35,4 +35,4 @@ def test_two_digits_of_the_deviation(value: float, spread: float, said: str) -> 
     ],
 )
 def test_two_digits_of_half_the_interval(value: float, low: float, high: float, said: str) -> None:
-    assert with_interval(value, low, high) == said
+    assert format_interval(value, low, high) == said

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from fingerflow.models import observer as observing
 from fingerflow.models.partial_slip import fit_friction, judge_trial
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report import observer
 from fingerflow.report import slip_figures as partial_slip
 from tests.slip_trials import simulate_trial
@@ -39,7 +39,7 @@ def test_a_trial_with_its_corridor_collapse_and_fit(axes: Axes) -> None:
     loading = verdict.loading()
     fit = fit_friction(trial.stuck_area[loading], trial.load_ratio[loading], resamples=100)
     partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict, fit)
-    collapse = f"collapse, {with_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
+    collapse = f"collapse, {format_uncertainty(verdict.collapse_ms, verdict.collapse_ms_std)} ms"
     assert {"not slipped", "± 5 %", collapse} < texts(axes)
     assert len(texts(axes)) == 4
     band = next(patch for patch in axes.patches if patch.get_label() == "± 5 %").get_extents()

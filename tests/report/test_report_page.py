@@ -11,7 +11,7 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import FigureFiles
-from fingerflow.plot.rounding import with_uncertainty
+from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
@@ -78,10 +78,10 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
     lines = {name: values for name, _, values in key_numbers(result, frames)}
     for k, one in enumerate(frames):
         value, spread = (1000 * float(result[f"median_divergence{of}"][one.frame]) for of in ("", "_std"))
-        assert lines["median divergence"][k] == with_uncertainty(value, spread)
+        assert lines["median divergence"][k] == format_uncertainty(value, spread)
         assert lines["median divergence"][k] in told(page)
     area = result["gross_contact_area"].values
-    expected = with_uncertainty(
+    expected = format_uncertainty(
         float(area[frames[-1].frame]), float(result["gross_contact_area_std"][frames[-1].frame])
     )
     assert lines["gross contact area"][-1] == expected

@@ -79,7 +79,7 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
 def test_a_verdict_survives_the_disk(slip_trials: Path, tmp_path: Path) -> None:
     result = process(load_scene(slip_trials / "fading" / "scene.toml"), ["stuck_ratio", "stuck_ratio_std"])
     save_result(result, tmp_path / "result.h5")
-    trial, again = (SlipTrial.of(some, "one") for some in (result, load_result(tmp_path / "result.h5")))
+    trial, again = (SlipTrial.read(some, "one") for some in (result, load_result(tmp_path / "result.h5")))
     series = (result[name].values for name in ("stuck_ratio", "load_ratio", "time", "stuck_ratio_std"))
     expected = judge_trial(*series)
     for found in (trial, again):

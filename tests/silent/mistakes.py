@@ -221,7 +221,7 @@ def message_of(mistake: Mistake, press: Path) -> str:
 
 
 def _said_by_page(mistake: Mistake, folder: Path) -> str:
-    draft = Draft.of_file(folder / "scene.toml")
+    draft = Draft.read(folder / "scene.toml")
     key, value = mistake.command
     draft.set(tuple(key.split(".")), value)
     return next((f"{one['field']} {one['said']}" for one in draft.problems()), "")

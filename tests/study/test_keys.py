@@ -8,7 +8,7 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.study import cache_keys as room
-from fingerflow.study.cache_keys import describe_file, keys_of, same_content
+from fingerflow.study.cache_keys import describe_file, same_content, trial_keys
 
 
 @pytest.fixture
@@ -18,15 +18,15 @@ def folder(lab: Path) -> Path:
 
 def test_a_recording_counts_by_its_content(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
-    before = keys_of(scene)
+    before = trial_keys(scene)
     os.utime(folder / "frames.npy", ns=(1, 1))
-    touched = keys_of(scene, before.inputs)
+    touched = trial_keys(scene, before.inputs)
     assert touched.row == before.row
     assert same_content(before.inputs["recording.frames"], touched.inputs["recording.frames"])
     frames = np.load(folder / "frames.npy")
     frames[5, 50, 50] ^= 1
     np.save(folder / "frames.npy", frames)
-    assert keys_of(scene, before.inputs).result != before.result
+    assert trial_keys(scene, before.inputs).result != before.result
 
 
 def test_a_large_file_that_was_touched_is_not_certainly_the_same(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
     study = load_manifest(tmp_path)
     assert [entry.name for entry in study.trials] == ["01_0_1", "01_2_2"]
     assert [entry.answer for entry in study.trials] == [True, False]  # the table takes precedence
-    assert [study.scene_of(entry).tracking.points for entry in study.trials] == [700, 500]
+    assert [study.build_scene(entry).tracking.points for entry in study.trials] == [700, 500]
 
 
 def test_a_reference_is_one_trial_of_the_participant(study: Manifest, lab: Path) -> None:
@@ -39,7 +39,7 @@ def test_a_reference_is_one_trial_of_the_participant(study: Manifest, lab: Path)
 
     table = (lab / "trials.csv").read_text(encoding="utf-8")
     first = study.trials[0]
-    assert with_reference(first.trial).trials[2].others["reference"] == first.trial
+    assert with_reference(first.trial).trials[2].extra["reference"] == first.trial
     with pytest.raises(FingerflowError, match="row 4: reference is 'nine', and 0 trials of participant 01"):
         with_reference("nine")
 
@@ -47,7 +47,7 @@ def test_a_reference_is_one_trial_of_the_participant(study: Manifest, lab: Path)
 def test_scene_files_become_a_shared_scene_and_columns(study: Manifest, lab: Path) -> None:
     assert [entry.name for entry in study.trials][:3] == ["01_0_1", "01_0_2", "01_2_3"]
     assert [entry.answer for entry in study.trials] == [False, True] * 4
-    scene = study.scene_of(study.trials[2])
+    scene = study.build_scene(study.trials[2])
     assert scene.recording.frames == lab / "p01/2um/trial3/frames.npy"
     assert scene.background.frames == lab / "p01/2um/trial3/empty.npy"
     assert scene.forces is not None
@@ -60,9 +60,9 @@ def test_a_column_with_a_dot_is_a_key_of_the_scene(study: Manifest, lab: Path) -
     lines = [f"{lines[0]},tracking.points,hand", f"{lines[1]},200,left", *(f"{line},,right" for line in lines[2:])]
     (lab / "trials.csv").write_text("\n".join(lines), encoding="utf-8")
     changed = load_manifest(lab)
-    assert changed.scene_of(changed.trials[0]).tracking.points == 200
-    assert changed.scene_of(changed.trials[1]).tracking.points == 700
-    assert changed.trials[0].others["hand"] == "left"
+    assert changed.build_scene(changed.trials[0]).tracking.points == 200
+    assert changed.build_scene(changed.trials[1]).tracking.points == 700
+    assert changed.trials[0].extra["hand"] == "left"
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> 
     edit(lab / "trials.csv", ("p02/2um/trial3/frames.npy", "p02/2um/gone.npy"))
     changed = load_manifest(lab)
     with pytest.raises(FingerflowError, match=r"trials.csv, row 8: .*recording.frames .*gone.npy.* does not exist"):
-        changed.scene_of(changed.trials[6])
+        changed.build_scene(changed.trials[6])
 
 
 def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: Path) -> None:

@@ -19,10 +19,10 @@ from fingerflow.study.simulated import write_recordings
 from fingerflow.study.simulated_trials import (
     Design,
     Presses,
-    answers_of,
+    answer_table,
     draw_presses,
+    make_recording,
     median_divergence,
-    recording_of,
 )
 from fingerflow.study.table import write_tables
 
@@ -92,7 +92,7 @@ def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> Non
     of 16 participants show two groups. Equal stimuli are answered by chance, and larger vibrations better.
     """
     reference, comparison = presses.pairs()
-    answers = answers_of(DESIGN, reference, comparison)
+    answers = answer_table(DESIGN, reference, comparison)
     firm, soft = (
         np.array(
             [answers[(comparison.amplitude == one) & (comparison.soft == group)].mean() for one in DESIGN.amplitudes]
@@ -123,7 +123,7 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
     the error of their grids.
     """
     for number in range(3, 63, 12):
-        press = recording_of(DESIGN, presses, number)
+        press = make_recording(DESIGN, presses, number)
         truth, peak = press.truth, int(np.argmax(press.normal_force(press.times)))
         exact = median_divergence(press)
         assert 1e3 * presses.divergence[number] == pytest.approx(1e3 * exact, abs=1.0)

@@ -16,7 +16,7 @@ from fingerflow.study.figures import write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
-from fingerflow.study.statistics import holm, sample_of, statistics_of
+from fingerflow.study.statistics import holm, read_sample, study_statistics
 from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table
@@ -24,7 +24,7 @@ from tests.study.simulated_table import TableDesign, simulate_table
 
 def test_one_study_whole() -> None:
     table = simulate_table(TableDesign(seed=3))
-    found = statistics_of(sample_of(pd.DataFrame(table)), resamples=200)
+    found = study_statistics(read_sample(pd.DataFrame(table)), resamples=200)
     others = {name: one for name, one in found["observer"]["metrics"].items() if name != "divergence"}
     # The design makes divergence the best predictor: no other metric comes near in the same trials.
     assert len(others) >= 10
@@ -61,18 +61,18 @@ def test_what_is_left_out_is_counted() -> None:
     frame["answer"] = frame["answer"].astype(object)
     frame.loc[:4, "status"] = "failed"
     frame.loc[3:9, "answer"] = None
-    sample = sample_of(frame)
+    sample = read_sample(frame)
     assert sample.counted.trials == 84
     assert dict(sample.counted.rules) == {"failed, so nothing was measured": 5, "no answer in the manifest": 5}
     assert sample.counted.used == len(sample.trials.answer) == 74
     frame["answer"] = None
-    without = sample_of(frame)
+    without = read_sample(frame)
     assert not without.answered
     assert without.counted.used == 79
-    assert "observer" not in statistics_of(without, resamples=200)
+    assert "observer" not in study_statistics(without, resamples=200)
     frame["status"] = "not run"
     with pytest.raises(FingerflowError, match="no trial has been measured"):
-        sample_of(frame)
+        read_sample(frame)
 
 
 @pytest.mark.long
@@ -89,8 +89,8 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
     measured = both["answer"].notna()
     np.testing.assert_allclose(both["divergence_difference"][measured], both["divergence"][measured] - 0.01)
     assert both["divergence_difference"][~measured].isna().all()
-    sample = sample_of(both)
-    found = statistics_of(sample, resamples=200)
+    sample = read_sample(both)
+    found = study_statistics(sample, resamples=200)
     assert sample.counted.used == len(frame)
     assert "divergence_difference" in found["shares"]
     assert not any("difference" in name for table in ("by_condition", "by_answer") for name in found[table])
@@ -105,7 +105,9 @@ def test_the_curve_of_answers_follows_the_design() -> None:
     """The curve fits an observer who answers yes to fewer than half of the still stimuli only with the
     yes-no design.
     """
-    trials = sample_of(pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))).trials
+    trials = read_sample(
+        pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))
+    ).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
         axes = supplement_sheet("S12", trials, design).figure().axes[-1]
         dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])

@@ -18,7 +18,7 @@ from fingerflow.view.open_path import open_path
 def test_a_change_leaves_the_rest_of_the_file_as_it_was(press: Path) -> None:
     path = press / "scene.toml"
     before = path.read_text(encoding="utf-8").splitlines()
-    draft = Draft.of_file(path)
+    draft = Draft.read(path)
     assert draft.is_stored
     draft.set(("contact", "median_px"), 5)
     draft.set(("views", "contact", "columns"), [130, 240])
@@ -36,18 +36,18 @@ def test_a_change_leaves_the_rest_of_the_file_as_it_was(press: Path) -> None:
 
 
 def test_a_key_that_is_left_out_goes_with_its_empty_table(press: Path) -> None:
-    draft = Draft.of_file(press / "scene.toml")
+    draft = Draft.read(press / "scene.toml")
     for key in list(draft.values()["forces"]):
         draft.set(("forces", key), None)
     assert "forces" not in draft.values()
     assert draft.scene().forces is None
     draft.set(("slip", "stuck_mm"), 0.05)
-    assert draft.kind() == "slip"
+    assert draft.scene_kind() == "slip"
 
 
 def test_what_was_changed_elsewhere_meanwhile_is_replaced_with_leave_alone(press: Path) -> None:
     path = press / "scene.toml"
-    draft = Draft.of_file(path)
+    draft = Draft.read(path)
     draft.set(("contact", "median_px"), 5)
     path.write_text("# mine\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(NeedsLeaveError, match=r"scene\.toml exists"):
@@ -67,7 +67,7 @@ def test_what_was_changed_elsewhere_meanwhile_is_replaced_with_leave_alone(press
 def test_nothing_wrong_is_written(press: Path) -> None:
     path = press / "scene.toml"
     before = path.read_bytes()
-    draft = Draft.of_file(path)
+    draft = Draft.read(path)
     draft.set(("contact", "median_px"), 4)
     draft.set(("tracking", "pionts"), 4)
     assert {one["key"]: one["field"] for one in draft.problems()} == {
@@ -82,7 +82,7 @@ def test_nothing_wrong_is_written(press: Path) -> None:
 
 def test_a_recording_begins_a_scene_that_says_what_is_missing(press: Path) -> None:
     with open_recording(press / "frames.npy") as recording:
-        draft = Draft.of_recording(recording)
+        draft = Draft.create(recording)
     assert draft.path == press / "scene-2.toml"  # scene.toml exists already
     assert draft.values()["views"] == {
         "contact": {"rows": [0, 96], "columns": [120, 240]},
@@ -97,7 +97,7 @@ def test_a_recording_begins_a_scene_that_says_what_is_missing(press: Path) -> No
 
 
 def test_another_kind_has_its_own_views(press: Path) -> None:
-    draft = Draft.of_file(press / "scene.toml")
+    draft = Draft.read(press / "scene.toml")
     draft.set_kind("single_view", (96, 240))
     assert draft.values()["views"] == {"camera": {"rows": [0, 96], "columns": [0, 240]}}
     assert tomllib.loads(draft.text)["kind"] == "single_view"
@@ -138,7 +138,7 @@ def test_what_a_path_is(press: Path, processed: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_key_is_written_where_its_commented_line_stands(press: Path) -> None:
-    draft = Draft.of_recording(open_recording(press / "frames.npy"))
+    draft = Draft.create(open_recording(press / "frames.npy"))
     draft.set(("forces", "file"), "f.csv")
     draft.set(("forces", "sign"), [-1, 1, 1])
     draft.set(("calibration", "mm_per_px"), 0.03)

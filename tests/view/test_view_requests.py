@@ -64,7 +64,7 @@ def test_values_that_cannot_be_are_problems_of_the_draft(
 ) -> None:
     draft = served.session._draft
     assert draft is not None
-    served.session._draft = Draft.of_file(draft.path)
+    served.session._draft = Draft.read(draft.path)
     status, _, said = ask(served, "/api/edit", "POST", json.dumps({"set": [value]}), **own)
     facts = json.loads(said)
     assert status == 200

@@ -9,7 +9,7 @@ import xarray as xr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.result import load_result
-from fingerflow.view.results import Results, median_of
+from fingerflow.view.results import Results, course_median
 
 
 @pytest.fixture(scope="module")
@@ -60,24 +60,24 @@ def test_everything_that_has_a_place_or_a_course_is_listed(results: Results, sto
 
 def test_history_and_medians_of_points(results: Results, stored: xr.Dataset) -> None:
     values = stored["divergence"].values.astype(np.float64)
-    np.testing.assert_array_equal(results.of_points("divergence", [3])[:, 0], values[:, 3])
+    np.testing.assert_array_equal(results.point_courses("divergence", [3])[:, 0], values[:, 3])
     points = [9, 2, 5, 6]
     known = np.isfinite(values[:, points]).any(axis=1)
     assert known.any()
-    found = median_of(results.of_points("divergence", points))
+    found = course_median(results.point_courses("divergence", points))
     np.testing.assert_allclose(found[known], np.nanmedian(values[known][:, points], axis=1), rtol=1e-12)
     assert np.isnan(found[~known]).all()
     for wrong in ([], [10**6], [-1]):
         with pytest.raises(FingerflowError, match="not among"):
-            results.of_points("divergence", wrong)
+            results.point_courses("divergence", wrong)
     with pytest.raises(FingerflowError, match="not of points"):
-        results.of_points("strain:exx", [1])
+        results.point_courses("strain:exx", [1])
 
 
 def test_colours_lie_about_zero_where_values_do(results: Results) -> None:
-    low, high = results.range_of("divergence")
+    low, high = results.value_range("divergence")
     assert low == -high < 0
-    low, high = results.range_of("displacement:length")
+    low, high = results.value_range("displacement:length")
     assert 0 == low < high
 
 

@@ -24,8 +24,8 @@ class LslOutlet:
         lsl, offset = load_lsl()
         self._shift = offset - EPOCH  # s, added to Unix time to get LSL time
         channels = _STAMPS | dict(units)
-        kind = (len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"fingerflow-{name}")
-        info = lsl.StreamInfo(name or "fingerflow", "contact", *kind)
+        stream_type = (len(channels), lsl.IRREGULAR_RATE, lsl.cf_double64, f"fingerflow-{name}")
+        info = lsl.StreamInfo(name or "fingerflow", "contact", *stream_type)
         described = info.desc().append_child("channels")
         for label, unit in channels.items():
             described.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)

@@ -26,7 +26,7 @@ def _bundle(frame: FrameStamp, values: Mapping[str, float]) -> bytes:
         _padded(f"/fingerflow/{name}") + _padded(",fidd") + struct.pack(">f", value) + stamp
         for name, value in values.items()
     )
-    return _AT_ONCE + b"".join(struct.pack(">i", len(one)) + one for one in messages)
+    return _AT_ONCE + b"".join(struct.pack(">i", len(message)) + message for message in messages)
 
 
 def _padded(text: str) -> bytes:

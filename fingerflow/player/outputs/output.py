@@ -42,5 +42,5 @@ class Output(Protocol):
 def as_json(frame: FrameStamp, values: Mapping[str, float]) -> bytes:
     """Encode number and times of a frame and its live values by name as one JSON object, with null for unknown ones."""
     stamp = {"frame": frame.number, "camera_time": frame.camera_time, "written": frame.written}
-    known = {name: value if math.isfinite(value) else None for name, value in values.items()}
-    return json.dumps(stamp | known, separators=(",", ":")).encode()
+    numbers = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    return json.dumps(stamp | numbers, separators=(",", ":")).encode()

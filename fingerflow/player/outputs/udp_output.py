@@ -21,10 +21,12 @@ class Datagrams:
         if not host or not port.isdigit() or not 0 < int(port) < 65536:
             raise PlayerError(f"{address!r} is no HOST:PORT")
         try:
-            family, kind, protocol, _, peer = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[0]
+            family, socket_type, protocol, _, peer = socket.getaddrinfo(
+                host.strip("[]"), int(port), type=socket.SOCK_DGRAM
+            )[0]
         except OSError as error:
             raise PlayerError(f"the host {host!r} is not known here ({error.strerror})") from None
-        self._socket = socket.socket(family, kind, protocol)
+        self._socket = socket.socket(family, socket_type, protocol)
         self._peer, self._encode = peer, encode
         self.close = self._socket.close
 

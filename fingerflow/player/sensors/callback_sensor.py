@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fingerflow.player.named_objects import load_callable
-from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
+from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, parse_sample
 
 ADDRESS = "callback:MODULE:FACTORY"
 _NONE_NOW = 0.001  # s to wait if the function has no sample
@@ -31,7 +31,9 @@ class CallbackSensor:
             time.sleep(_NONE_NOW)
             return None
         now = time.perf_counter()
-        return sample_of(now, [float(one) for one in forces] if isinstance(forces, (tuple, list)) else [float(forces)])
+        return parse_sample(
+            now, [float(force) for force in forces] if isinstance(forces, (tuple, list)) else [float(forces)]
+        )
 
     def close(self) -> None:
         """Call `close` of the user's function, if it has one."""

@@ -2,7 +2,7 @@
 
 from fingerflow.errors import PlayerError
 from fingerflow.player.lsl_clock import load_lsl
-from fingerflow.player.sensors.sensor import ForceSample, sample_of
+from fingerflow.player.sensors.sensor import ForceSample, parse_sample
 
 ADDRESS = "lsl:NAME"
 _FINDING, _WAITING = 5.0, 0.2  # s to find the stream, and to wait for a sample
@@ -18,16 +18,18 @@ class LslSensor:
 
     def __init__(self, name: str) -> None:
         lsl, self._shift = load_lsl()
-        found = lsl.resolve_byprop("name", name, timeout=_FINDING)
-        if not found:
+        streams = lsl.resolve_byprop("name", name, timeout=_FINDING)
+        if not streams:
             raise PlayerError(f"no LSL stream has the name {name!r} in this network")
-        self._inlet = lsl.StreamInlet(found[0], processing_flags=lsl.proc_clocksync)
+        self._inlet = lsl.StreamInlet(streams[0], processing_flags=lsl.proc_clocksync)
         info = self._inlet.info(_FINDING)
         labels = info.get_channel_labels() or []
         units = info.get_channel_units() or []
-        named = [labels.index(one) for one in ("normal_force", "tangential_force") if one in labels]
+        named = [labels.index(force) for force in ("normal_force", "tangential_force") if force in labels]
         self._places = named or list(range(min(3, info.channel_count())))
-        wrong = [units[place] for place in self._places if place < len(units) and units[place] not in (None, "", "N")]
+        wrong = [
+            units[channel] for channel in self._places if channel < len(units) and units[channel] not in (None, "", "N")
+        ]
         if wrong:
             raise PlayerError(f"the LSL stream {name!r} has forces in {wrong[0]}; send them in N")
 
@@ -38,7 +40,7 @@ class LslSensor:
         sample, time = self._inlet.pull_sample(timeout=_WAITING)
         if sample is None:
             return None
-        return sample_of(time - self._shift, [float(sample[place]) for place in self._places])
+        return parse_sample(time - self._shift, [float(sample[channel]) for channel in self._places])
 
     def close(self) -> None:
         """Close the connection to the stream."""

@@ -32,7 +32,7 @@ class ForceSensor(Protocol):
         """Close the connection to the sensor."""
 
 
-def sample_of(time: float, forces: tuple[float, ...] | list[float]) -> ForceSample:
+def parse_sample(time: float, forces: tuple[float, ...] | list[float]) -> ForceSample:
     """Return the sample at a time, s, of one to three forces in N: normal; normal and tangential; or normal and two
     tangential components, of which the magnitude is taken.
 

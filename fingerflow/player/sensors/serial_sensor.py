@@ -2,7 +2,7 @@
 
 import time
 
-from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, sample_of
+from fingerflow.player.sensors.sensor import ForceSample, ForceSensor, parse_sample
 from fingerflow.player.serial_line import FORM, SerialLine, open_line
 
 ADDRESS = FORM
@@ -30,7 +30,7 @@ class SerialSensor:
         if not self._begun:  # discards the line during which the port was opened, which is incomplete
             self._begun = True
             return self.read()
-        return sample_of(time.perf_counter(), [float(one) for one in line.replace(b",", b" ").split()])
+        return parse_sample(time.perf_counter(), [float(number) for number in line.replace(b",", b" ").split()])
 
 
 def open_address(address: str) -> ForceSensor:

@@ -81,10 +81,10 @@ def _pictures(folder: Path, first: int) -> Iterator[Array]:
     `first` on; colours are converted to grey.
     """
     cv2 = _opencv(f"{folder}: pictures")
-    found = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and path.is_file()]
-    if not found:
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and path.is_file()]
+    if not paths:
         raise PlayerError(f"{folder}: has no picture; of its files those that end in {', '.join(_PICTURES)} count")
-    return (_picture(cv2, path) for path in sorted(found, key=_by_numbers)[first:])
+    return (_picture(cv2, path) for path in sorted(paths, key=_number_key)[first:])
 
 
 def _picture(cv2: Any, path: Path) -> Array:
@@ -102,7 +102,7 @@ def _picture(cv2: Any, path: Path) -> Array:
     return _grey(cv2, picture)
 
 
-def _by_numbers(path: Path) -> list[tuple[int, str]]:
+def _number_key(path: Path) -> list[tuple[int, str]]:
     """Return a sort key that orders file names by the numbers in them: frame2 before frame10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
@@ -130,10 +130,10 @@ def _open_video(path: Path, first: int) -> Source:
         raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
     for _ in range(first):
         capture.grab()
-    return RecordedFrames(_of_video(cv2, capture, path, first), capture.release)
+    return RecordedFrames(_video_frames(cv2, capture, path, first), capture.release)
 
 
-def _of_video(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
+def _video_frames(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[Array]:
     """Yield the grey frames (H, W) from `number` on; log a message if the video has fewer frames than stated."""
     stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     while (read := capture.read())[0]:

@@ -58,9 +58,9 @@ class CameraSource:
         """Close the camera."""
         getattr(self._grab, "close", lambda: None)()
 
-    def _refused(self, given: str) -> PlayerError:
+    def _refused(self, problem: str) -> PlayerError:
         return PlayerError(
-            f"camera {self._name!r}: gave {given} in place of a frame; it must return a NumPy array (H, W), "
+            f"camera {self._name!r}: gave {problem} in place of a frame; it must return a NumPy array (H, W), "
             "(array, time stamp in s), (ok, array), or None at the end: for a list numpy.asarray(list, dtype) with the "
             "depth of the bundle"
         )

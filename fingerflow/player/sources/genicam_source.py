@@ -31,10 +31,10 @@ class GenICamCamera:
         try:
             self._harvester.add_file(producer)
             self._harvester.update()
-            known = [one.serial_number for one in self._harvester.device_info_list]
-            if not known or (serial or known[0]) not in known:
-                raise PlayerError(f"{producer} finds the cameras {', '.join(known) or 'none'}; is it on?")
-            self._camera = self._harvester.create({"serial_number": serial or known[0]})
+            serials = [device.serial_number for device in self._harvester.device_info_list]
+            if not serials or (serial or serials[0]) not in serials:
+                raise PlayerError(f"{producer} finds the cameras {', '.join(serials) or 'none'}; is it on?")
+            self._camera = self._harvester.create({"serial_number": serial or serials[0]})
             nodes = self._camera.remote_device.node_map
             for name, value in features.items():
                 _set(nodes, name, value)
@@ -73,7 +73,7 @@ def open_address(address: str) -> Source:
     of frames.
     """
     producer, *settings = address.split(",")
-    pairs = dict(one.partition("=")[::2] for one in settings)
+    pairs = dict(setting.partition("=")[::2] for setting in settings)
     serial = pairs.pop("serial", None)
     return GenICamCamera(producer, serial, pairs)
 

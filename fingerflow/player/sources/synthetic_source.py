@@ -10,7 +10,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
-from fingerflow.player.stream_scene import topography_of
+from fingerflow.player.stream_scene import find_topography
 from fingerflow.schema.scene import Scene, scene_from
 
 # Number of different sections of the noise, and step between those of two consecutive frames; both are primes.
@@ -51,7 +51,7 @@ class Synthetic:
         `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
         """
         self._next = 0
-        topography, contact = views = topography_of(scene), scene.views.contact
+        topography, contact = views = find_topography(scene), scene.views.contact
         scale = scene.calibration.mm_per_px
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
         self._ring = np.zeros((self.half_period, *shape), dtype)
@@ -77,7 +77,7 @@ class Synthetic:
                 self._grown.append(median_divergence(progress, 1, seen, gauge))
         self.background = np.full(shape, 200 * gain, dtype)
 
-    def from_frame(self, number: int) -> Synthetic:
+    def frames_from(self, number: int) -> Synthetic:
         """Let `read` go on with frame `number`, and return the source itself."""
         self._next = number
         return self
@@ -90,24 +90,24 @@ class Synthetic:
         self._next += 1
         return frame
 
-    def expected_in(self, number: int, restart: int) -> dict[str, float]:
+    def expected_values(self, number: int, restart: int) -> dict[str, float]:
         """Return the true contact areas in mm², ellipse semi-axes in mm and median divergence in frame `number`, by
         name; `restart` counts the seedings of points up to this frame, as divergence is relative to the last one.
 
         The divergence is included only for points seeded at the first restart, in frame 0.
         """
-        place = self._buffer_index(number)
-        known = self._growing if number < self.half_period else self._grown
-        if restart != 1 or not known or math.isnan(known[place]):
-            return self._expected[place]
-        return self._expected[place] | {"median_divergence": known[place]}
+        index = self._buffer_index(number)
+        medians = self._growing if number < self.half_period else self._grown
+        if restart != 1 or not medians or math.isnan(medians[index]):
+            return self._expected[index]
+        return self._expected[index] | {"median_divergence": medians[index]}
 
     def _buffer_index(self, number: int) -> int:
         """Return the index among the stored frames of half a period at which frame `number` is found, as they are
         played forwards and backwards in turn.
         """
-        place = number % (2 * self.half_period - 2)
-        return min(place, 2 * self.half_period - 2 - place)
+        index = number % (2 * self.half_period - 2)
+        return min(index, 2 * self.half_period - 2 - index)
 
     def close(self) -> None:
         """Do nothing, as no file is open."""
@@ -120,7 +120,7 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     Both are (H, W) float32.
     """
     height, width = shape
-    pose = Pose.at(progress, shape)
+    pose = Pose.reached(progress, shape)
     (shift_x, shift_y), turn, spread = pose.shift, float(pose.turn), pose.spread
     y, x = np.meshgrid(
         np.arange(height, dtype=np.float32) - height / 2,

@@ -28,7 +28,7 @@ class Pose(NamedTuple):
     semi: tuple[Array | float, Array | float]
 
     @classmethod
-    def at(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
+    def reached(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
         """Return the pose at a given progress of the press, in views of (height, width) px."""
         height, width = shape
         return cls(
@@ -45,7 +45,7 @@ class Pose(NamedTuple):
         turned *= np.asarray(self.spread)[..., None, None]
         return turned
 
-    def place(self, skin: Array) -> Array:
+    def positions(self, skin: Array) -> Array:
         """Return the present positions of skin points (..., 2) in px, relative to the middle of the view.
 
         `skin` are their positions at progress 0.
@@ -78,7 +78,9 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
     Args:
         touching_px: number of pixels that have lost more than half of the light that contact can take.
     """
-    axes = sorted((float(one) * mm_per_px for one in Pose.at(progress, shape).seen_axes()), reverse=True)
+    axes = sorted(
+        (float(semi_axis) * mm_per_px for semi_axis in Pose.reached(progress, shape).seen_axes()), reverse=True
+    )
     return {
         "real_contact_area": touching_px * mm_per_px**2,
         "gross_contact_area": math.pi * axes[0] * axes[1],
@@ -103,7 +105,7 @@ def median_divergence(progress: float, reached: float, shape: tuple[int, int], g
         gauge_px: gauge length. The result is NaN if it is so short relative to the contact that too many positions
             would be needed.
     """
-    now, widest = Pose.at(progress, shape), Pose.at(reached, shape)
+    now, widest = Pose.reached(progress, shape), Pose.reached(reached, shape)
     a, b = widest.seen_axes()
     count = max(_SKIN, math.ceil(_IN_A_FIT * float(a * b) / (gauge_px / 2) ** 2))
     if count > max(_SKIN, _MOST_SKIN):
@@ -112,13 +114,13 @@ def median_divergence(progress: float, reached: float, shape: tuple[int, int], g
     low, high = np.zeros(len(skin)), np.full(len(skin), reached)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        touched = Pose.at(middle, shape).reach(skin) < 1
+        touched = Pose.reached(middle, shape).reach(skin) < 1
         low, high = np.where(touched, low, middle), np.where(touched, middle, high)
-    places = now.place(skin)
-    moved = places - Pose.at(high, shape).place(skin)
+    positions = now.positions(skin)
+    moved = positions - Pose.reached(high, shape).positions(skin)
 
     queries = _lattice(_QUERIES) * np.array(now.seen_axes()) + np.array(now.shift)
-    away = (places[None] - queries[:, None]) / (gauge_px / 2)
+    away = (positions[None] - queries[:, None]) / (gauge_px / 2)
     weights = np.clip(1 - (away**2).sum(-1), 0, None) ** 2
     design = np.concatenate([np.ones((*away.shape[:2], 1)), away], -1)
     weighted = design * weights[..., None]

@@ -104,7 +104,7 @@ class ContactEnergy:
             here = np.flatnonzero(counts[frames].any(0))
             at = np.ix_(frames, here)
             data = position[at], displacement[at], of_point[at], counts[at]
-            points = _Points.from_frames(*data, border.select(frames))
+            points = _Points.gather(*data, border.select(frames))
             energies = self._energies(points, since_growth(frames)[:, here], depth[at])
             for values, of_some in zip(result, energies, strict=True):
                 values[frames] = of_some
@@ -212,7 +212,7 @@ class _Points(NamedTuple):
     turn: Array  # (n, 2, 2), from x and y to the axes
 
     @classmethod
-    def from_frames(
+    def gather(
         cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: Border
     ) -> "_Points":
         """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
