@@ -18,6 +18,7 @@ from fingerflow import cli
 from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS, write_bundle_of_trials, write_small_slip, write_trial
+from tests.without_kernels import without_kernels
 
 #: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
 #: long before those that play it, which would wait.
@@ -157,7 +158,7 @@ def torch_threads() -> Iterator[Callable[[int], None]]:
 def each_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the test with the compiled kernels and without."""
     if request.param == "portable":
-        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+        without_kernels(monkeypatch)
     elif not kernels.serve():
         pytest.skip("the compiled kernels were not built or are turned off")
 

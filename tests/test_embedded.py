@@ -27,6 +27,7 @@ from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.track_points import in_passes
 from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
 from tests.kernels.kernel_calls import Call, call, kernel_calls
+from tests.without_kernels import without_kernels
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -208,7 +209,7 @@ def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch)
     """Each case is exported as one graph of fixed shapes, of torch's own ops where possible; results agree to the
     rounding of sums in another order.
     """
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    without_kernels(monkeypatch)
     case = CASES[name]
     program = torch.export.export(Exported(case.call), case.inputs)
     targets = {str(node.target) for node in program.graph.nodes}

@@ -12,8 +12,8 @@ from fingerflow import process
 from fingerflow.engines.check import both_numbers_of, built_in, check_frames
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.torch import TorchEngine
-from fingerflow.kernels import tensors as kernels
 from tests.small_trials import write_trial
+from tests.without_kernels import without_kernels
 
 pytestmark = [
     pytest.mark.gpu,
@@ -24,7 +24,7 @@ pytestmark = [
 @pytest.fixture
 def portable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Turn off the compiled kernels of the processor, so that it computes by the portable form."""
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    without_kernels(monkeypatch)
     with torch.inference_mode():
         yield
 

@@ -39,7 +39,7 @@ _DARKER = 0.9  # light of the empty glass of the reversed motion, and of its fra
 # Displacements for fields: points move this many times as far as they do, so that rounding is a smaller share.
 _LARGER = 5.0
 _AWAY = np.float32(3.0)  # px along x and y, by which an outlier is put off its place
-_CURVED = np.float32(8.0)  # px, displacement at the far corner of a view by a field that is quadratic in x and y
+_ROUGH = np.float32(0.5)  # px along x and y, by which points are put off their places in turns
 _CERTAIN, _UNCERTAIN = np.float32(0.02), np.float32(0.5)  # px, deviations of positions
 
 
@@ -272,10 +272,12 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     judged = engine.correct(frame.points, off, templates.numbers, straight)
     for name, status in (("off_neighbours", TrackStatus.OFF_NEIGHBOURS), ("uncertain", TrackStatus.UNCERTAIN)):
         results[name] = judged.found.status[0] == status
-    # In a curved field a local fit depends on its weights, which it does not in a uniform stretch.
-    size = np.array(frame.key.shape[::-1], np.float32)
-    curved = found._replace(points=(frame.truth + _CURVED * np.square(frame.truth / size))[None])
-    results["warp"] = engine.correct(frame.points, curved, templates.numbers, straight).warp[0]
+    # In a rough field a local fit depends on its weights, which it does not in a uniform stretch; no point of it is an
+    # outlier where all are uncertain.
+    rough = frame.truth + _ROUGH * np.where(np.indices((count, 2))[0] // (1, 2) % 2, 1, -1)
+    unsure = np.broadcast_to(np.eye(2, dtype=np.float32), (1, count, 2, 2))
+    off = found._replace(points=rough[None].astype(np.float32), covariance=unsure, status=np.zeros_like(found.status))
+    results["warp"] = engine.correct(frame.points, off, templates.numbers, straight).warp[0]
     if engine.settings.search_px:
         places, returns = engine.search(templates, images, start, near)
         results["searched"] = np.where(returns[:, None], places, np.nan)

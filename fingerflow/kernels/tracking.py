@@ -15,7 +15,7 @@ from fingerflow.kernels import outlier_limits
 from fingerflow.kernels.arrays import Array
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import run
-from fingerflow.kernels.result_records import CorrectedPoints, TrackedPoints
+from fingerflow.kernels.result_records import CorrectedPoints
 
 _WIDEST_SEARCH = 1 << 15  # px, widest search: positions in it must be countable with 32 bits
 _LANES = 16  # points in the SIMD lanes of the compiled kernel
@@ -37,9 +37,9 @@ def find_templates(
     rounding: float,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> tuple[TrackedPoints, Array, Array]:
-    """Track the templates of B x N points through K frames each, in one call; return the results (K, B, N, ...), and
-    the positions and speeds (B, N, 2) after the last frame.
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+    """Track the templates of B x N points through K frames each, in one call; return the fields of
+    `TrackedPoints` (K, B, N, ...), and positions and speeds (B, N, 2) after the last frame.
 
     Frames are (K B, 1, H, W), frame k of batch b at k B + b. The prediction for the first frame is `place` + `speed`,
     both (B, N, 2), px and px a frame. `variance` is (K B,).
@@ -55,7 +55,7 @@ def find_templates(
         **{"window": math.isqrt(samples.shape[-1]), "rounds": rounds, "rounding": rounding},
         **{"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit},
     )
-    return TrackedPoints(points, error, covariance, status, estimate), place, speed
+    return points, error, covariance, status, estimate, place, speed
 
 
 def sizes_of(window: int, radius: int) -> tuple[int, int]:

@@ -24,8 +24,7 @@ class Condition:
 
     Args:
         text: "NAME > NUMBER UNIT" or "NAME > NUMBER UNIT, margin NUMBER"; also >=, <, <=. The name is that of a
-            variable, or the words by which its definition begins, as in "apparent_area". The unit, also of the margin,
-            is that of the data set or that of the page.
+            variable. The unit, also of the margin, is that of the data set or that of the page.
         variables: that can be compared, by name.
 
     Attributes:

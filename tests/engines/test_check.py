@@ -23,6 +23,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.portable import PortableSession
 from fingerflow.export.recording_engine import ExportedGraph, RecordingEngine
 from fingerflow.kernels import tensors as kernels
+from tests.without_kernels import without_kernels
 
 Array = np.ndarray[Any, Any]
 Change = Callable[[Any], Any]
@@ -74,7 +75,7 @@ def frame() -> BuiltIn:
 def expected(frame: BuiltIn) -> list[dict[str, Array]]:
     """Return the results of both motions by torch without compiled kernels, with standard deviations."""
     with pytest.MonkeyPatch.context() as patch, torch.inference_mode():
-        patch.setattr(kernels, "serve", lambda *tensors: False)
+        without_kernels(patch)
         return both_numbers_of(TorchEngine(SETTINGS, torch.device("cpu")), frame, deviations=True)
 
 

@@ -65,7 +65,7 @@ def test_live_numbers_need_no_other_package(lab: LabPC, tmp_path: Path) -> None:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(20)
         port = receiver.getsockname()[1]
-        when = ("--when", "apparent_area > 3 mm2", "--then", f"serial:{os.ttyname(line)}:1")
+        when = ("--when", "gross_contact_area > 3 mm2", "--then", f"serial:{os.ttyname(line)}:1")
         stream = ("-m", "fingerflow.player", "--source", "synthetic", "--frames", "60", "--page", "off", *lab.options)
         out = ("--output", str(tmp_path / "results"), "--send", f"udp:127.0.0.1:{port}", "--send", "osc:127.0.0.1:9")
         ended = lab.run(*stream, *out, *when)
@@ -101,7 +101,7 @@ assert all(file.is_relative_to(Path.cwd() / "fingerflow") for file in loaded), l
 """
 
 
-@pytest.mark.parametrize("name", ["process", "open_forces"])
+@pytest.mark.parametrize("name", ["process"])
 def test_what_a_bundle_does_not_carry_is_said(name: str, lab: LabPC) -> None:
     ended = lab.run("-c", f"import fingerflow; fingerflow.{name}")
     assert f"ImportError: {name} is not in this copy of fingerflow, the one of a deployment bundle" in ended.stderr

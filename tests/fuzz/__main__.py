@@ -181,7 +181,7 @@ def _played(path: Path) -> None:
 READ: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
     **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
-    "calibration": lambda path: pkgutil.resolve_name("fingerflow.calibration:Calibration.from_toml")(path),
+    "calibration": lambda path: pkgutil.resolve_name("fingerflow.schema.calibration_file:read_calibration")(path),
     "scene": lambda path: pkgutil.resolve_name("fingerflow.schema.scene:load_scene")(path),
     "bundle": lambda path: pkgutil.resolve_name("fingerflow.engines.bundle:load_bundle")(path),
     "result": lambda path: pkgutil.resolve_name("fingerflow.results.result:load_result")(path),

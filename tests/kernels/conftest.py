@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from fingerflow.kernels import tensors as kernels
+from tests.without_kernels import without_kernels
 
 
 @pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
@@ -32,7 +33,7 @@ def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]]
 
     def call(function: Callable[[], object]) -> object:
         with monkeypatch.context() as patch:
-            patch.setattr(kernels, "serve", lambda *tensors: False)
+            without_kernels(patch)
             return function()
 
     return call

@@ -10,6 +10,7 @@ from fingerflow.engines.torch import TorchEngine
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.tracking.track_points import Tracks, TrackStatus
 from tests.kernels.twins import points_inside, skin_of_bytes
+from tests.without_kernels import without_kernels
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -42,7 +43,7 @@ def test_followed_in_one_call_as_one_after_the_other() -> None:
 
     found = followed(NativeEngine(settings))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "serve", lambda *_: False)
+        without_kernels(patch)
         expected = followed(TorchEngine(settings, torch.device("cpu")))
     same(*(Tracks(*map(torch.from_numpy, one.found[:4])) for one in (found, expected)))
     assert (expected.found.status[4] != TrackStatus.TRACKED).any()

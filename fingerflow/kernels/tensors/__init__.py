@@ -16,8 +16,8 @@ from fingerflow.kernels.library import limit_instruction_set as limit_instructio
 from fingerflow.kernels.tensors.serving import constant_to_compiler as constant_to_compiler
 from fingerflow.kernels.tensors.serving import serve as serve
 from fingerflow.kernels.tensors.torch_op import torch_op
-from fingerflow.kernels.tensors.twin import Twin as Twin
-from fingerflow.kernels.tensors.twin import twin as twin
+from fingerflow.kernels.tensors.twins import Twin as Twin
+from fingerflow.kernels.tensors.twins import twin as twin
 
 
 def _dtypes(kinds: Iterable[str]) -> tuple[torch.dtype, ...]:

@@ -35,7 +35,7 @@ from torch.nn import functional
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.flow import FlowFields, FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
-from fingerflow.kernels.tensors.twin import Twin, twin
+from fingerflow.kernels.tensors.twins import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients, spline_weights

@@ -216,7 +216,7 @@ def find_templates(
         and dtype == torch.float32
     ):
         followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
-        return TrackedPoints(*[values[0] for values in followed[0]])
+        return TrackedPoints(*[values[0] for values in followed[:5]])
 
     def step(part: Templates, near: Tensor) -> TrackedPoints:
         return _step(part, current, near, variance, *settings)
