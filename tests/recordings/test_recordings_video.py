@@ -78,9 +78,9 @@ def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, co
 def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path, monkeypatch):
     path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p", bf="0", g="20", sc_threshold="0")
     decoded = []
-    original = video._Pixels.of
+    original = video._Pixels.convert
     monkeypatch.setattr(
-        video._Pixels, "of", lambda self, f, p, number: decoded.append(number) or original(self, f, p, number)
+        video._Pixels, "convert", lambda self, f, p, number: decoded.append(number) or original(self, f, p, number)
     )
     recording = open_recording(path)
     assert decoded == []
