@@ -193,7 +193,7 @@ def test_whole_and_the_same(name: str) -> None:
 
 
 class Exported(nn.Module):
-    """A case as a module."""
+    """Module that calls the op of a case, to be exported."""
 
     def __init__(self, call: Callable[..., object]) -> None:
         super().__init__()

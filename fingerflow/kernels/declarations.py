@@ -3,6 +3,7 @@
 Only the standard library is imported, as the build of the library reads the header by this file too.
 """
 
+import functools
 import hashlib
 import re
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 HEADER = Path(__file__).with_name("interface.h")
-FRAME_KINDS = {"uint8": 0, "uint16": 1, "int32": 2, "float32": 3}  # codes of kernels/pixels.h
+FRAME_KINDS = ("uint8", "uint16", "int32", "float32")  # in the order of the codes of kernels/pixels.h
 _CODES = {"std::int64_t": "q", "std::int32_t": "i", "int": "i", "float": "f", "double": "d"}  # of Python's `struct`
 _LARGEST = {"q": (1 << 63) - 1, "i": (1 << 31) - 1}  # whole numbers by code
 _DTYPES = {
@@ -90,8 +91,14 @@ class Function(NamedTuple):
     @property
     def arguments(self) -> list[ArrayField | NumberField]:
         """Return what a call must give: arrays that are no results, and numbers that these do not tell."""
-        given = (field for field in self.fields if isinstance(field, NumberField) or field.role != "result")
-        return [field for field in given if field.name not in self.derived]
+        left_out = self.derived | {array.name for array in self.arrays if array.role == "result"}
+        return [field for field in self.fields if field.name not in left_out]
+
+
+@functools.cache
+def declared() -> dict[str, Function]:
+    """Return the functions of `interface.h` by name, as `read` does, which parses it once."""
+    return read(HEADER.read_text(encoding="utf-8"))
 
 
 def read(header: str) -> dict[str, Function]:
@@ -124,13 +131,13 @@ def digest(header: str) -> str:
 
 
 def _fields(line: str, structures: dict[str, str]) -> Iterator[ArrayField | NumberField]:
-    """Yield the fields of one declaration, such as `const float *light /* (height, width) */, *black`; a structure that
-    is not declared as an array gives its own fields.
+    """Yield the arrays and numbers of one declaration, such as `const float *light /* (height, width) */`. A structure
+    passed by value yields its members.
     """
-    declared = re.match(r"\s*(const )?((?:unsigned )?[\w:]+)(.*)", line, re.DOTALL)
-    if declared is None:
+    start = re.match(r"\s*(const )?((?:unsigned )?[\w:]+)(.*)", line, re.DOTALL)
+    if start is None:
         raise ValueError(f"interface.h declares {line.strip()!r}: a type and a name are expected")
-    constant, kind, rest = declared.groups()
+    constant, kind, rest = start.groups()
     for declarator in rest.split(","):
         parts = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:/\*(.*?)\*/)?\s*", declarator, re.DOTALL)
         if parts is None:
@@ -153,7 +160,7 @@ def _frames(name: str, comment: str) -> Iterator[ArrayField | NumberField]:
     """Yield the fields of frames (batch, 1, height, width); the comment may name dtypes, and the least height x width,
     and say `whole` where all pixels are contiguous.
     """
-    dtypes = tuple(word for word in comment.split() if word in FRAME_KINDS) or tuple(FRAME_KINDS)
+    dtypes = tuple(word for word in comment.split() if word in FRAME_KINDS) or FRAME_KINDS
     sides = re.search(r"(\d+) x (\d+)", comment)
     shape = ("batch", "1", "height", "width")
     yield ArrayField(name, dtypes, "", shape, "input", False, "", True, "whole" in comment, "")

@@ -48,7 +48,7 @@ class Kernel:
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
         """Look up the function `name` in the library."""
-        self._name, self._fields = name, function.fields
+        self._name = name
         arrays = function.arrays
         self._numbers = [field for field in function.fields if isinstance(field, NumberField)]
         # Sizes that may be 1 in place of another size are checked last, as that must be known.
@@ -157,6 +157,7 @@ class Kernel:
         return arrays, like
 
     def _enter_with(self, values: dict[str, Any], arrays: dict[str, Any]) -> None:
+        """Add the addresses of the arrays to the arguments, and call the library function with them."""
         for name in self._names:
             array = arrays.get(name)
             if array is None:

@@ -8,7 +8,7 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
-from fingerflow.kernels.declarations import HEADER, digest, read
+from fingerflow.kernels.declarations import HEADER, declared, digest
 from fingerflow.kernels.kernel import Kernel
 
 _log = logging.getLogger(__name__)
@@ -68,11 +68,11 @@ def _library() -> dict[str, Kernel] | None:
         _log.info("compiled kernels were not built (no C++ compiler at install time?): portable ops serve, more slowly")
         return None
     library = ctypes.CDLL(str(path))
-    header = HEADER.read_text(encoding="utf-8")
     for text in ("fingerflow_digest", "fingerflow_last_message"):
         if hasattr(library, text):
             getattr(library, text).restype = ctypes.c_char_p
-    if not hasattr(library, "fingerflow_digest") or library.fingerflow_digest() != digest(header).encode():
+    needed = digest(HEADER.read_text(encoding="utf-8")).encode()
+    if not hasattr(library, "fingerflow_digest") or library.fingerflow_digest() != needed:
         _log.info("%s was built from other sources: install again; portable ops serve, more slowly", path)
         return None
-    return {name: Kernel(name, function, library) for name, function in read(header).items()}
+    return {name: Kernel(name, function, library) for name, function in declared().items()}

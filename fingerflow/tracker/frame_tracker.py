@@ -84,7 +84,7 @@ class Work:
     """Intermediate data of a frame in progress, from `StreamTracker.step` to `StreamTracker.compute_results`.
 
     Attributes:
-        index: among all frames of the stream that have begun, from 0.
+        index: of the frame in the stream, from 0.
         frame: the frame itself.
         images: both views, in the engine's own representation.
         guess: (N, 2) px, predicted positions; None before any points were seeded.
@@ -147,11 +147,10 @@ class _KnownMotion(NamedTuple):
 class _Change(NamedTuple):
     """Deferred change of the tracked points: a reseeding or a new key frame, from the image of an earlier frame.
 
-    `number`, `image` and `points` belong to that frame; `after` is the index at which the change was decided. New
-    points are seeded in `region` (H, W), and replace others if more than `least` of them lie in `counted` (H, W).
+    `number`, `image` and `points` belong to that frame. New points are seeded in `region` (H, W), and replace others
+    if more than `least` of them lie in `counted` (H, W).
     """
 
-    after: int
     number: int
     image: Array
     points: Array
@@ -208,7 +207,7 @@ class StreamTracker:
         self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
         self._latest: _KnownMotion | None = None
-        self._count = 0  # number of frames so far
+        self._index = -1  # of the latest frame in the stream
         self._change: _Change | None = None
         self._requested = False
         self._deferred: deque[Work] = deque()  # frames whose status later frames decide
@@ -247,47 +246,45 @@ class StreamTracker:
         Events due before the frame are a seeding or a new key frame; they wait until no frame is deferred. Outcomes are
         those of deferred frames before it, and its own unless it is deferred too.
         """
-        index, self._count = self._count, self._count + 1
+        self._index += 1
         passed: list[Event | FrameOutcome] = []
         if not self._deferred:
-            passed += self._make_changes(index, frame)
+            passed += self._make_changes(frame)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        work = Work(index, frame, images, self._guess(frame.number), self.threshold)
+        work = Work(self._index, frame, images, self._guess(frame.number), self.threshold)
         if self._points is not None and work.guess is not None:
             work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
-        if self.measures and self._search.wants(index):
+        if self.measures and self._search.wants(self._index):
             threshold = float(self._engine.contact(images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
             work.measured = threshold if physical else math.nan
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._outcome(work, frame.status, None, 0, index))
+            passed.append(self._outcome(work, frame.status, None, 0))
         else:
             assert frame.picture is not None
             decided, status = self._check.update(frame.number, frame.picture, frame.status)
-            passed += self._decided(decided, index)
+            passed += self._decided(decided)
             if status is None:
                 self._deferred.append(work)
             else:
-                passed.append(self._judged(work, status, index))
-        while self._unlearnt and self._unlearnt[0][0] <= index - _LEARNT_AFTER:
+                passed.append(self._judged(work, status))
+        while self._unlearnt and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
-    def _judged(self, work: Work, status: int, newest: int) -> FrameOutcome:
+    def _judged(self, work: Work, status: int) -> FrameOutcome:
         """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
-        templates, another is skipped; `newest` is the index of the latest frame.
+        templates, another is skipped.
         """
         if status == USABLE:
-            return self._accepted(work, newest)
-        return self._outcome(work, status, None, 0, newest)
+            return self._accepted(work)
+        return self._outcome(work, status, None, 0)
 
-    def _decided(self, statuses: list[int], newest: int) -> list[FrameOutcome]:
-        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes;
-        `newest` is the index of the latest frame.
-        """
-        return [self._judged(self._deferred.popleft(), status, newest) for status in statuses]
+    def _decided(self, statuses: list[int]) -> list[FrameOutcome]:
+        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes."""
+        return [self._judged(self._deferred.popleft(), status) for status in statuses]
 
     def compute_results(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
@@ -308,7 +305,7 @@ class StreamTracker:
 
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
-        return self._decided(self._check.finish(), self._count - 1)
+        return self._decided(self._check.finish())
 
     def _guess(self, number: int) -> Array | None:
         """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
@@ -324,8 +321,8 @@ class StreamTracker:
 
     # Changes that are made before a frame begins.
 
-    def _make_changes(self, index: int, frame: Frame) -> list[Event]:
-        change, threshold = self._change, self._search.due(index)
+    def _make_changes(self, frame: Frame) -> list[Event]:
+        change, threshold = self._change, self._search.due(self._index)
         events: list[Event] = []
         if not self.restarts and frame.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
@@ -334,7 +331,7 @@ class StreamTracker:
             self.threshold = threshold
             self._search.used()
         if self._points is not None:
-            self._points.update_due(index)
+            self._points.update_due(self._index)
         if change is not None:
             self._change = None
             events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
@@ -353,7 +350,7 @@ class StreamTracker:
         column, row = np.rint(points[is_finite(points)]).astype(int).T
         if change.counted[row, column].sum() > change.least:
             return [self._restart(change.number, change.image, points, change.cause, change.points)]
-        self._reseeding.keep(self._count - 1)
+        self._reseeding.keep(self._index)
         return []
 
     def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
@@ -366,7 +363,7 @@ class StreamTracker:
         self.seeded = int(is_finite(points).sum())
         self._latest = _KnownMotion(self._points.motion, number)
         self._seeding = Seeding(points, before)
-        self._reseeding.restarted(self._count - 1, number, self.seeded)
+        self._reseeding.restarted(self._index, number, self.seeded)
         self._search.begin()
         self.restarts += 1
         return Event("restart", number, {"cause": cause, "points": self.seeded})
@@ -388,11 +385,12 @@ class StreamTracker:
 
     # Outcome of a frame after its computation.
 
-    def _accepted(self, work: Work, newest: int) -> FrameOutcome:
+    def _accepted(self, work: Work) -> FrameOutcome:
         """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
         key frame is due, and return the frame's outcome.
 
-        A threshold, a reseeding or a key frame that it gives counts from the latest frame, `newest`.
+        A threshold, a reseeding or a key frame that it gives counts from the latest frame of the stream: a deferred
+        frame is an earlier one.
         """
         points, frame = self._points, work.frame
         assert points is not None
@@ -407,7 +405,7 @@ class StreamTracker:
                 self._first_threshold = work.measured
             work.threshold = self._first_threshold
         if self._change is None:
-            cause = PAGE if self._requested else self._reseeding.update(newest, frame.number, tracked)
+            cause = PAGE if self._requested else self._reseeding.update(self._index, frame.number, tracked)
             if cause:
                 self._requested = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
@@ -416,8 +414,8 @@ class StreamTracker:
                 if cause == CONTACT and self._sparse is not None:
                     least, (counted, region) = self._sparse.points, self._regions(self._sparse)
                 positions = tracked_points.points[0].copy()
-                self._change = _Change(newest, frame.number, image, positions, cause, region, counted, least)
-        return self._outcome(work, USABLE, tracked_points, tracked, newest)
+                self._change = _Change(frame.number, image, positions, cause, region, counted, least)
+        return self._outcome(work, USABLE, tracked_points, tracked)
 
     def _track_again(self, work: Work, points: Points) -> tuple[Array, TrackedPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
@@ -435,16 +433,14 @@ class StreamTracker:
         points.update_due(work.index)
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(
-        self, work: Work, status: int, points: TrackedPoints | None, tracked: int, newest: int
-    ) -> FrameOutcome:
-        """Return the outcome of a frame, whose contact is evaluated later; `points` are None if it is not usable, and
-        `newest` is the index of the latest frame.
+    def _outcome(self, work: Work, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
+        """Return the outcome of a frame with its tracked points, None if it is not usable, and queue it for
+        `_learn_contact`, which evaluates its contact later.
         """
         threshold = work.threshold if status == USABLE else math.nan
         of_points = (self._seeding, tracked, threshold, self._reseeding.key_frame, self.restarts)
         outcome = FrameOutcome(work, status, points, *of_points)
-        self._unlearnt.append((newest, work.frame.number, outcome))
+        self._unlearnt.append((self._index, work.frame.number, outcome))
         return outcome
 
     def _contact(self, work: Work) -> FrameContact:
@@ -457,7 +453,10 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_contact(self, newest: int, number: int, outcome: FrameOutcome) -> list[Event]:
+    def _learn_contact(self, index: int, number: int, outcome: FrameOutcome) -> list[Event]:
+        """Learn from the contact of frame number `number`, whose outcome was decided when the frame with this index was
+        the latest, whether to reseed and which threshold to use; return the event of a new threshold.
+        """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.work.index % _LOOK_EVERY == 0:
             touching = float(self._contact(outcome.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome.work, outcome.points) if touching else None
@@ -470,7 +469,7 @@ class StreamTracker:
                 self._search.passed_over()
             return []
         area = float(self._contact(outcome.work).real_area_px[0])
-        if self._search.update(newest, area, measured) and measured is not None:
+        if self._search.update(index, area, measured) and measured is not None:
             return [Event("threshold", number, {"threshold": measured})]
         return []
 

@@ -210,7 +210,7 @@ class Points:
         return self._verified(image, self._accepted(image, guess, tracked, frames, nothing_found(1)))
 
     def changes(self, index: int) -> bool:
-        """Return whether template updates are due before frame `index`; all earlier frames must finish first."""
+        """Return whether template updates are due before frame `index`."""
         return any(pending.due <= index for pending in self._pending)
 
     def update_due(self, index: int) -> None:

@@ -36,7 +36,7 @@ class ThresholdSearch:
         return measured[1] if measured is not None and index >= measured[0] + self._lag else None
 
     def used(self) -> None:
-        """Record that the new threshold is now in use, after all earlier frames have finished."""
+        """Record that the new threshold is now in use."""
         self._searching, self._area, self._asked, self._found = False, math.nan, None, None
 
     def wants(self, index: int) -> bool:

@@ -10,7 +10,7 @@ import torch
 
 from fingerflow.kernels import library
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.declarations import HEADER, read
+from fingerflow.kernels.declarations import declared
 from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import kernel_calls
 
@@ -103,6 +103,5 @@ for threads in (1, 3):
 
 
 def test_every_declaration_is_in_the_library() -> None:
-    declared = read(HEADER.read_text(encoding="utf-8"))
-    assert len(declared) > 20
-    assert set(library._library() or ()) == set(declared)
+    assert len(declared()) > 20
+    assert set(library._library() or ()) == set(declared())

@@ -13,13 +13,13 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import flow, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.declarations import HEADER, ArrayField, NumberField, read
+from fingerflow.kernels.declarations import ArrayField, NumberField, declared
 from fingerflow.kernels.library import run
 from tests.kernels.kernel_calls import kernel_calls, reached
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
-DECLARED = read(HEADER.read_text(encoding="utf-8"))
+DECLARED = declared()
 CALLS = kernel_calls() if kernels.serve() else {}
 #: Arguments of one call of each kernel.
 ARGUMENTS = {name: values for call in CALLS.values() for name, values in reached(call).items()}

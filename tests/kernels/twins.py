@@ -80,7 +80,7 @@ def lit(shape: tuple[int, int, int], batch: int) -> tuple[Tensor, Tensor]:
 
 
 def medians() -> Iterator[Call]:
-    for dtype, size, content in product(kernels.MEDIAN_DTYPES, (3, 5, 9), CONTENTS):
+    for dtype, size, content in product(kernels.COUNTED_DTYPES, (3, 5, 9), CONTENTS):
         for shape in (*SHAPES, (5, 61, 94)):
             yield partial(median_filter, size=size), (images(shape, dtype, content),)
 

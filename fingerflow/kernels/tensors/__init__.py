@@ -26,9 +26,6 @@ def _dtypes(kinds: Iterable[str]) -> tuple[torch.dtype, ...]:
 
 FRAME_KINDS = _dtypes(declarations.FRAME_KINDS)
 COUNTED_DTYPES = _dtypes(contact.COUNTED_LEVELS)
-LARGEST_MAJORITY = contact.LARGEST_MAJORITY
-LARGEST_MEDIAN = contact.LARGEST_MEDIAN
-MEDIAN_DTYPES = _dtypes(contact.COUNTED_LEVELS)
 histogram = torch_op()(contact.histogram)
 median = torch_op()(contact.median)
 correct_points = torch_op()(tracking.correct_points)

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar, cast
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.declarations import HEADER, ArrayField, Function, read
+from fingerflow.kernels.declarations import ArrayField, declared
 from fingerflow.kernels.library import run
 from fingerflow.kernels.tensors.serving import serve
 from fingerflow.kernels.tensors.torch_op import torch_op
@@ -26,7 +26,7 @@ class Twin(Generic[_R]):
 
     def __init__(self, name: str) -> None:
         """Register the kernel `name` as an op of torch."""
-        self.__name__, function = name, _declared()[name]
+        self.__name__, function = name, declared()[name]
         arguments, results = function.arguments, [array for array in function.arrays if array.role != "input"]
         self._dtypes = [
             frozenset(getattr(torch, dtype) for dtype in array.dtypes)
@@ -69,11 +69,6 @@ class Twin(Generic[_R]):
 def twin(name: str) -> Twin[Any]:
     """Return the compiled twin by the name of the kernel."""
     return Twin(name)
-
-
-@functools.cache
-def _declared() -> dict[str, Function]:
-    return read(HEADER.read_text(encoding="utf-8"))
 
 
 def _type(argument: Any) -> Any:

@@ -66,7 +66,7 @@ def contact_threshold(
         frames.dtype in kernels.FRAME_KINDS
         and dtype == black.dtype == torch.float32
         and (gain is None or gain.dtype == torch.float32)
-        and median_px <= kernels.LARGEST_MAJORITY
+        and median_px <= contact.LARGEST_MAJORITY
         and kernels.serve(frames, light, black, gain)
     ):
         return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact import LARGEST_MEDIAN
 from fingerflow.kernels.median_network import MedianProgram, Operand, Step, median_program, tile_program
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.checks import check_frames, check_window
@@ -59,7 +60,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     check_window(size)
     if size == 1 or frames.numel() == 0:
         return frames.clone()
-    if frames.dtype in kernels.MEDIAN_DTYPES and size <= kernels.LARGEST_MEDIAN and kernels.serve(frames):
+    if frames.dtype in kernels.COUNTED_DTYPES and size <= LARGEST_MEDIAN and kernels.serve(frames):
         return kernels.median(frames, size)
     if frames.dtype == torch.uint16:  # the minimum of uint16 is not implemented in torch
         return median_filter(frames.to(torch.int32), size).to(torch.uint16)
