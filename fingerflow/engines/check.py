@@ -33,7 +33,7 @@ _FEW, _MOST_FEW = 3, 16  # every 3rd point, at most 16, is among `BuiltIn.few`
 # Frames computed, alternating between two: more than an engine or ONNX Runtime computes before it replays a CUDA graph.
 _TURNS = 4
 _MOTIONS = "numbers", "reversed"  # names in bundle.json
-_DIGITS = 6
+_DIGITS = 8  # significant digits of the numbers in bundle.json
 _FLIPS = 0.01  # largest share of the values that may be finite in one of both results and NaN in the other
 _DARKER = 0.9  # light of the empty glass of the reversed motion, and of its frame relative to this glass
 # Displacements for fields: points move this many times as far as they do, so that rounding is a smaller share.
@@ -77,7 +77,6 @@ TOLERANCES = {
     "known_share": Tolerance(0.01, ""),
     **dict.fromkeys(("fields_std", "median_std", "fit_std"), Tolerance(0.02, "of itself", relative=True)),
 }
-_OF_GRAPHS = tuple(name for name in TOLERANCES if not name.endswith("_std"))  # the graphs of a bundle give no others
 
 
 class BuiltIn(NamedTuple):
@@ -137,7 +136,7 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference
     """
     try:
         height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
-        of_bundle = [{name: np.array(expected[motion][name], np.float64) for name in _OF_GRAPHS} for motion in _MOTIONS]
+        of_bundle = [{name: np.array(expected[motion][name], np.float64) for name in TOLERANCES} for motion in _MOTIONS]
     except (KeyError, TypeError, ValueError) as error:
         raise FingerflowError(
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
@@ -159,11 +158,10 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
     Raises:
         FingerflowError: a result is not that of its frame.
     """
-    deviations = not expected[0].keys() <= set(_OF_GRAPHS)
     largest = dict.fromkeys(expected[0], 0.0)
     for turn in range(_TURNS):
         shown = frame.reversed() if turn % 2 else frame
-        numbers = numbers_of(engine, shown, deviations)
+        numbers = numbers_of(engine, shown)
         for name, theirs in expected[turn % 2].items():
             worst, said = _difference(name, numbers[name], theirs)
             if worst > TOLERANCES[name].most:
@@ -193,9 +191,9 @@ def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
     return worst, f"is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
 
 
-def both_numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> list[dict[str, Array]]:
+def both_numbers_of(engine: Engine, frame: BuiltIn) -> list[dict[str, Array]]:
     """Compute the results of an engine for the built-in frame and for its reversed motion, as `numbers_of`."""
-    return [numbers_of(engine, one, deviations) for one in (frame, frame.reversed())]
+    return [numbers_of(engine, one) for one in (frame, frame.reversed())]
 
 
 def expected_of(engine: Engine, height: int, width: int, bit_depth: int, points: int) -> dict[str, Any]:
@@ -211,20 +209,17 @@ def expected_of(engine: Engine, height: int, width: int, bit_depth: int, points:
 def _rounded(values: Array) -> Any:
     if values.ndim:
         return [_rounded(one) for one in values]
-    return round(float(values), _DIGITS) if np.isfinite(values) else None
+    return float(f"{float(values):.{_DIGITS}g}") if np.isfinite(values) else None
 
 
-def numbers_of(engine: Engine, frame: BuiltIn, deviations: bool = False) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`.
-
-    With `deviations` the standard deviations of fields are among them, which the graphs of a bundle do not give.
-    """
+def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
+    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`."""
     return {
         name: np.asarray(value, np.float64)
         for name, value in (
             *_contact_numbers(engine, frame).items(),
             *_point_numbers(engine, frame).items(),
-            *_field_numbers(engine, frame, deviations).items(),
+            *_field_numbers(engine, frame).items(),
         )
     }
 
@@ -292,7 +287,7 @@ def _covariance(frame: BuiltIn) -> Array:
     return result
 
 
-def _field_numbers(engine: Engine, frame: BuiltIn, deviations: bool) -> dict[str, Any]:
+def _field_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     """Return fields, their medians, and gradients between points, from the true displacements of the points.
 
     The length unit is chosen so that some twenty points lie within the reach of a fit.
@@ -311,17 +306,17 @@ def _field_numbers(engine: Engine, frame: BuiltIn, deviations: bool) -> dict[str
         results[f"fields{name}"] = np.concatenate(of_points, axis=-1)[0]
         results[f"median{name}"] = found.median[0]
         results["known_share"] = found.known_share[0]
-    known = np.isfinite(frame.points[:, 0])
+    known, gauge = np.isfinite(frame.points[:, 0]), engine.settings.gauge_length_mm
     fitted = reference[known], moved[:, known], reference[known] + unit
-    results["fit"] = engine.fit(*fitted, engine.settings.gauge_length_mm).gradient[0]
-    if deviations:
-        covariance = unit**2 * _covariance(frame)
-        found = engine.fields(reference, moved, ellipse, covariance)
-        results["fields_std"] = np.stack([_known(one)[0] for one in (found.divergence_std, found.curl_std)])
-        results["median_std"] = _known(found.median_std)[0]
-        fit = engine.fit(*fitted, engine.settings.gauge_length_mm, covariance[:, known, 0, 0])
-        results["fit_std"] = np.sqrt(np.einsum("qijij->qij", _known(fit.covariance)[0]))
-    return results
+    covariance = unit**2 * _covariance(frame)
+    fit = engine.fit(*fitted, gauge, covariance[:, known, 0, 0])
+    found = engine.fields(reference, moved, ellipse, covariance)
+    return results | {
+        "fit": engine.fit(*fitted, gauge).gradient[0],
+        "fields_std": np.stack([_known(values)[0] for values in (found.divergence_std, found.curl_std)]),
+        "median_std": _known(found.median_std)[0],
+        "fit_std": np.sqrt(np.einsum("qijij->qij", _known(fit.covariance)[0])),
+    }
 
 
 def _known(values: Array | None) -> Array:

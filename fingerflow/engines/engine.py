@@ -127,14 +127,12 @@ class Engine(Protocol):
         described: name with its device or provider, as in "onnx (CPUExecutionProvider)".
         settings: with which it was created.
         cell_px: side of the cells of the apparent contact.
-        deviations: whether `fields` and `fit` take covariances.
     """
 
     name: str
     described: str
     settings: EngineSettings
     cell_px: int
-    deviations: bool
 
     def images(self, frames: Array) -> Images:
         """Convert frames (K, H, W) of 8 to 16 bit or floating point to the internal format of the engine.

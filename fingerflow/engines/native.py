@@ -62,7 +62,6 @@ class NativeEngine:
     """
 
     name = described = "native"
-    deviations = True
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings

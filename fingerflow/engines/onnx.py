@@ -87,7 +87,6 @@ class OnnxEngine:
     """
 
     name = "onnx"
-    deviations = False
 
     def __init__(
         self,
@@ -243,11 +242,11 @@ class OnnxEngine:
         return result
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        if variance is not None:
-            raise ValueError("the graphs of a bundle fit without variances")
-        given = self._pad_points(reference=points[None], displacement=values, queries=queries[None])
-        given["gauge_length"] = np.array([gauge], np.float32)
-        return Fit(self._sessions["fit"](given)["gradient"][:, : len(queries)], None)
+        noise = np.zeros(values.shape[:2], np.float32) if variance is None else variance
+        inputs = self._pad_points(reference=points[None], displacement=values, variance=noise, queries=queries[None])
+        outputs = self._sessions["fit"]({**inputs, "gauge_length": np.array([gauge], np.float32)})
+        gradient, covariance = (outputs[name][:, : len(queries)] for name in ("gradient", "covariance"))
+        return Fit(gradient, None if variance is None else covariance)
 
     def fields(
         self,
@@ -258,25 +257,21 @@ class OnnxEngine:
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
         count = len(reference)
-        of_points: dict[str, Array | None] = {
-            "reference": reference[None],
-            "displacement": displacement,
-            "covariance": covariance,
-        }
+        exact = np.zeros((*displacement.shape, 2), np.float32) if covariance is None else covariance
+        of_points = {"reference": reference[None], "displacement": displacement, "covariance": exact}
         if entered is not None:
-            of_points |= {
-                "among": entered.among,
-                "gradient": entered.gradient,
-                "gradient_covariance": entered.covariance,
-            }
-        given = self._pad_points(**{name: one for name, one in of_points.items() if one is not None})
-        given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
-        name = f"fields{'' if entered is None else '_entered'}{'' if covariance is None else '_std'}"
-        found: dict[str, Any] = self._sessions[name](given)
-        of_frame = {name: found.pop(name) for name in ("median", "known_share")}
-        of_frame["median_std"] = found.pop("median_std", None)
-        std: dict[str, Any] = dict.fromkeys(("divergence_std", "curl_std"))
-        return FrameFields(**of_frame, **(std | {name: one[:, :count] for name, one in found.items()}))
+            spread = entered.covariance
+            if spread is None:
+                spread = np.zeros((*entered.gradient.shape, 2, 2), np.float32)
+            of_points |= {"among": entered.among, "gradient": entered.gradient, "gradient_covariance": spread}
+        inputs = self._pad_points(**of_points)
+        inputs |= {f"ellipse_{name}": values for name, values in ellipse._asdict().items()}
+        outputs = self._sessions["fields" if entered is None else "fields_entered"](inputs)
+        of_frame = ("median", "median_std", "known_share")
+        fields = {name: values if name in of_frame else values[:, :count] for name, values in outputs.items()}
+        if covariance is None:
+            fields |= dict.fromkeys(("divergence_std", "curl_std", "median_std"))
+        return FrameFields(**fields)
 
     def _in_pieces(self, name: str, of_points: dict[str, Array], shared: dict[str, Any]) -> dict[str, Array]:
         """Run a graph of fixed size on a few points at a time, and return the concatenated outputs (1, n, ...).

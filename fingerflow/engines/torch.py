@@ -54,7 +54,6 @@ class TorchEngine:
     """
 
     name = "torch"
-    deviations = True
 
     def __init__(self, settings: EngineSettings, device: torch.device) -> None:
         self.settings, self._device = settings, device

@@ -10,13 +10,7 @@ from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
-from fingerflow.graphs import (
-    ContactGraph,
-    DetectGraph,
-    FieldsGraph,
-    KeyGraph,
-    TrackGraph,
-)
+from fingerflow.graphs import ContactGraph, DetectGraph, Fields, FieldsGraph, KeyGraph, TrackGraph
 from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
 from fingerflow.ops.fields.plane_fit import Support
@@ -32,7 +26,7 @@ from fingerflow.ops.tracking.window_correlation import sample_windows
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")
 _ELLIPSE = FrameEllipse._fields
-_FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
+_FIELDS = Fields._fields
 _SUPPORTS = ("support_weights", "support_within", "inner_weights", "inner_within")
 _CORRECTED = ("points", "covariance", "warp", "shift", "expected")
 
@@ -42,8 +36,11 @@ UNITS = {
     **dict.fromkeys((*_LIGHT, "noise", "spline", "samples"), "counts"),
     **dict.fromkeys(("points", "prediction", "estimate", "start", "found", "expected", "places", "shift"), "px"),
     **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start", "neighbour_offset"), "px"),
-    **dict.fromkeys(("real_area_px", "gross_area_px", "covariance", "found_covariance"), "px^2"),
-    **dict.fromkeys((*_FIELDS, "gradient", "threshold", "illumination_gain", "density_margin"), "1"),
+    **dict.fromkeys(("real_area_px", "gross_area_px", "found_covariance"), "px^2"),
+    **dict.fromkeys(("covariance", "variance"), "square of the unit of what varies"),
+    **dict.fromkeys(
+        (*_FIELDS, "gradient", "gradient_covariance", "threshold", "illumination_gain", "density_margin"), "1"
+    ),
     **dict.fromkeys(("mask", "real_contact_mask", "status", "warp", "inverse_warp", "returns", "among"), "1"),
     **dict.fromkeys(("neighbour_number", "neighbour_within", *_SUPPORTS), "1"),
     **dict.fromkeys(("off_neighbours", "uncertain"), "1"),
@@ -90,20 +87,17 @@ def build_graphs(recipe: Recipe) -> dict[GraphName, Graph]:
     return build(settings, recipe.tracking.points, recipe.contact.real_contact_mask)
 
 
-def build(
-    settings: EngineSettings, points: int, real_contact_mask: bool = True, deviations: bool = False
-) -> dict[GraphName, Graph]:
+def build(settings: EngineSettings, points: int, real_contact_mask: bool = True) -> dict[GraphName, Graph]:
     """Build all graphs of an engine with these settings, by name in order of execution.
 
     Args:
         points: number that `detect` finds.
         real_contact_mask: whether `contact` returns the mask.
-        deviations: whether the graphs of fields take covariances and return standard deviations.
     """
     described = {
         **_contact_graphs(settings, real_contact_mask),
         **_point_graphs(settings),
-        **_field_graphs(settings, deviations),
+        **_field_graphs(settings),
     }
     described["detect"] = (
         DetectGraph(points, settings.min_distance_px, settings.window_px),
@@ -205,32 +199,25 @@ def _point_graphs(settings: EngineSettings) -> _Described:
     }
 
 
-def _field_graphs(settings: EngineSettings, deviations: bool) -> _Described:
+def _field_graphs(settings: EngineSettings) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of deformation fields."""
     graph = FieldsGraph(settings.gauge_length_mm, settings.strain)
-    inputs: tuple[str, ...] = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
-    entered: tuple[str, ...] = ("among", "gradient")
-    outputs: tuple[str, ...] = _FIELDS
-    if deviations:
-        inputs, outputs = (*inputs, "covariance"), (*outputs, "divergence_std", "curl_std", "median_std")
-        entered = (*entered, "gradient_covariance")
+    inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE), "covariance")
 
     def fields(*arguments: Tensor) -> tuple[Tensor, ...]:
-        reference, displacement, *ellipse = arguments[:5]
-        covariance = arguments[5] if deviations else None
-        among = None
-        if rest := arguments[len(inputs) :]:
-            among = EnteredPoints(rest[0], rest[1], rest[2] if deviations else None)
+        reference, displacement, *ellipse, covariance = arguments[: len(inputs)]
+        entered = arguments[len(inputs) :]
+        among = EnteredPoints(*entered) if entered else None
         frame_fields = graph(reference, displacement, covariance, FrameEllipse(*ellipse), among)
-        return tuple(getattr(frame_fields, name) for name in outputs)
+        return tuple(getattr(frame_fields, name) for name in _FIELDS)
 
     return {
-        "fields": (fields, inputs, outputs),
-        "fields_entered": (fields, (*inputs, *entered), outputs),
+        "fields": (fields, inputs, _FIELDS),
+        "fields_entered": (fields, (*inputs, "among", "gradient", "gradient_covariance"), _FIELDS),
         "fit": (
-            lambda *arguments: (query_gradients(*arguments),),
-            ("reference", "displacement", "queries", "gauge_length"),
-            ("gradient",),
+            query_gradients,
+            ("reference", "displacement", "queries", "gauge_length", "variance"),
+            ("gradient", "covariance"),
         ),
     }
 

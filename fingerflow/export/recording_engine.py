@@ -30,7 +30,7 @@ def recording_engine(settings: EngineSettings, threads: int) -> RecordingEngine:
 
 
 class RecordingEngine(OnnxEngine):
-    """`OnnxEngine` for recordings: several frames a call, any number of points, and standard deviations of fields.
+    """`OnnxEngine` for recordings: several frames a call, and any number of points.
 
     `detect` and `fit` are those of torch: each number of points would need a graph of its own, and `fit` is computed in
     float64.
@@ -40,12 +40,8 @@ class RecordingEngine(OnnxEngine):
         threads: inside an operator.
     """
 
-    deviations = True
-
     def __init__(self, settings: EngineSettings, threads: int) -> None:
-        with_deviations = build(settings, points=1, deviations=True)
-        graphs: dict[str, Graph] = {str(name): graph for name, graph in build(settings, points=1).items()}
-        graphs |= {f"{name}_std": graph for name, graph in with_deviations.items() if name.startswith("fields")}
+        graphs = build(settings, points=1)
         super().__init__({name: ExportedGraph(graph, threads) for name, graph in graphs.items()}, settings)
         self._torch = TorchEngine(settings, torch.device("cpu"))
 

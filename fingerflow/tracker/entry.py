@@ -15,9 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine
+from fingerflow.engines.engine import Engine, EnteredPoints
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.deviations.onset_time import onset_errors
 
 Array = NDArray[Any]
 
@@ -184,69 +185,103 @@ class EntryGradients:
 
 
 class Entries:
-    """Detection, frame by frame in a stream, of points that the skin's motion carries into the contact (advected), and
-    computation of their displacement gradients since that entry.
+    """Onsets of contact in a stream, as far as the frames so far tell: which points the skin's motion carries into the
+    contact (advected), their displacement gradients since that entry, and the errors of the times of onset.
 
-    The methods are those of `advected` and `EntryGradients`, applied to the frames so far. Positions of the
-    points and borders of the contact are kept for the last `KEPT` frames.
+    The methods are those of `advected`, `EntryGradients` and `deviations.onset_time`, applied to the frames so far.
+    Positions of the points and borders of the contact are kept for the last `KEPT` frames.
 
     Args:
         positions: (N, 2) mm, where points were seeded; NaN for none.
-        gauge_mm: gauge length of the fits.
 
     Attributes:
         entered: (N,) bool, points that have been advected into the contact.
+        onset: (N,) index of the frame in which the present touch began, -1 without one.
+        of_onset: (N, 2, 2) mm^2, covariance of the displacements by the error of the time of onset. It is known once
+            `learn_errors` was called after the onset, and 0 before.
     """
 
     KEPT = 512  # number of latest frames that are kept, in which the motion before an onset is known
 
-    def __init__(self, engine: Engine, positions: Array, gauge_mm: float) -> None:
-        self._engine, self._seeded, self._gauge = engine, positions, gauge_mm
-        self._position = np.full((self.KEPT, len(positions), 2), np.nan)
+    def __init__(self, engine: Engine, positions: Array) -> None:
+        count = len(positions)
+        self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
+        self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._border = Border(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
         self._frames = 0  # number of frames so far
-        self._onset = np.full(len(positions), -1)  # index of the frame in which the present touch began, -1 without one
-        self._reference = np.full((len(positions), 2), np.nan)
-        self.entered = np.zeros(len(positions), dtype=bool)
-        self._at_entry = np.full((len(positions), 2, 2), np.nan)
+        self._learnt = 0  # number of frames when errors were learnt last
+        self.onset, self._reference = np.full(count, -1), np.full((count, 2), np.nan)
+        self.entered = np.zeros(count, dtype=bool)
+        self.of_onset = np.zeros((count, 2, 2))
+        self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
-    def update(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
-        """Add the next frame, and return the displacement gradients (N, 2, 2) of the advected points in it, each
-        relative to the frame in which the point entered the contact.
+    def update(
+        self, position: Array, variance: Array, begins: Array, touching: Array, reference: Array, border: Border
+    ) -> EnteredPoints | None:
+        """Add the next frame, and return the advected points with their displacement gradients in it (1, N, ...), each
+        relative to the frame in which the point entered the contact; None if no point in contact has entered.
 
-        The result is None if no point has entered. Gradients are NaN for lost points, and to be used for points that
-        have `entered` only.
+        Gradients are NaN for lost points.
 
         Args:
             position: (N, 2) mm, NaN where lost.
+            variance: (N,) mm^2, of a component, relative to the frame in which points were seeded.
             begins, touching: (N,) bool, whether a touch begins in this frame, and whether there is one.
             reference: (N, 2) mm, where the touch began.
             border: of the apparent contact, of this frame.
         """
         row = self._frames % self.KEPT
-        self._position[row] = position
+        self._position[row], self._variance[row] = position, variance
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
-        self._onset[~touching], self.entered[~touching] = -1, False
-        self._onset[begins], self._reference[begins] = self._frames, reference[begins]
-        self._at_entry[begins] = np.nan  # forgets the gradient of an earlier touch
+        self.onset[~touching], self.entered[~touching] = -1, False
         if begins.any():
+            self.onset[begins], self._reference[begins] = self._frames, reference[begins]
+            self._at_entry[begins], self.of_onset[begins] = np.nan, 0  # forgets the gradient of an earlier touch
             self._mark_advected(begins)
-        self._frames += 1
-        if not begins.any() and not self.entered.any():
+        elif not self.entered.any():
+            self._frames += 1
             return None
+        self._frames += 1
         queries = ((begins | self.entered) & np.isfinite(position).all(1)).nonzero()[0]
         valid = np.isfinite(self._seeded).all(1)
         if not len(queries) or not valid.any():
             return None
-        moved = (position - self._seeded)[None, valid]
-        now = np.eye(2) + self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge).gradient[0]
-        self._at_entry[queries] = np.where(begins[queries, None, None], now, self._at_entry[queries])
-        since = np.full((len(position), 2, 2), np.nan)
+        moved, noise = (position - self._seeded)[None, valid], variance[None, valid] / 2
+        fit = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
+        assert fit.covariance is not None
+        now, entering = np.eye(2) + fit.gradient[0], begins[queries]
+        new = queries[entering]
+        self._at_entry[new], self._covariance[new] = now[entering], fit.covariance[0, entering]
+        if not self.entered.any():
+            return None
+        since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
         since[queries] = now @ inverse_2x2(self._at_entry[queries]) - np.eye(2)
-        return since if self.entered.any() else None
+        covariance[queries] = fit.covariance[0] + self._covariance[queries]
+        since[~self.entered] = covariance[~self.entered] = np.nan
+        gradients = (values.astype(np.float32)[None] for values in (since, covariance))
+        return EnteredPoints(self.entered[None].copy(), *gradients)
+
+    def learn_errors(self) -> None:
+        """Compute the errors of the times of onset of the points that have touched since the last call but one, as the
+        motion behind an onset is known by now.
+        """
+        recent = self.onset >= max(self._learnt - (self._frames - self._learnt), 0)
+        self._learnt, first, last = self._frames, max(self._frames - self.KEPT, 0), self._frames - 1
+        if not recent.any():
+            return
+        points = np.arange(len(self.onset))
+
+        def positions(frames: Array) -> tuple[Array, Array]:
+            rows = (frames + first) % self.KEPT
+            return self._position[rows, points], np.sqrt(self._variance[rows, points])
+
+        border = self._border.select(np.arange(first, last + 1) % self.KEPT)
+        onset, frames = self.onset - first, (-first, last - first)
+        _, of_onset = onset_errors(self._engine, onset, self._reference, self.entered, frames, positions, border)
+        self.of_onset[recent] = of_onset[recent]
 
     def _mark_advected(self, begins: Array) -> None:
         """Update the mask `entered` (N,) of advected points: test which of the points whose touch begins in this frame,
@@ -254,11 +289,11 @@ class Entries:
         """
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
-        onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)
-        rows = (onset >= 0).nonzero()[0]
+        later = self.onset > self.onset[self.onset >= 0].min()
+        rows = (begins & later).nonzero()[0]
         if len(rows):
-            past = self._position[:, rows][order]
-            motion = (onset[rows], self._reference[rows], self._gauge, self._border.select(order))
+            past, onset = self._position[:, rows][order], self.onset[rows] - first
+            motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
-        later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._seeded).all(1)
+        later &= np.isfinite(self._seeded).all(1)
         self.entered = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import Engine, EnteredPoints, FrameContact, FrameEllipse, FrameFields, TrackedPoints
-from fingerflow.tracker.contact_border import BORDER_MM, Border
-from fingerflow.tracker.curvature import curvature_variance
+from fingerflow.engines.engine import Engine, FrameContact, FrameEllipse, TrackedPoints
+from fingerflow.tracker.contact_border import Border
+from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
+from fingerflow.tracker.deviations.curvature import curvature_variance
+from fingerflow.tracker.deviations.image_noise import noise_variance
+from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.entry import Entries
-from fingerflow.tracker.median_smoothing import smoothing_variance
-from fingerflow.tracker.onset import Touches, Touching
-from fingerflow.tracker.overlap_gain import overlap_gain
+from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -31,12 +32,13 @@ RESULTS = (
         "illumination_gain",
     ),
     *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "curl", "point_strain", "median_divergence", "median_divergence_std", "entered"),
+    *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "entered"),
+    *("median_divergence", "median_divergence_std", "median_curl", "median_curl_std"),
+    *("median_strain", "median_strain_std"),
     *("slip_residual", "slip_flag"),
 )
-_EVERY = 8  # frames between two evaluations of the median's variance due to gauge length and border
-#: Largest share of the points in contact whose onset is unknown, as they were seeded again on touching skin; with more,
-#: no deviation is stated.
+# Largest share of the points in contact whose onset is unknown, as they were seeded again on touching skin; with more,
+# medians are NaN: the deformation of that skin before is not known.
 _WITHOUT_ONSET = 0.15
 
 
@@ -114,12 +116,16 @@ class FrameResults:
         self._seeded_in_contact = covered & (self._frames > 0)
         if seeding.before is not None:
             self._slip.follow_others(seeding.before, seeding.points)
-        self._touches = Touches(len(seeding.points))
-        positions = self._on_glass(seeding.points)
-        self._entries = Entries(self._engine, positions, self._engine.settings.gauge_length_mm)
-        window_px, gauge_px = self._engine.settings.window_px, self._engine.settings.gauge_length_mm / self._per_px
-        self._overlap = overlap_gain(seeding.points, window_px, gauge_px)
-        self._of_smoothing = math.nan  # variance of the median due to gauge length and border
+        count = len(seeding.points)
+        self._touches = Touches(count)
+        positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        self._entries = Entries(self._engine, positions)
+        self._deformation = Deformation(self._engine, positions)
+        self._late = np.zeros((2, count))
+        # Noise counts alike for all points, and their onsets are not known yet.
+        alike = np.zeros(count, int), seeding.points, np.ones(count), np.zeros((count, 2, 2))
+        errors = OverlapErrors(*alike, by_onsets=True, window_px=self._engine.settings.window_px)
+        self._gain = errors.variance_gain(gauge_mm / self._per_px)
 
     def _on_glass(self, pixels: Array) -> Array:
         """Convert positions (..., 2) in px of the topography view to mm on the glass."""
@@ -130,90 +136,36 @@ class FrameResults:
             result[..., axis] = by_x * x + by_y * y + shift
         return result
 
-    def _covariance(self, now: Array, curvature: Array, touch: Touching) -> Array:
-        """Return the covariance (1, N, 2, 2) mm^2 of the displacements since the onset of contact, from the variances
-        (1, N) px^2 of the present positions, `now` by image noise and `curvature` by displacement that is curved within
-        windows, and that at the onset, in `touch`.
-
-        It is larger by the factor by which overlapping windows raise the variance of gradients.
-        """
-        variance = (touch.displacement_variance(now) + curvature) * np.float32(self._overlap * self._per_px**2)
-        return variance[..., None, None] * np.eye(2, dtype=np.float32)
-
-    def _smoothing_variance(
-        self, reference: Array, moved: Array, around: FrameEllipse, fields: FrameFields, of_points: float
-    ) -> float:
-        """Return the variance of the median divergence of `fields` due to the finite gauge length and the uncertain
-        contact border: that of `smoothing_variance`, from the change of the median with twice the gauge length, and the
-        squared change with a smaller ellipse, less the variance `of_points` by the errors of points.
-
-        In a space of half the size the gauge length counts twice.
-        """
-        half = around._replace(center=around.center / 2, semi_axes=around.semi_axes / 2)
-        smaller = around._replace(semi_axes=around.semi_axes - np.float32(BORDER_MM))
-        wide, inner = (
-            float(self._engine.fields(*arguments).median[0, 0] - fields.median[0, 0])
-            for arguments in ((reference / 2, moved / 2, half), (reference, moved, smaller))
-        )
-        assert fields.divergence_std is not None
-        deviations = fields.divergence_std[0][np.isfinite(fields.divergence_std[0])]
-        single = np.median(deviations) if len(deviations) else math.nan
-        by_gauge = float(smoothing_variance(wide, of_points, single, fields.divergence[0]))
-        return by_gauge + max(inner**2 - of_points, 0.0)
-
     def _since_onset(
         self, points: TrackedPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
-        of contact, and the median divergence over the contact ellipse; return them by result name.
+        of contact, and the medians over the contact ellipse; return them by result name.
 
         `curvature` (1, N) px^2 is the variance of the positions that `points` does not hold.
         """
-        position = self._on_glass(points.points)
-        border = Border(*ellipse)
+        position, border, px2 = self._on_glass(points.points), Border(*ellipse), np.float32(self._per_px**2)
+        variance = points.variance + curvature
         touch = self._touches.add_frames(np.array([self._frames]), covered, position, points.variance, border)
-        since = self._entries.update(position[0], touch.begins[0], touch.touching[0], touch.position[0], border)
-        among = self._entries.entered[None] & touch.touching
-        entered = None
-        if since is not None and among.any():
-            entered = EnteredPoints(
-                among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None
-            )
-        moved = (position - touch.position).astype(np.float32)
-        around = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
-        reference = touch.position[0].astype(np.float32)
-        # The graphs of a bundle compute no deviations, and the deviation of advected points is not known.
-        covariance = None
-        if entered is None and self._engine.deviations:
-            covariance = self._covariance(points.variance, curvature, touch)
-        fields = self._engine.fields(reference, moved, around, covariance, entered)
-        deviation = math.nan
-        # The deformation of skin before points were seeded again on it is not known.
+        entered = self._entries.update(
+            *(position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], border)
+        )
+        if self._frames % EVERY == 0:
+            self._entries.learn_errors()
+        of_displacement = (noise_variance(points.variance, touch) + curvature) * px2
+        reference, moved = touch.position[0], position - touch.position
+        errors = of_displacement, self._entries.of_onset, self._gain
+        since = Displacement(reference, moved, *errors, entered, self._late)
+        fields, ranks = self._deformation.add(np.array([self._frames]), since, ellipse)
+        assert fields.median_std is not None
+        median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
         without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
-        if fields.median_std is not None and without_onset <= _WITHOUT_ONSET * touch.touching[0].sum():
-            of_points = float(fields.median_std[0, 0]) ** 2
-            if self._frames % _EVERY == 0 or math.isnan(self._of_smoothing):
-                self._of_smoothing = self._smoothing_variance(reference, moved, around, fields, of_points)
-            deviation = math.sqrt(of_points + self._of_smoothing + _rank_variance(fields))
-        return {
-            "divergence": fields.divergence[0],
-            "curl": fields.curl[0],
-            "point_strain": fields.strain[0],
-            "median_divergence": fields.median[0, 0],
-            "median_divergence_std": deviation,
-            "entered": among[0],
-        }
-
-
-def _rank_variance(fields: FrameFields) -> float:
-    """Return the variance of the median divergence due to the part of the contact where divergence is unknown, whose
-    values may all lie above or all below the median.
-
-    The median of all lies anywhere between the quantiles 1/2 +- (1 - share) / (2 share) of the known values.
-    """
-    share, values = float(fields.known_share[0]), np.sort(fields.divergence[0][np.isfinite(fields.divergence[0])])
-    if not 0 < share < 1 or not len(values):
-        return 0.0
-    reach = (1 - share) / (2 * share)
-    low, high = np.quantile(values, [max(0.5 - reach, 0), min(0.5 + reach, 1)])
-    return float(high - low) ** 2 / 12
+        if without_onset > _WITHOUT_ONSET * touch.touching[0].sum():
+            median, median_std = np.full((2, 5), np.nan)
+        results: dict[str, Any] = {"point_strain": fields.strain[0], "entered": self._entries.entered.copy()}
+        for name in ("divergence", "divergence_std", "curl", "curl_std"):
+            results[name] = getattr(fields, name)[0]
+        for suffix, values in (("", median), ("_std", median_std)):
+            results |= {f"median_{name}{suffix}": values[field] for field, name in enumerate(("divergence", "curl"))}
+            results[f"median_strain{suffix}"] = values[2:]
+        return results

@@ -34,20 +34,6 @@ class Touching(NamedTuple):
     touching: Array
     begins: Array
 
-    def displacement_variance(self, now: Array) -> Array:
-        """Return the variance (F, N) px^2, due to image noise, of a component of each point's displacement since its
-        touch began, given the variance `now` (F, N) of the present positions.
-
-        The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
-        of them is the position `now` itself. Half of a position's variance is noise of the key frame's template, the
-        same in every frame. It cancels in the difference of two positions, unless one of them is that of the key frame,
-        which is exact.
-        """
-        rest = np.square(1 - self.share)  # squared weight of the frame before the touch
-        then, earlier = [np.where(variance > 0, variance, now) for variance in (self.variance, self.earlier)]
-        since = now + np.square(self.share) * then
-        return (np.where(self.begins, rest * now, since) + rest * earlier) / 2
-
 
 class Touches:
     """Touch history of all points: whether each point touches the glass, and when and where its touch began.

@@ -24,7 +24,7 @@ from fingerflow.engines.engine import (
 )
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
-from fingerflow.tracker.curvature import curvature_variance
+from fingerflow.tracker.deviations.curvature import curvature_variance
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, is_finite
 from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification

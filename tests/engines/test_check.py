@@ -73,10 +73,10 @@ def frame() -> BuiltIn:
 
 @pytest.fixture(scope="module")
 def expected(frame: BuiltIn) -> list[dict[str, Array]]:
-    """Return the results of both motions by torch without compiled kernels, with standard deviations."""
+    """Return the results of both motions by torch without compiled kernels."""
     with pytest.MonkeyPatch.context() as patch, torch.inference_mode():
         without_kernels(patch)
-        return both_numbers_of(TorchEngine(SETTINGS, torch.device("cpu")), frame, deviations=True)
+        return both_numbers_of(TorchEngine(SETTINGS, torch.device("cpu")), frame)
 
 
 @pytest.fixture(params=["native", "torch"])

@@ -299,7 +299,7 @@ def test_frames_in_two_threads_are_those_one_after_the_other(engines: Both, poin
     assert not np.array_equal(alone[0][1], alone[5][1])
 
 
-def test_what_the_graphs_do_not_take_is_named(engines: Both, points: Array) -> None:
+def test_what_the_graphs_do_not_take_is_named(engines: Both) -> None:
     engine = engines.onnx
     frame = view("topography", KEY)
     for wrong in (np.concatenate((frame, frame)), frame[:, 1:], frame.astype(np.uint16)):
@@ -309,8 +309,6 @@ def test_what_the_graphs_do_not_take_is_named(engines: Both, points: Array) -> N
         engine.detect(engine.images(frame), np.ones((HEIGHT, WIDTH), bool), POINTS - 1)
     with pytest.raises(FingerflowError, match=r"151 points are given, the bundle was exported for 150"):
         engine.prepare(engine.images(frame), np.zeros((POINTS + 1, 2), np.float32))
-    with pytest.raises(ValueError, match="variances"):
-        engine.fit(points, points[None], points, 1.6, points[None, :, 0])
 
 
 def test_damaged_numbers_are_named(engines: Both, bundle: Bundle) -> None:

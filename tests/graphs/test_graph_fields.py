@@ -76,15 +76,21 @@ def test_one_set_of_points_serves_all_frames() -> None:
 
 
 def test_the_exported_fit_is_that_of_local_gradients() -> None:
-    """The exported fit agrees with `local_gradients` in float32 and float64, also at positions between the points and
-    at NaN.
+    """The exported fit and its covariance agree with `local_gradients` in float32 and float64, also at positions
+    between the points and at NaN.
     """
     reference, displacement = skin()
     queries = torch.cat((reference[:, :40] + 3, reference[:, 5:8]), dim=1)
-    expected = local_gradients(reference.double(), displacement.double(), queries.double(), gauge_length=GAUGE).gradient
+    noise = torch.linspace(1, 2, reference.shape[1])[None].expand(displacement.shape[:2]).double()
+    wide = reference.double(), displacement.double(), queries.double()
+    expected = local_gradients(*wide, gauge_length=GAUGE, variance=noise)
+    assert expected.covariance is not None
     for kind, rounding in ((torch.float32, 5e-5), (torch.float64, 1e-9)):
-        given = (one.to(kind) for one in (reference, displacement, queries))
-        found = query_gradients(*given, torch.tensor([GAUGE]))
-        assert found.dtype == kind
-        torch.testing.assert_close(found.double(), expected, rtol=0, atol=rounding, equal_nan=True)
-    assert expected.isnan().any()
+        inputs = (values.to(kind) for values in (reference, displacement, queries))
+        gradient, covariance = query_gradients(*inputs, torch.tensor([GAUGE]), noise.to(kind))
+        assert gradient.dtype == kind
+        torch.testing.assert_close(gradient.double(), expected.gradient, rtol=0, atol=rounding, equal_nan=True)
+        torch.testing.assert_close(
+            covariance.double(), expected.covariance, rtol=10 * rounding, atol=rounding, equal_nan=True
+        )
+    assert expected.gradient.isnan().any()

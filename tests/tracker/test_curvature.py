@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fingerflow.engines.engine import Engine, EngineSettings
-from fingerflow.tracker import curvature
-from fingerflow.tracker.curvature import curvature_variance
+from fingerflow.tracker.deviations import curvature
+from fingerflow.tracker.deviations.curvature import curvature_variance
 
 SETTINGS = EngineSettings(window_px=21, gauge_length_mm=2.0)
 GRID = np.stack(np.meshgrid(np.arange(0, 240, 8.0), np.arange(0, 240, 8.0)), -1).reshape(-1, 2).astype(np.float32)

@@ -135,7 +135,7 @@ def fit_planes(
     return PlaneFit(determined, value, slopes / radius, centroid, inverse, mass, weights)
 
 
-def gradient_covariance(fit: PlaneFit, positions: Tensor, covariance: Tensor, radius: float) -> Tensor:
+def gradient_covariance(fit: PlaneFit, positions: Tensor, covariance: Tensor, radius: float | Tensor) -> Tensor:
     """Return the covariance (B, Q, 2, 2, 2, 2) of the displacement gradients of fitted planes, given the covariance (B,
     3, N) of point displacements; the axes are as in `LocalFit`.
 

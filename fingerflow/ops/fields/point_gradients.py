@@ -96,8 +96,11 @@ def neighbour_planes(
     return value, gradient.unflatten(2, (-1, 2))
 
 
-def query_gradients(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
-    """Return gradients (B, Q, C, 2) at query positions (B, Q, 2), fitted to values (B, N, C) at points (B, N, 2).
+def query_gradients(
+    points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor, variance: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return gradients (B, Q, 2, 2) at query positions (B, Q, 2), fitted to values (B, N, 2) at points (B, N, 2), and
+    their covariance (B, Q, 2, 2, 2, 2) by the `variance` (B, N) of a component of each value.
 
     Gradients are NaN where the points do not determine them. This is the portable form of `local_gradients` at fixed
     cost, which is exported. `gauge_length` (1,) is in the unit of the points.
@@ -106,6 +109,10 @@ def query_gradients(points: Tensor, values: Tensor, queries: Tensor, gauge_lengt
     both = about_their_mean(torch.cat((points, queries), dim=1), radius)
     sizes = points.shape[1], queries.shape[1]
     (positions, targets), (valid, valid_targets) = (tensor.split(sizes, dim=2) for tensor in both)
-    usable = valid & finite(sum_rows(values.mT))
+    noise = variance[:, None]
+    usable = valid & finite(sum_rows(values.mT)) & finite(noise) & (noise >= 0)
     fitted = fit_planes(positions, values.mT, targets, usable, radius)
-    return torch.where(fitted.known & valid_targets, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
+    gradient = torch.where(fitted.known & valid_targets, fitted.gradient, torch.nan).mT.unflatten(2, (2, 2))
+    noise = torch.where(usable, noise, 0.0)
+    spread = gradient_covariance(fitted, positions, torch.cat((noise, 0 * noise, noise), dim=1), radius)
+    return gradient, spread + 0 * gradient[..., None, None]

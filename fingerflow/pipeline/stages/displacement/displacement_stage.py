@@ -3,11 +3,9 @@
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -19,12 +17,11 @@ from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY
 from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.deviations.image_noise import noise_variance
+from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 
-# mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
-_ELLIPSE_MM = 0.035
-_LONGEST_ONSET = 8  # largest number of frames on either side over which the speed at onset is measured
 _FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
@@ -143,7 +140,10 @@ class DisplacementStage(Stage):
             gauge = inputs.scene.fields.gauge_length_mm
             moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._border)
             self.common_position, self.some_later = common, bool(self._later.any())
-            self._find_errors_of_onset(moves_in)
+            self.onset_variance, self.of_onset = onset_errors(
+                *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
+                *(self._select_positions, self._border),
+            )
         else:
             self.of_onset = np.zeros((points, 2, 2))
             self._warn_of_unknown()
@@ -184,15 +184,6 @@ class DisplacementStage(Stage):
         is the result variable of the standard deviation.
         """
         return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
-
-    def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """Return the covariance (n, N, 2, 2) mm^2 of the displacements of N points in n frames, without that by
-        curvature; NaN if unknown.
-        """
-        result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
-        for component in range(2):
-            result[..., component, component] += moved.variance
-        return result
 
     def _curvature(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of a displacement component by displacement that is curved within windows: 0
@@ -264,7 +255,7 @@ class DisplacementStage(Stage):
             begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
-        noise = self._noise(variance, touching)
+        noise = noise_variance(variance, touching, adds_up=self._template == "previous")
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return Moved(moved, noise, self._curvature(indices))
@@ -282,7 +273,7 @@ class DisplacementStage(Stage):
         displacement = moved[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
         depth = self._border.select(indices).inside(position)
-        inwards = np.maximum(np.nan_to_num(depth - then), 0) + _ELLIPSE_MM
+        inwards = np.maximum(np.nan_to_num(depth - then), 0) + ELLIPSE_MM
         later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
         share = np.minimum(1, BORDER_MM / inwards)
         earlier = np.where(self._seen, 0, ndtr(self._depth / BORDER_MM))
@@ -290,85 +281,12 @@ class DisplacementStage(Stage):
         result: Points = (later * np.square(share) * np.square(displacement).sum(-1) + earlier * before) / 2
         return np.nan_to_num(result)
 
-    def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of a displacement component due to image noise, from the position variance
-        `now` (n, N) in each frame and the one at contact onset, held by `touch`.
-
-        With the previous frame as template, variances add up.
-        """
-        if self._template == "previous":
-            rest = np.square(1 - touch.share)  # squared weight of the frame before the touch
-            return abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
-        return touch.displacement_variance(now)
-
-    def _find_errors_of_onset(self, moves_in: NDArray[np.bool_]) -> None:
-        """Compute the covariance (N, 2, 2) mm^2 of the positions at which points came into contact, from the error of
-        the onset time and the speed of each point at that time.
-
-        The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
-        takes d frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is
-        crossed between the selected frames, and otherwise their distance from that crossing; its mean square is
-        d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
-        larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
-        point that touches in the first frame has no onset: its displacement counts from there.
-
-        Where a border grows, neighbours tell how fast it passes the skin. Skin that moves in (`moves_in`, (N,)) crosses
-        a border at rest, where neighbours enter along one line and do not: there the point's own depth in the ellipse
-        does, over the frames around its onset.
-        """
-        onset, frames = self.onset, len(self.trial)
-        usable = np.flatnonzero(self._usable)
-        after_first = onset > usable[0]
-        touched = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
-        slope = local_gradients(
-            touched,
-            torch.from_numpy(onset.astype(np.float64))[None, :, None],
-            gauge_length=self.inputs.scene.fields.gauge_length_mm,
-        ).gradient[0, :, 0]
-        frames_per_mm = np.where(moves_in, 0.0, slope.norm(dim=-1).nan_to_num(0.0).numpy())
-        reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST_ONSET).astype(int)
-        reach[moves_in] = _LONGEST_ONSET
-        # Both sides at once: each call of `_select_positions` reads all frames.
-        pair = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
-        position = self._select_positions(pair)
-        unknown = ~np.isfinite(position).all(-1)
-        pair = np.where(unknown, onset, pair)
-        if unknown.any():
-            position[unknown] = np.broadcast_to(self._select_positions(onset), position.shape)[unknown]
-        before, after = pair
-        step = position[1] - position[0]
-        speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
-        # The square of a measured speed is too large by the variance of the speed, which follows from those of both
-        # positions.
-        errors = self.mm_per_px * select_frames(self.results["position_noise_px"], pair % frames)
-        noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
-        square = (speed**2).sum(1)
-        share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
-        speed = speed * np.sqrt(share)[:, None]
-        if moves_in.any():
-            border = self._border.select(pair.flatten().astype(np.intp) % frames)
-            depth = border.inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
-            approach = np.diff(depth, axis=0)[0] / np.maximum(after - before, 1)
-            # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
-            chord = np.sqrt(BORDER_MM / 2 / np.nanmean(self._border.semi_axes))
-            least = np.linalg.norm(speed, axis=1) * chord
-            frames_per_mm = np.where(moves_in, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
-        variance = self.onset_variance = np.where(after_first, _crossing_variance(frames_per_mm), 0.0)
-        self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
-
-    def _select_positions(self, frames: NDArray[np.integer]) -> Points:
+    def _select_positions(self, frames: NDArray[np.integer]) -> tuple[Points, Points]:
         """Return the positions (..., N, 2) mm of N tracked points, each in the frame that `frames` (..., N) gives for
-        it; -1 is the last frame.
+        it, and their deviations (..., N) by image noise, mm.
         """
-        return select_frames(self.results["position"], frames % len(self.trial))
-
-
-def _crossing_variance(frames_per_mm: NDArray[np.floating]) -> Points:
-    """Return the variance (N,) frame^2 of the times at which the border passed N points, from the frames that it needs
-    for a millimetre.
-    """
-    rough = BORDER_MM * frames_per_mm
-    return (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
+        noise = select_frames(self.results["position_noise_px"], frames)
+        return select_frames(self.results["position"], frames), self.mm_per_px * noise
 
 
 class _Fixed(NamedTuple):

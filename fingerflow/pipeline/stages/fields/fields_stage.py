@@ -3,18 +3,17 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.engines.engine import EnteredPoints, FrameEllipse
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
-from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
-from fingerflow.pipeline.stages.fields.median_bias import EVERY, MedianBias
-from fingerflow.pipeline.stages.fields.smoothing_errors import SmoothingErrors
+from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FIELDS
 from fingerflow.tracker.contact_border import Border
+from fingerflow.tracker.deformation import Deformation, Displacement
+from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.entry import EntryGradients
 
 
@@ -38,7 +37,7 @@ class FieldsStage(Stage):
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
         self._engine = self.inputs.engine
-        self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
+        self._median, self._variance = np.full((2, len(trial), 5), np.nan)
         self._residual, self._known = np.full((2, len(trial)), np.nan)
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
 
@@ -54,12 +53,9 @@ class FieldsStage(Stage):
         minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
         self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, moved.reference, widest))
-        self._bias = MedianBias(len(self.trial), self._settings.gauge_length_mm, self._settings.strain, moved)
-        # By where points were seeded: places of entry lie on a line.
+        # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = moved.common_position if moved.by_onsets else moved.reference
-        plain = moved.reference.copy()
-        plain[moved.entered] = np.nan
-        self._smoothing = SmoothingErrors(plain, positions, self._settings.gauge_length_mm)
+        self._deformation = Deformation(self._engine, positions)
         window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
         positions_px = self.inputs.on_topography(positions)
         errors = OverlapErrors(moved.begins, positions_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
@@ -73,18 +69,18 @@ class FieldsStage(Stage):
 
     def step(self, batch: Batch) -> None:
         border = Border.from_series(self.trial.stage(ContactStage).series).select(batch.indices)
-        displacement = self.trial.stage(DisplacementStage)
-        moved: Moved = batch.result(DisplacementStage)
-        ellipse = FrameEllipse(*(values.astype(np.float32) for values in border))
-        covariance = displacement.covariance(moved._replace(variance=moved.variance + moved.curvature))
-        covariance *= self._gain[:, None, None]
-        entered = None if self._entry is None else self._gradients_since_entry(self._entry, batch.indices)
+        displacement, moved = self.trial.stage(DisplacementStage), batch.result(DisplacementStage)
+        entered, late = None, np.zeros((2, len(self._reference)))
+        if self._entry is not None:
+            entered = self._gradients_since_entry(self._entry, batch.indices)
+            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
+            late[:, displacement.entered] = np.square((xx + yy, yx - xy))
         shift = moved.displacement.astype(np.float32)
-        fields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
+        variance = moved.variance + moved.curvature
+        since = Displacement(self._reference, shift, variance, displacement.of_onset, self._gain, entered, late)
+        fields, ranks = self._deformation.add(batch.indices, since, FrameEllipse(*border))
         for name in self._given:
-            if not name.endswith("_std"):
-                self.results[name][batch.indices] = getattr(fields, name)
-        self._state_deviations(batch, fields, shift)
+            self.results[name][batch.indices] = getattr(fields, name)
         positions = self.inputs.tensor(self._reference[None])
         residual = rigid_residual(positions, self.inputs.tensor(shift)).cpu().numpy()
         if "rigid_residual" in self.results:
@@ -93,8 +89,8 @@ class FieldsStage(Stage):
         self._residual[batch.indices] = nanmedian(np.sqrt(across * across + down * down))
         self._known[batch.indices] = fields.known_share
         self._median[batch.indices] = fields.median
-        self._median_std[batch.indices] = fields.median_std
-        self._bias.add(batch, fields, shift, ellipse, None if entered is None else entered.among)
+        assert fields.median_std is not None
+        self._variance[batch.indices] = fields.median_std**2 + ranks
 
     def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
         """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
@@ -110,37 +106,35 @@ class FieldsStage(Stage):
         )
         return EnteredPoints(among, gradient, covariance)
 
-    def _state_deviations(self, batch: Batch, fields: FrameFields, shift: NDArray[np.float32]) -> None:
-        """Add the errors by the gauge length, which are measured in every eighth frame, and by the times of entry to
-        the deviations of divergence and curl at points.
-        """
-        sampled = np.arange(0, len(batch.indices), EVERY)
-        values, deviation = (
-            np.stack([getattr(fields, f"{name}{suffix}")[sampled] for name in ("divergence", "curl")], axis=1)
-            for suffix in ("", "_std")
-        )
-        variance = self._smoothing.variance(shift[sampled], values, deviation)
-        variance = variance[np.arange(len(batch.indices)) // EVERY]
-        if self._entry is not None:
-            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
-            variance[:, :, self.trial.stage(DisplacementStage).entered] += np.square((xx + yy, yx - xy))
-        for field, name in enumerate(("divergence_std", "curl_std")):
-            self.results[name][batch.indices] = np.sqrt(getattr(fields, name) ** 2 + variance[:, field])
-
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)
         self.results.put("field_coverage", self._known)
-        self._median_std = np.sqrt(self._median_std**2 + self._bias.variance())
+        median_std = np.sqrt(self._variance + self._bias())
         times, window = self.inputs.times, self._settings.rate_window_s
         divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(divergence, self._known, gross, gauge, first_frame))
         self.results.put("median_divergence", divergence, self._gauge)
-        self.results.put("median_divergence_std", self._median_std[:, 0])
+        self.results.put("median_divergence_std", median_std[:, 0])
         self.results.put("median_divergence_rate", rate(divergence, times, window))
         self.results.put("median_curl", curl, self._gauge)
-        self.results.put("median_curl_std", self._median_std[:, 1])
+        self.results.put("median_curl_std", median_std[:, 1])
         self.results.put("median_strain", strain, self._gauge | {"measure": self._settings.strain})
-        self.results.put("median_strain_std", self._median_std[:, 2:])
+        self.results.put("median_strain_std", median_std[:, 2:])
         self.results.put("median_strain_rate", rate(strain, times, window))
+
+    def _bias(self) -> NDArray[np.float64]:
+        """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
+        frames, as skin and contact change slowly.
+
+        Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
+        NaN if there is none.
+        """
+        result, frames = np.full(self._variance.shape, np.nan), np.arange(len(self._variance))
+        for column, values in enumerate(result.T):
+            evaluated = [(frame, bias[column]) for frame, bias in self._deformation.bias if np.isfinite(bias[column])]
+            if evaluated:
+                number, variance = np.array(evaluated).T
+                values[:] = np.interp(frames, number, variance)
+        return result

@@ -6,6 +6,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, select_frames
 from fingerflow.results.store import Store
+from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.entry import LEAST_AREA
 
 Points = NDArray[np.float64]
@@ -95,7 +96,7 @@ class CountedSkin:
         corners of triangles with another reference frame.
         """
         stage, points = self._stage, self._points
-        covariance = stage.covariance(moved)
+        covariance = displacement_covariance(moved.variance, stage.of_onset)
         if not len(points):
             return moved.displacement, covariance, moved.curvature
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)

@@ -13,7 +13,6 @@ from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, 
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
-from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -23,6 +22,7 @@ from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.deviations.overlap import OverlapErrors
 
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
 # RMS over four presses of synthetic skin at half to twice the usual deformation.

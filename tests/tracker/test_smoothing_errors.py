@@ -1,16 +1,18 @@
 """What the gauge length smooths away is stated."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-import torch
 
-from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.pipeline.stages.fields.smoothing_errors import SmoothingErrors
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.tracker.deviations.smoothing import SmoothingErrors
 
 GAUGE = 1.6
+MakeEngine = Callable[[EngineSettings], Engine]
 
 
-def _stated_over_true(length: float, inside: bool) -> float:
+def _stated_over_true(make_engine: MakeEngine, length: float, inside: bool) -> float:
     """Return the RMS of stated over that of true errors of divergence for a wave of displacement without noise."""
     axis = np.arange(-4, 4.01, 0.2)
     places = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
@@ -18,9 +20,10 @@ def _stated_over_true(length: float, inside: bool) -> float:
     number = 2 * np.pi / length
     moved = 0.1 * np.stack((np.sin(number * places[:, 0]), np.cos(number * places[:, 1])), -1)[None]
     true = 0.1 * number * (np.cos(number * places[:, 0]) - np.sin(number * places[:, 1]))
-    gradient = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(moved), gauge_length=GAUGE).gradient[0]
+    engine = make_engine(EngineSettings(gauge_length_mm=GAUGE))
+    gradient = engine.fit(places, moved, places, GAUGE).gradient[0]
     fields = np.stack((gradient[:, 0, 0] + gradient[:, 1, 1], gradient[:, 1, 0] - gradient[:, 0, 1]))[None]
-    stated = SmoothingErrors(places, places, GAUGE).variance(moved, fields, np.zeros_like(fields))[0, 0]
+    stated = SmoothingErrors(engine, places).variance(places, moved, fields, np.zeros_like(fields))[0, 0]
     depth = 4 - np.abs(places).max(1)
     some = depth > GAUGE if inside else depth < 0.2
     error = fields[0, 0] - true
@@ -28,11 +31,11 @@ def _stated_over_true(length: float, inside: bool) -> float:
 
 
 @pytest.mark.parametrize("length", [2.0, 3.2, 6.4])
-def test_smoothing_is_stated_inside(length: float) -> None:
+def test_smoothing_is_stated_inside(make_engine: MakeEngine, length: float) -> None:
     """By 1.5 where waves are long, and 0.7 at waves of little more than a gauge length (see the class)."""
-    assert 0.65 < _stated_over_true(length * GAUGE / 1.6, inside=True) < 1.7
+    assert 0.65 < _stated_over_true(make_engine, length * GAUGE / 1.6, inside=True) < 1.7
 
 
-def test_smoothing_is_stated_at_the_border() -> None:
+def test_smoothing_is_stated_at_the_border(make_engine: MakeEngine) -> None:
     """Of a slope that changes over lengths beyond the gauge, the error of one-sided fits to a third."""
-    assert 0.67 < _stated_over_true(8.0, inside=False) < 1.5
+    assert 0.67 < _stated_over_true(make_engine, 8.0, inside=False) < 1.5

@@ -7,7 +7,7 @@ from scipy.ndimage import uniform_filter
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import divergence
 from fingerflow.ops.fields.strain_uncertainty import divergence_std
-from fingerflow.pipeline.stages.displacement.shared_errors import OverlapErrors
+from fingerflow.tracker.deviations.overlap import OverlapErrors
 
 WINDOW, GAUGE, SIDE, DRAWS = 25, 49.0, 160, 400  # px
 

@@ -1,19 +1,20 @@
 """Correlation of tracking errors between points whose windows overlap, and what it does to a fitted gradient."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.spatial import cKDTree
 
-Array = NDArray[np.floating]
-Indices = NDArray[np.integer]
+Array = NDArray[Any]
 
 # Correlation of displacements whose references are 0, 1, and 2 or more frames apart. The reference is the position in
 # one frame, or a mean of those in two frames, x + s (y - x) with s uniform from 0 to 1, of variance 2/3.
 _OF_FRAMES = np.array([1.0, 0.5, 0.5])
 _OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
+_CENTRES = 64  # number of points around which the gain is computed; others take that of the nearest
 
 
 @dataclass(frozen=True)
@@ -35,21 +36,22 @@ class OverlapErrors:
         window_px: side of a window.
     """
 
-    since: Indices
+    since: Array
     positions_px: Array
     noise: Array
     of_onset: Array
     by_onsets: bool
     window_px: int
 
-    def pairs(self) -> Indices:
+    def pairs(self) -> Array:
         """Return the pairs (K, 2) of points whose windows overlap."""
         valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
-        near = cKDTree(self.positions_px[valid]).query_pairs(self.window_px, p=np.inf, output_type="ndarray")
-        return valid[near].astype(np.int64)
+        x, y = self.positions_px[valid].T
+        near = (abs(x[:, None] - x) <= self.window_px) & (abs(y[:, None] - y) <= self.window_px)
+        return valid[np.argwhere(np.triu(near, 1))]
 
-    def between(self, first: Indices, second: Indices) -> NDArray[np.float32]:
-        """Return the correlations (K,) of the displacement errors of points with those of other points."""
+    def between(self, first: Array, second: Array) -> NDArray[np.float32]:
+        """Return the correlations (...) of the displacement errors of points (...) with those of other points."""
         of_onset = np.trace(self.of_onset, axis1=1, axis2=2) / 2
         share = np.sqrt(self.noise / np.maximum(self.noise + of_onset, 1e-30))
         distance = np.abs(self.positions_px[first] - self.positions_px[second]) / self.window_px
@@ -63,30 +65,24 @@ class OverlapErrors:
         A plane fit over `gauge_px` weights the error e_j of a point at distance d_j from the centroid with w_j d_j
         (`local_gradients`). The factor is the sum of w_j w_k d_j . d_k r_jk over all pairs of points over the sum of
         w_j^2 d_j^2, with r the correlations. It changes slowly over the skin, so that fits to independent errors whose
-        variances are larger by it have the variance of fits to correlated errors.
+        variances are larger by it have the variance of fits to correlated errors. For the same reason it is computed
+        around some of the points.
         """
         valid = np.flatnonzero(np.isfinite(self.positions_px).all(-1))
-        positions, size = self.positions_px[valid], len(valid)
-        near = cKDTree(positions).query_pairs(gauge_px / 2, output_type="ndarray")
-        first, second = (np.concatenate((near, near[:, ::-1], np.arange(size)[:, None].repeat(2, 1)))).T
-        offset = positions[second] - positions[first]
-        weight = np.square(1 - np.square(offset).sum(1) / (gauge_px / 2) ** 2)
-
-        def sums(values: Array) -> NDArray[np.float64]:
-            return np.bincount(first, values, size).astype(np.float64)
-
-        mass = sums(weight)
-        between = np.full(len(self.positions_px), -1)
-        between[valid] = np.arange(size)
-        pairs = self.pairs()
-        both = between[np.concatenate((pairs, pairs[:, ::-1]))].T
-        shared = csr_array((np.tile(self.between(*pairs.T), 2), both), shape=(size, size))
-        alone, together = np.zeros((2, size))
-        for axis in range(2):
-            lever = weight * (offset[:, axis] - (sums(weight * offset[:, axis]) / mass)[first])
-            levers = coo_array((lever, (first, second)), shape=(size, size)).tocsr()
-            alone += sums(lever * lever)
-            together += ((levers @ shared) * levers).sum(1)
+        positions = self.positions_px[valid]
+        centres = positions[:: max(1, len(valid) // _CENTRES)]
+        away = np.square(centres[:, None] - positions).sum(-1)
+        gains = np.ones(len(centres), np.float32)
+        for index, squared in enumerate(away):
+            near = np.flatnonzero(squared < (gauge_px / 2) ** 2)
+            weight = np.square(1 - squared[near] / (gauge_px / 2) ** 2)
+            lever = weight[:, None] * (positions[near] - weight @ positions[near] / weight.sum())
+            shared = self.between(valid[near, None], valid[None, near])
+            np.fill_diagonal(shared, 1)
+            alone = float(np.square(lever).sum())
+            if alone > 0:
+                gains[index] = max(float(((shared @ lever) * lever).sum()) / alone, 1)
         result = np.ones(len(self.positions_px), np.float32)
-        result[valid] = np.maximum(1 + together / np.maximum(alone, 1e-30), 1)
+        if len(valid):
+            result[valid] = gains[away.argmin(0)]
         return result

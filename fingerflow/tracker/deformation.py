@@ -1,0 +1,108 @@
+"""Deformation of the skin in consecutive frames: fields, medians over the contact, and their standard deviations.
+
+Recordings and streams compute it here. What a recording knows of later frames, such as which touch lasts, is in the
+displacements that it gives (`Displacement`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.tracker.deviations.medians import bias_variance, rank_variance
+from fingerflow.tracker.deviations.onset_time import displacement_covariance
+from fingerflow.tracker.deviations.smoothing import SmoothingErrors
+
+Array = NDArray[Any]
+
+#: Frames between two evaluations of what changes slowly: errors by gauge length and border.
+EVERY = 8
+
+
+class Displacement(NamedTuple):
+    """Displacement of N points in n frames from their reference, as far as it is known, with its error model.
+
+    Attributes:
+        reference: (N, 2) mm, position from which displacement counts.
+        moved: (n, N, 2) mm; NaN where it is not known.
+        variance: (n, N) mm^2, of a component, by image noise and by displacement that is curved within windows.
+        onset: (N, 2, 2) mm^2, covariance by the error of the time of onset.
+        gain: (N,) factor by which overlapping windows raise the variance of gradients (`OverlapErrors.variance_gain`).
+        entered: points that were advected into the contact, with gradients since their entry; None if there are none.
+        late: (2, N) variance of divergence and curl of these points by the error of the time of entry; 0 for others.
+    """
+
+    reference: Array
+    moved: Array
+    variance: Array
+    onset: Array
+    gain: Array
+    entered: EnteredPoints | None
+    late: Array
+
+
+class Deformation:
+    """Computation of fields and medians, frame by frame or several frames at a time; frames are given in order.
+
+    Args:
+        engine: computes the fits.
+        positions: (N, 2) mm, positions by which points are neighbours, the same in all frames; NaN for no point.
+
+    Attributes:
+        bias: number of each evaluated frame, and the variance (5,) of its medians by gauge length and border; NaN where
+            the contact is too small for twice the gauge length. Every eighth frame is evaluated, and all until it is
+            known in one.
+        latest: (5,) the latest of these variances that is known.
+    """
+
+    def __init__(self, engine: Engine, positions: Array) -> None:
+        self._engine, self._smoothing = engine, SmoothingErrors(engine, positions)
+        self._of_smoothing = np.zeros((1, 2, len(positions)))  # variance of divergence and curl in the evaluated frame
+        self.bias: list[tuple[int, NDArray[np.float64]]] = []
+        self.latest = np.full(5, np.nan)
+
+    def add(self, frames: Array, since: Displacement, ellipse: FrameEllipse) -> tuple[FrameFields, Array]:
+        """Compute the fields of n frames, numbered `frames` (n,), from displacements since a reference and the ellipses
+        of the apparent contact, mm.
+
+        Return them with the standard deviations of divergence and curl at points by all terms, and those of medians by
+        errors of points; and the variance (n, 5) of the medians by the rank of unknown and advected skin, to which
+        `bias` is to be added.
+        """
+        moved, reference = since.moved.astype(np.float32), since.reference.astype(np.float32)
+        ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
+        covariance = displacement_covariance(since.variance, since.onset) * since.gain[:, None, None]
+        entered = since.entered
+        fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
+        ranks = rank_variance(fields, None if entered is None else entered.among)
+        known = np.isfinite(fields.median[:, 0])
+        evaluated = known & ((frames % EVERY == 0) | np.isnan(self.latest[0]))
+        rows = evaluated.nonzero()[0]
+        smoothing = self._of_smoothing
+        if len(rows):
+            part = FrameFields(*(values[rows] for values in fields if values is not None))
+            around = FrameEllipse(*(values[rows] for values in ellipse))
+            excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
+            bias = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
+            self.bias += zip(frames[rows].tolist(), bias, strict=True)
+            for values in bias:
+                self.latest = np.where(np.isfinite(values), values, self.latest)
+            plain = reference
+            if excluded is not None:
+                plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
+            values, deviation = (
+                np.stack([getattr(part, f"{name}{suffix}") for name in ("divergence", "curl")], axis=1)
+                for suffix in ("", "_std")
+            )
+            smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], values, deviation)))
+            self._of_smoothing = smoothing[-1:]
+        # The latest evaluated frame counts; 0 stands for the one before these frames.
+        of_fields = smoothing[evaluated.cumsum()] + since.late
+        deviations = {
+            name: np.sqrt(getattr(fields, name) ** 2 + of_fields[:, field])
+            for field, name in enumerate(("divergence_std", "curl_std"))
+        }
+        return fields._replace(**deviations), ranks

@@ -1,0 +1,120 @@
+"""Variance of medians over the contact that does not come from position errors of the tracked points.
+
+It does not fall with the number of points. Tests with known truth: a press, a slide, and a contact through which skin
+passes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.deviations.smoothing import smoothing_variance
+
+Array = NDArray[Any]
+
+
+def bias_variance(
+    engine: Engine,
+    reference: Array,
+    displacement: Array,
+    ellipse: FrameEllipse,
+    fields: FrameFields,
+    entered: EnteredPoints | None = None,
+) -> NDArray[np.float64]:
+    """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
+    and by the border; NaN where a contact is too small for twice the gauge length.
+
+    The error by the gauge length is that of `smoothing_variance`, from the difference to medians with twice the length.
+    The error by the border is the difference to medians over an ellipse that is smaller by the uncertainty of the
+    border's position. Both are differences of noisy numbers: the variance of the median by errors of points is
+    subtracted from their squares.
+
+    Args:
+        engine: computes the medians.
+        reference: (N, 2) mm, positions from which displacement counts.
+        displacement: (n, N, 2) mm.
+        ellipse: of the apparent contact in these frames.
+        fields: of these frames, with standard deviations.
+        entered: points that were advected into the contact.
+    """
+    assert fields.median_std is not None
+    of_points, components = np.square(fields.median_std), stack_components(fields)
+    # In a space of half the size the gauge length counts twice.
+    half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
+    smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(BORDER_MM))
+    wide = engine.fields(reference / 2, displacement / 2, half, None, entered).median - fields.median
+    inner = engine.fields(reference, displacement, smaller, None, entered).median - fields.median
+    by_gauge = smoothing_variance(wide, of_points, _fit_deviations(fields), components)
+    result: Array = by_gauge + np.maximum(np.square(inner) - of_points, 0)
+    return result
+
+
+def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[np.float64]:
+    """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy over the contact that results
+    from parts of the skin in contact whose values are unknown.
+
+    - Where fields are known only in a share of the contact, the median of all of it lies between the quantiles
+      1/2 +- (1 - share) / (2 share) of the known values: anywhere, so that the deviation is half of their difference
+      over sqrt(3).
+    - Where E of the points were advected, the median lies between ranks that are sqrt(E) points from its own. The
+      fields of such a point change within half a gauge length by as much as those of the whole contact, so its area
+      falls on either side of the median at random. Neighbours share errors of their entry, so that four of them count
+      as about one. The number is from slides with known truth.
+
+    It is 0 in frames where nothing is known and there are no medians. `entered` (n, N) marks the advected points.
+    """
+    share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
+    came = np.zeros(len(share)) if entered is None else (entered & np.isfinite(fields.divergence)).sum(1).astype(float)
+    rows = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
+    if not len(rows):
+        return result
+    values = stack_components(fields)[rows]
+    whole = np.isfinite(values.sum(1, keepdims=True))
+    # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
+    ordered = np.where(whole, values, np.float32(np.nan))
+    ordered.sort(axis=2)  # NaN last
+    count, frame, field = whole.sum(2), np.arange(len(rows))[:, None], np.arange(5)
+    ranks = (ordered < fields.median[rows, :, None]).sum(2)
+
+    def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
+        for five deformation fields in k frames.
+        """
+        low, high = (
+            ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
+            for step in (-reach, reach)
+        )
+        spread = np.asarray((high - low) / 2, dtype=np.float64)
+        return np.where(count > 0, spread**2, 0.0)
+
+    share = share[rows, None]
+    result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
+    if entered is not None:
+        result[rows] += squared_half_range(np.sqrt(came[rows, None]))
+    return result
+
+
+def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
+    """Return the typical deviations (n, 5) of a fitted divergence, curl, exx, eyy and exy by the errors of points,
+    those of gradients whose four elements err alike.
+    """
+    assert fields.divergence_std is not None
+    assert fields.curl_std is not None
+    divergence, curl = (_nanmedian(values) for values in (fields.divergence_std, fields.curl_std))
+    of_element = np.sqrt((divergence**2 + curl**2) / 4)
+    return np.stack((divergence, curl, of_element, of_element, of_element / np.sqrt(2)), axis=1)
+
+
+def _nanmedian(values: Array) -> NDArray[np.float64]:
+    """Return the medians (n,) of values (n, N) without NaN; NaN where no value is finite."""
+    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
+
+
+def stack_components(fields: FrameFields) -> Array:
+    """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
+    return np.stack((fields.divergence, fields.curl, *np.moveaxis(fields.strain, -1, 0)), axis=1)

@@ -1,0 +1,107 @@
+"""Covariance of displacements by the uncertain time of the onset of contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine
+from fingerflow.tracker.contact_border import BORDER_MM, Border
+
+Array = NDArray[Any]
+
+#: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
+ELLIPSE_MM = 0.035
+_LONGEST = 8  # largest number of frames on either side over which the speed at onset is measured
+
+
+def onset_errors(
+    engine: Engine,
+    onset: Array,
+    reference: Array,
+    advected: Array,
+    frames: tuple[int, int],
+    positions: Callable[[Array], tuple[Array, Array]],
+    border: Border,
+) -> tuple[Array, Array]:
+    """Return the variance (N,) frame^2 of the times at which points came into contact, and the covariance (N, 2, 2)
+    mm^2 of their positions then by this error, from the speed of each point at its onset.
+
+    The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border takes d
+    frames to cross. The ellipse gives the time between these frames. The error is 0 where the ellipse is crossed
+    between the selected frames, and otherwise their distance from that crossing; its mean square is d^3 / (d + 1.4)
+    frame^2 to a tenth. The error of the ellipse itself (`ELLIPSE_MM`) adds to it, less with larger d. Errors of
+    neighbours are taken as independent, as the border crosses one ridge after the other. A point that touches in the
+    first frame has no onset: its displacement counts from there.
+
+    Where a border grows, neighbours tell how fast it passes the skin. Skin that was advected crosses a border at rest,
+    where neighbours enter along one line and do not: there the point's own depth in the ellipse does, over the frames
+    around its onset.
+
+    Args:
+        engine: fits how fast the border passes the skin.
+        onset: (N,) frame, -1 for none.
+        reference: (N, 2) mm, position at the onset; NaN for none.
+        advected: (N,) bool, points that the motion of the skin carried over the border.
+        frames: first frame, whose points in contact have no onset, and last frame that is known.
+        positions: returns the positions (2, N, 2) mm of the points, each in the frames (2, N) given for it, and the
+            standard deviations (2, N) mm of a component by image noise.
+        border: of the apparent contact, of all frames from 0.
+    """
+    first, last = frames
+    counts = onset > first
+    frames_per_mm = np.zeros(len(onset))
+    fitted = (counts & np.isfinite(reference).all(1)).nonzero()[0]
+    if len(fitted):
+        # The graph of a bundle fits two quantities.
+        times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
+        touched, gauge = reference[fitted], engine.settings.gauge_length_mm
+        slope = engine.fit(touched, times, touched, gauge).gradient[0, :, 0]
+        frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
+    reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
+    reach[advected] = _LONGEST
+    pair = np.clip(np.stack((onset - reach, onset + reach)), 0, last)
+    position, deviation = positions(pair)
+    unknown = ~np.isfinite(position).all(-1)
+    if unknown.any():
+        pair = np.where(unknown, np.maximum(onset, 0), pair)
+        position, deviation = positions(pair)
+    before, after = pair
+    steps = np.maximum(after - before, 1)
+    speed = np.where((counts & (after > before))[:, None], (position[1] - position[0]) / steps[:, None], 0.0)
+    # The square of a measured speed is too large by the variance of the speed, which follows from those of both
+    # positions.
+    noise = (deviation**2).sum(0) / 2 / steps**2
+    square = (speed**2).sum(1)
+    share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
+    speed = speed * np.sqrt(share)[:, None]
+    if advected.any():
+        depth = border.select(pair.flatten()).inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
+        approach = (depth[1] - depth[0]) / steps
+        # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
+        chord = np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
+        least = np.linalg.norm(speed, axis=1) * chord
+        frames_per_mm = np.where(advected, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
+    variance = np.where(counts, _crossing_variance(frames_per_mm), 0.0)
+    return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+
+
+def displacement_covariance(variance: Array, of_onset: Array) -> NDArray[np.float32]:
+    """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N) by errors that are the same in both
+    directions, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
+    """
+    result: NDArray[np.float32] = variance[..., None, None] * np.eye(2, dtype=np.float32)
+    result += of_onset.astype(np.float32)
+    return result
+
+
+def _crossing_variance(frames_per_mm: Array) -> Array:
+    """Return the variance (N,) frame^2 of the times at which the border passed N points, from the frames that it needs
+    for a millimetre.
+    """
+    rough = BORDER_MM * frames_per_mm
+    result: Array = (ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
+    return result

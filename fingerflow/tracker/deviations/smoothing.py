@@ -1,0 +1,101 @@
+"""Variance of fields by the finite gauge length of the fits: at points, and of medians over the contact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine
+
+Array = NDArray[Any]
+
+_AT_BORDER = 0.15  # centroid offset, in gauge lengths, of fits on the straight border of a uniform cloud
+
+
+class SmoothingErrors:
+    """Estimator of the mean square error of divergence and curl that smoothing over the gauge length causes.
+
+    The error is a share k of the difference D to a fit over twice the gauge length:
+
+    - inside a cloud of points k is 1/2. A fit keeps 384 J4(k)/k^4 of a wave's slope, k = pi gauge / wavelength, so that
+      the share is 1/3 for long waves, 0.42 for waves of two gauge lengths, 0.78 for waves of one;
+    - at the border of the cloud k is 1. A fit has the gradient at the centroid of its points, which there lies beside
+      the place by a length that grows with the gauge length: the error is proportional to it.
+
+    Between both, k grows with the offset of the centroid. D is noisy, and smoothing may happen to vanish where it
+    changes its sign: the variance is the mean of k^2 (D^2 - s^2) over the points within half a gauge length, s^2 the
+    variance of the field by the errors of points.
+
+    Args:
+        engine: computes the fits, and gives the gauge length.
+        positions: (N, 2) mm, positions by which points are neighbours; NaN for points without one.
+    """
+
+    def __init__(self, engine: Engine, positions: Array) -> None:
+        self._engine, self._gauge = engine, engine.settings.gauge_length_mm
+        self._weights = _weights(positions, self._gauge)
+
+    def variance(self, reference: Array, displacement: Array, fields: Array, deviation: Array) -> NDArray[np.float64]:
+        """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
+        neighbour is fitted.
+
+        Args:
+            reference: (N, 2) mm, positions from which displacement counts; NaN for points that are not fitted.
+            displacement: (n, N, 2) mm.
+            fields: (n, 2, N) divergence and curl.
+            deviation: (n, 2, N) their standard deviations by the errors of points.
+        """
+        fitted = np.isfinite(reference).all(1)
+        difference, offset = np.full(fields.shape, np.nan), np.full(displacement.shape[:2], np.nan)
+        if fitted.any():
+            near, moved = reference[fitted], displacement[:, fitted]
+            slopes = self._engine.fit(near, moved, near, 2 * self._gauge).gradient
+            wide = np.stack((slopes[..., 0, 0] + slopes[..., 1, 1], slopes[..., 1, 0] - slopes[..., 0, 1]), axis=1)
+            difference[..., fitted] = fields[..., fitted] - wide
+            offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._gauge)
+        share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
+        square = share**2 * (difference**2 - deviation.astype(np.float64) ** 2)
+        finite = np.isfinite(square)
+        total, weight = (values @ self._weights for values in (np.where(finite, square, 0.0), finite.astype(float)))
+        return np.maximum(total, 0) / np.maximum(weight, 1e-12)
+
+
+def _weights(positions: Array, gauge_mm: float) -> NDArray[np.float64]:
+    """Return the weights (N, N) of a fit over the gauge length around N positions (N, 2) of the same N points."""
+    x, y = positions.T.astype(np.float64)
+    distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / (gauge_mm / 2) ** 2
+    return np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
+
+
+def _centroid_offsets(positions: Array, valid: Array, gauge_mm: float) -> NDArray[np.float64]:
+    """Return the distance (n, P) of P positions (P, 2) from the weighted centroid of those that are `valid` (n, P)."""
+    weights, among = _weights(positions, gauge_mm), valid.astype(np.float64)
+    mass = np.maximum(among @ weights, 1e-12)
+    x, y = ((among * values) @ weights / mass - values for values in positions.T)
+    return np.sqrt(x * x + y * y)
+
+
+def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Array) -> Array:
+    """Return the variance (...) of medians of fields over the contact that is due to the gauge length of the fits.
+
+    The error by smoothing is proportional to the square of the gauge length, and so a third of the difference D to the
+    median with twice the length. The noise s of a single fit shifts a median that lies in the flank of a distribution:
+    by s at most, and by s^2 / w where the distribution is wider, w the range between its quantiles of 40 and 60 %. With
+    twice the length little of this noise is left, so that up to this size all of D is error.
+
+    Args:
+        difference: (...) D.
+        of_points: (...) variance of the median by the errors of points, which is subtracted from D^2.
+        single: (...) s.
+        values: (..., N) values of the fields at points, NaN where unknown; NaN is returned for no points at all.
+    """
+    if not values.shape[-1]:
+        return np.full(values.shape[:-1], np.nan)
+    ordered = np.sort(values, axis=-1)  # NaN last
+    last = np.maximum(np.isfinite(values).sum(-1, keepdims=True) - 1, 0)
+    low, high = (np.take_along_axis(ordered, (share * last).astype(int), -1)[..., 0] for share in (0.4, 0.6))
+    noise = single * np.minimum(1, single / np.maximum(high - low, 1e-12))
+    square = np.maximum(np.square(difference) - of_points, 0)
+    return np.fmax(square / 9, np.minimum(square, noise**2))
