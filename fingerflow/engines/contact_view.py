@@ -8,7 +8,7 @@ import numpy as np
 
 from fingerflow.engines.engine import Array, GlassLight
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
-from fingerflow.kernels.library import is_present, run
+from fingerflow.kernels.library import compiled, is_present
 
 _NOWHERE = np.float32(-1e4)
 
@@ -48,7 +48,7 @@ def covers(density_margin: Array, points: Array, topography_to_contact: Array, c
     matrix = topography_to_contact.astype(np.float32)
     if is_present():
         contact = {"density_margin": density_margin, "side": cell}
-        mask: Array = run("covered", **contact, points=points, transform=matrix)
+        mask: Array = compiled("covered")(**contact, points=points, transform=matrix)
         return mask
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
     with np.errstate(invalid="ignore", over="ignore"):  # positions may be infinite

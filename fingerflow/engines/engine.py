@@ -22,6 +22,9 @@ Array = NDArray[Any]
 # in one round of lost-point recovery.
 ROWS = 64
 STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
+# As integers: NumPy compares an array with a member of an enumeration by calls of Python.
+TRACKED = int(TrackStatus.TRACKED)
+_UNCERTAIN, _OFF_NEIGHBOURS = int(TrackStatus.UNCERTAIN), int(TrackStatus.OFF_NEIGHBOURS)
 Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a length and can be sliced by frame
 
 
@@ -250,7 +253,7 @@ def select(points: TrackedPoints, frames: Any, which: Any = slice(None)) -> Trac
     return TrackedPoints(*[values[frames][:, which] for values in points])
 
 
-def reject(points: TrackedPoints, which: Array, status: TrackStatus) -> TrackedPoints:
+def reject(points: TrackedPoints, which: Array, status: int) -> TrackedPoints:
     """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are NaN,
     their status is `status`.
     """
@@ -266,9 +269,9 @@ def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Arr
     """Return the results with the tracked points rejected that two masks (K, N) mark: those that are far more uncertain
     than their neighbours, and those that deviate from them.
     """
-    tracked = points.status == TrackStatus.TRACKED
-    certain = reject(points, tracked & uncertain, TrackStatus.UNCERTAIN)
-    return reject(certain, tracked & off_neighbours, TrackStatus.OFF_NEIGHBOURS)
+    tracked = points.status == TRACKED
+    certain = reject(points, tracked & uncertain, _UNCERTAIN)
+    return reject(certain, tracked & off_neighbours, _OFF_NEIGHBOURS)
 
 
 def nothing_found(frames: int) -> TrackedPoints:

@@ -31,7 +31,7 @@ from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 
 
@@ -45,10 +45,8 @@ class _NativeTemplates:
     key: Array
     noise: float
 
-    @property
-    def numbers(self) -> Array:
-        numbers: Array = self.arrays[2][0]
-        return numbers
+    def __post_init__(self) -> None:
+        self.numbers: Array = self.arrays[2][0]
 
     def update(self, rows: Array, updated: _NativeTemplates) -> None:
         for array, part in zip(self.arrays, updated.arrays, strict=True):
@@ -82,8 +80,7 @@ class NativeEngine:
             gains = self.contact(images, light, unknown).illumination_gain
             sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
             threshold = contact_threshold(images, light.light, light.black, gains, **sizes)
-        mask, density_margin, numbers, gains = run(
-            "contact_of_frames",
+        mask, density_margin, numbers, gains = compiled("contact_of_frames")(
             frames=images,
             light=light.light,
             black=light.black,
@@ -103,7 +100,7 @@ class NativeEngine:
         beside = max(1, round(self.settings.min_distance_px / 2))
         farthest = max(beside + 1, math.isqrt(height * width // count))
         limits = {"border": border, "beside": beside, "farthest": farthest, "quality": QUALITY, "noise": NOISE}
-        points, _ = run("detect_points", frame=image, mask=mask[None, None], count=count, **limits)
+        points, _ = compiled("detect_points")(frame=image, mask=mask[None, None], count=count, **limits)
         return points[np.isfinite(points[:, 0])]
 
     def prepare(self, key: Array | _NativeTemplates, points: Array, warp: Array | None = None) -> _NativeTemplates:
@@ -111,9 +108,8 @@ class NativeEngine:
             image, noise = key.key, key.noise
         else:
             image = key.copy()
-            noise = float(np.float32(math.sqrt(math.pi / 2) / 6 * run("mean_response", frames=image)[0]))
-        arrays = run(
-            "prepare_templates",
+            noise = float(np.float32(math.sqrt(math.pi / 2) / 6 * compiled("mean_response")(frames=image)[0]))
+        arrays = compiled("prepare_templates")(
             image=image,
             start=points.astype(np.float32, copy=False)[None],
             inverse_warp=None if warp is None else inverse_2x2(warp.astype(np.float32))[None],
@@ -150,11 +146,11 @@ class NativeEngine:
         positions = {"start": points, "guess": guess, "image_index": np.zeros(len(points), np.int64)}
         limit = self.settings.forward_backward_limit_px + tracking.SEARCHED
         search = {"size": size, "reach": reach, "limit": limit}
-        return run("search_and_return", key=templates.key, current=image, **positions, **search)
+        return compiled("search_and_return")(key=templates.key, current=image, **positions, **search)
 
     def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
         grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
-        return run("sample_windows", images=images, image_index=number, **grid)
+        return compiled("sample_windows")(images=images, image_index=number, **grid)
 
     def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
         arrays = [np.ascontiguousarray(array, np.float64) for array in (points[None], values, queries[None])]

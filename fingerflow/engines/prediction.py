@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fingerflow.engines.engine import Array, TrackedPoints
-from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, TrackStatus
+from fingerflow.engines.engine import TRACKED, Array, TrackedPoints
+from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT
 
 
 class MotionState(NamedTuple):
@@ -34,7 +34,7 @@ class MotionState(NamedTuple):
         their noise on. A lost point is predicted along its speed, which decays over some four frames. A point that is
         found again may lie beside its prediction; this difference is no motion and leaves its speed unchanged.
         """
-        guess, tracked = self.expect(), found.status[0] == TrackStatus.TRACKED
+        guess, tracked = self.expect(), found.status[0] == TRACKED
         missed = np.where((tracked & self.seen)[:, None], found.estimate[0] - guess, np.float32(0))
         lasting = np.where(tracked, np.float32(1), np.float32(1 - 1 / SPEED_FRAMES))[:, None]
         place = np.where(tracked[:, None], found.estimate[0], guess)

@@ -122,7 +122,9 @@ DATA_OFFSET = _data_offset()
 
 def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     """Return the inverses (..., 2, 2) of 2 x 2 NumPy matrices; not finite for a singular matrix."""
-    (a, b), (c, d) = np.moveaxis(matrix, (-2, -1), (0, 1))
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    result = np.empty(matrix.shape, matrix.dtype)
+    result[..., 0, 0], result[..., 0, 1], result[..., 1, 0], result[..., 1, 1] = d, -b, -c, a
     with np.errstate(divide="ignore", invalid="ignore"):
-        result: NDArray[Any] = np.stack((d, -b, -c, a), -1).reshape(matrix.shape) / (a * d - b * c)[..., None, None]
+        result /= (a * d - b * c)[..., None, None]
     return result

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import KINDS, Array
 from fingerflow.kernels.contact_sizes import cell_of
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.median_rows import COMPILED_SIZES, median_table
 
 LARGEST_MEDIAN = 31
@@ -24,7 +24,9 @@ def median(frames: Array, size: int) -> Array:
     """Compute the median filter of uint8 or uint16 frames over windows of `size` x `size` px, odd and 3 to 31, as
     `ops.filters.median.median_filter`.
     """
-    return run("median", frames=frames, size=size, table=table_of(int(size)))  # a symbolic size of the torch compiler
+    return compiled("median")(
+        frames=frames, size=size, table=table_of(int(size))
+    )  # a symbolic size of the torch compiler
 
 
 @functools.cache
@@ -47,7 +49,7 @@ def histogram(frames: Array, mask: Array | None, bin_of_level: Array | None, bin
     levels = COUNTED_LEVELS.get(KINDS[frames.dtype], 0)
     if levels > (bins if bin_of_level is None else bin_of_level.shape[0]):
         raise ValueError(f"{bins} bins for {levels} levels: give the bin of each level if bins are fewer than these")
-    return run("histogram", frames=frames, mask=mask, bins=bin_of_level, count=bins)
+    return compiled("histogram")(frames=frames, mask=mask, bins=bin_of_level, count=bins)
 
 
 def contact_threshold(
@@ -62,4 +64,4 @@ def contact_threshold(
     sizes = {"size": median_px, "table": table_of(median_px), "radius": radius, "side": cell_of(radius)}
     images = {"frames": frames, "light": light, "black": black}
     gain = np.ones(frames.shape[0], np.float32) if gains is None else gains
-    return run("contact_threshold", **images, gains=gain, **sizes, stride=stride_px)
+    return compiled("contact_threshold")(**images, gains=gain, **sizes, stride=stride_px)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import Array, with_axes_reversed
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.result_records import LocalFit
 
 _LATTICE = limits.lattice().astype(np.float32)
@@ -34,8 +34,7 @@ def local_gradients(
     batches = [
         array.shape[0] for array in (points, values, queries, noise) if array is not None and array.shape[0] != 1
     ]
-    value, gradient, covariance, counts, offset = run(
-        "local_gradients",
+    value, gradient, covariance, counts, offset = compiled("local_gradients")(
         points=points,
         values=values,
         queries=queries,
@@ -77,8 +76,7 @@ def area_medians(
     """
     if apart is not None and (apart_fields is None or (apart_std is None) != (covariance is None)):
         raise ValueError("points apart have fields, and deviations where there is a covariance")
-    return run(
-        "medians_over_area",
+    return compiled("medians_over_area")(
         reference=reference,
         displacement=displacement,
         ellipses=ellipses,
@@ -125,8 +123,7 @@ def triangle_strain(
     exx^2 + eyy^2, exx eyy and exy^2.
     """
     direct, between, shear = stiffness
-    return run(
-        "strain_of_triangles",
+    return compiled("strain_of_triangles")(
         displacement=displacement,
         covariance=covariance,
         in_contact=in_contact,

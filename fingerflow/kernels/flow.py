@@ -10,7 +10,7 @@ import numpy as np
 
 from fingerflow.kernels.arrays import KINDS, Array, address, in_one_piece
 from fingerflow.kernels.kernel import values_are_known
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 
 # Channels of tensor, right, down, inverse and inside; then their numbers of rows and columns minus those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
@@ -72,8 +72,7 @@ def flow_descend(
         addresses = [address(plane) if values_are_known() else 0 for plane in kept[first:]]
         levels.append([*addresses, height, width])
         height, width = (height + 1) // 2, (width + 1) // 2
-    return run(
-        "flow_descend",
+    return compiled("flow_descend")(
         **{"pull": pull, "flow": flow, "known": known, "cycles": cycles, "sweeps": sweeps, "coarsest": coarsest},
         **{"levels": np.array(levels, np.int64), "half": len(weights) // 2, "damping": damping},
         weights=np.array(weights[len(weights) // 2 :], np.float32),

@@ -7,7 +7,7 @@ import os
 import struct
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import CodeType
 from typing import Any, NoReturn
@@ -60,8 +60,7 @@ class Kernel:
         self._conditions = [(number, compile(number.where, name, "eval")) for number in self._numbers if number.where]
         self._indices = [array for array in inputs if array.below]
         self._results = [array for array in arrays if array.role != "input"]
-        shapes = "".join(f"({', '.join(array.shape)},)," for array in self._results)
-        self._shapes = compile(f"({shapes})", name, "eval")
+        self._shapes = [_shape(array.shape) for array in self._results]
         self._arguments = {array.name for array in inputs} | {number.name for number in self._numbers}
         self._defaults = dict.fromkeys(function.derived, 0)
         self._needed = {argument.name for argument in function.arguments}
@@ -86,7 +85,9 @@ class Kernel:
         if not self._needed <= values.keys() <= self._arguments:
             raise TypeError(f"kernel {self._name} was called with {sorted(values)}: it has {sorted(self._arguments)}")
         arrays, like = self._checked_arrays(values)
-        values = {**self._defaults, **values, "threads": threads()}
+        # As `threads()`, which would be one more call of Python.
+        count = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)
+        values = {**self._defaults, **values, "threads": count()}
         for number in self._numbers:
             value = values[number.name]
             if number.least is not None and (
@@ -100,17 +101,38 @@ class Kernel:
             if not eval(condition, _NO_NAMES, values):
                 raise ValueError(f"kernel {self._name}: {number.name} is {values[number.name]}: give {number.where}")
         results: list[Any] = []
-        for field, shape in zip(self._results, eval(self._shapes, _NO_NAMES, values), strict=True):
+        size_of: Callable[[Any, Any], Any] = values.get
+        for field, sizes in zip(self._results, self._shapes, strict=True):
             array = arrays.get(field.name)
             if array is None and (not field.needs or field.needs in arrays):
                 dtype = field.dtypes[0] if field.dtypes else KINDS[arrays[field.like].dtype]
+                if isinstance(sizes, CodeType):
+                    shape: tuple[Any, ...] = eval(sizes, _NO_NAMES, values)
+                else:
+                    shape = tuple(map(size_of, sizes, sizes))  # a number is its own size
                 array = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
                 if field.role == "updated":
                     array[...] = 0
                 arrays[field.name] = array
             results.append(array)
         if not _here.shapes_only:
-            self._enter_with(values, arrays)
+            # Here, as a call of Python for each step would take as long as the step.
+            for name in self._names:
+                array = arrays.get(name)
+                if array is None:
+                    values[name] = 0
+                elif DATA_OFFSET and isinstance(array, np.ndarray):
+                    values[name] = ctypes.c_size_t.from_address(id(array) + DATA_OFFSET).value
+                else:
+                    values[name] = address(array)
+            try:
+                packed = self._pack(*self._in_order(values))
+            except (struct.error, OverflowError, TypeError):
+                self._refuse_values(values)
+                raise
+            outcome = self._enter(packed)
+            if outcome:
+                self._raise_failure(outcome)
         return results[0] if len(results) == 1 else tuple(results)
 
     def _checked_arrays(self, values: dict[Any, Any]) -> tuple[dict[str, Any], Any]:
@@ -156,31 +178,18 @@ class Kernel:
                 self._check_indices(field, arrays[field.name], values)
         return arrays, like
 
-    def _enter_with(self, values: dict[str, Any], arrays: dict[str, Any]) -> None:
-        """Add the addresses of the arrays to the arguments, and call the library function with them."""
-        for name in self._names:
-            array = arrays.get(name)
-            if array is None:
-                values[name] = 0
-            elif DATA_OFFSET and isinstance(array, np.ndarray):
-                values[name] = ctypes.c_size_t.from_address(id(array) + DATA_OFFSET).value
-            else:
-                values[name] = address(array)
-        try:
-            packed = self._pack(*self._in_order(values))
-        except (struct.error, OverflowError, TypeError):
-            for number in self._numbers:
-                if not _fits_format(number.code, values[number.name]):
-                    self._refuse_number(number, values[number.name])
-            raise
-        outcome = self._enter(packed)
-        if outcome:
-            message = self._message().decode(errors="replace")
-            if outcome == _NO_MEMORY:
-                raise MemoryError(
-                    f"kernel {self._name}: no memory ({message}); give it smaller batches or fewer threads"
-                )
-            raise RuntimeError(f"kernel {self._name} failed: {message}")
+    def _refuse_values(self, values: dict[str, Any]) -> None:
+        """Raise the error for a number that does not fit its format, if there is one."""
+        for number in self._numbers:
+            if not _fits_format(number.code, values[number.name]):
+                self._refuse_number(number, values[number.name])
+
+    def _raise_failure(self, outcome: int) -> NoReturn:
+        """Raise the error that the library reports by an error code."""
+        message = self._message().decode(errors="replace")
+        if outcome == _NO_MEMORY:
+            raise MemoryError(f"kernel {self._name}: no memory ({message}); give it smaller batches or fewer threads")
+        raise RuntimeError(f"kernel {self._name} failed: {message}")
 
     def _refuse_array(
         self, field: ArrayField, array: Any, values: dict[str, Any], error: type[Exception] = ValueError
@@ -222,6 +231,13 @@ def _size(text: str) -> tuple[str | None, int | str | CodeType | None]:
     return letter or None, int(size) if size.isdecimal() else compile(size, text, "eval")
 
 
+def _shape(sizes: Sequence[str]) -> list[int | str] | CodeType:
+    """Return the sizes of the axes of a result, as numbers and names, or an expression that gives them."""
+    if all(size.isidentifier() or size.isdecimal() for size in sizes):
+        return [int(size) if size.isdecimal() else size for size in sizes]
+    return compile(f"({', '.join(sizes)},)", "shape", "eval")
+
+
 def _fits_format(code: str, value: Any) -> bool:
     """Return whether a value fits a format code of `struct`."""
     try:
@@ -253,8 +269,12 @@ def threads() -> int:
 
     Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
-    of_torch = getattr(sys.modules.get("torch"), "get_num_threads", None)
-    return (_threads or _lent_threads()) if of_torch is None else of_torch()
+    count: int = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)()
+    return count
+
+
+def _own_threads() -> int:
+    return _threads or _lent_threads()
 
 
 def set_threads(count: int) -> None:

@@ -6,7 +6,6 @@ import logging
 import os
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Any
 
 from fingerflow.kernels.declarations import HEADER, declared, digest
 from fingerflow.kernels.kernel import Kernel
@@ -14,8 +13,9 @@ from fingerflow.kernels.kernel import Kernel
 _log = logging.getLogger(__name__)
 
 
-def run(name: str, **arguments: Any) -> Any:
-    """Call a kernel by function name, without the common prefix of the library; see `Kernel` for arguments and results.
+@functools.cache
+def compiled(name: str) -> Kernel:
+    """Return a kernel by function name, without the common prefix of the library; see `Kernel` for its calls.
 
     Raises:
         RuntimeError: the compiled kernels cannot be used.
@@ -23,7 +23,7 @@ def run(name: str, **arguments: Any) -> Any:
     library = _library()
     if library is None:
         raise RuntimeError("the compiled kernels do not serve here: build them with `pip install -e .`")
-    return library[name](**arguments)
+    return library[name]
 
 
 def limit_instruction_set(most: int) -> int:
@@ -31,7 +31,7 @@ def limit_instruction_set(most: int) -> int:
 
     -1 removes the limit.
     """
-    return int(run("limit_instruction_set", most=most)[0])
+    return int(compiled("limit_instruction_set")(most=most)[0])
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
@@ -40,7 +40,7 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
 
     Faults are numbered as in kernels/parallel.h.
     """
-    run("inject_fault", fault=fault, piece=piece, thread=thread)
+    compiled("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
 def is_present() -> bool:

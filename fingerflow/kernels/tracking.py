@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fingerflow.kernels import outlier_limits
 from fingerflow.kernels.arrays import Array
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.result_records import CorrectedPoints
 
 _WIDEST_SEARCH = 1 << 15  # px, widest search: positions in it must be countable with 32 bits
@@ -48,8 +48,7 @@ def find_templates(
     recordings, total = max(place.shape[0], 1), frames.shape[0]
     if total % recordings:
         raise ValueError(f"{total} frames cannot be those of {recordings} recordings")
-    place, speed, points, error, covariance, status, estimate = run(
-        "find_templates",
+    place, speed, points, error, covariance, status, estimate = compiled("find_templates")(
         **{"frames": frames, "start": start, "samples": samples, "numbers": numbers, "variance": variance},
         **{"place": place, "speed": speed, "steps": total // recordings if place.shape[0] else 1},
         **{"window": math.isqrt(samples.shape[-1]), "rounds": rounds, "rounding": rounding},
@@ -101,7 +100,7 @@ def correct_points(
     limits = {"minimum_points": MINIMUM_POINTS, "radius": radius, "least_spread": MINIMUM_SPREAD * radius}
     tracked = {"start": start, "found": points, "covariance": covariance}
     templates = {"numbers": numbers, "inverse_warp": inverse_warp, "window": window}
-    return CorrectedPoints(*run("correct_points", **tracked, **templates, **limits))
+    return CorrectedPoints(*compiled("correct_points")(**tracked, **templates, **limits))
 
 
 class NeighbourLists(NamedTuple):
@@ -170,8 +169,7 @@ def find_outliers(
     count = displacement.shape[1]
     if neighbours.number.shape[1] != -(-count // _LANES) * _LANES:
         raise ValueError(f"{count} points, and neighbours of up to {neighbours.number.shape[1]}")
-    return run(
-        "find_outliers",
+    return compiled("find_outliers")(
         **neighbours._asdict(),
         displacement=displacement,
         deviation=position_std,

@@ -1,8 +1,8 @@
 """Objects that the threads of a stream exchange: closable queues and frame buffers."""
 
-import threading
 from collections import deque
 from collections.abc import Iterable
+from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.stream_scene import find_topography
 from fingerflow.schema.scene import Scene
-from fingerflow.schema.views import View, negative
+from fingerflow.schema.views import negative
 from fingerflow.tracker.frame_tracker import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
@@ -27,38 +27,54 @@ class Channel(Generic[T]):
 
     def __init__(self, size: int, items: Iterable[T] = (), newest_first: bool = False) -> None:
         self._items = deque(items)
-        self._size = size
         self._take = self._items.pop if newest_first else self._items.popleft
-        self._lock = threading.Lock()  # taken by itself: a condition takes its lock by two calls of Python
-        self._changed = threading.Condition(self._lock)
+        # Tokens: True for each item, or for each free place; False once the channel is closed. `SimpleQueue` waits
+        # without calls of Python, which `threading.Condition` does not.
+        self._filled, self._free = SimpleQueue[bool](), SimpleQueue[bool]()
         self._closed = False
+        for place in range(size):
+            (self._filled if place < len(self._items) else self._free).put(True)
 
     def put(self, item: T) -> bool:
         """Append an item after waiting for free space; return False, without appending, if the channel is closed."""
-        with self._lock:
-            while len(self._items) >= self._size and not self._closed:
-                self._changed.wait()
-            if not self._closed:
-                self._items.append(item)
-                self._changed.notify_all()
-            return not self._closed
+        if self._closed or not self._free.get():
+            self._free.put(False)
+            return False
+        self._items.append(item)
+        self._filled.put(True)
+        return True
 
     def put_newest(self, item: T) -> T | None:
-        """Append an item without waiting; if the queue is full, remove and return the oldest item, else return None."""
-        with self._lock:
-            left = self._items.popleft() if len(self._items) >= self._size else None
-            self._items.append(item)
-            self._changed.notify_all()
-            return left
+        """Append an item without waiting, and return the oldest one if the queue was full, else None; return the item
+        itself if the channel is closed. Only one thread may append.
+        """
+        if self._closed:
+            return item
+        left = None
+        try:
+            self._free.get(block=False)
+        except Empty:
+            try:
+                self._filled.get(block=False)
+                left = self._items.popleft()
+            except Empty:  # another thread is taking the oldest item
+                self._free.get()
+        self._items.append(item)
+        self._filled.put(True)
+        return left
 
     def get(self, wait: bool = True) -> T | None:
         """Return the next item; None if the queue is empty and closed, or is empty and `wait` is False."""
-        with self._lock:
-            while wait and not self._items and not self._closed:
-                self._changed.wait()
-            item = self._take() if self._items else None
-            self._changed.notify_all()
-            return item
+        try:
+            filled = self._filled.get(wait)
+        except Empty:
+            return None
+        if not filled:
+            self._filled.put(False)
+            return None
+        item = self._take()
+        self._free.put(True)
+        return item
 
     def is_empty(self) -> bool:
         """Return whether the queue is empty now."""
@@ -66,9 +82,9 @@ class Channel(Generic[T]):
 
     def close(self) -> None:
         """Close the queue: no further items are accepted, and all waiting threads continue."""
-        with self._lock:
-            self._closed = True
-            self._changed.notify_all()
+        self._closed = True
+        self._filled.put(False)
+        self._free.put(False)
 
 
 class Slot(Frame):
@@ -79,19 +95,23 @@ class Slot(Frame):
         time: the same for intervals between frames, as `CameraClock.update` returns both.
     """
 
-    def __init__(self, bundle: Bundle) -> None:
+    def __init__(self, bundle: Bundle, scene: Scene) -> None:
         shape = (1, 1, bundle.height, bundle.width)
+        self._placed = {CONTACT_VIEW: scene.views.contact, TOPOGRAPHY_VIEW: find_topography(scene)}
+        rows, columns = zip(*((view.rows, view.columns) for view in self._placed.values()), strict=True)
+        self._needed = max(end for _, end in rows), max(end for _, end in columns)
+        self._bright = scene.contact.appears == "bright"
         super().__init__({name: np.zeros(shape, bundle.dtype) for name in (CONTACT_VIEW, TOPOGRAPHY_VIEW)})
         self.arrival = self.time = 0.0
 
-    def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
+    def fill(self, frame: Array, bundle: Bundle, source: str) -> None:
         """Crop both views, as the scene places them, from a camera frame into the buffer; raise PlayerError with the
         source's name if the frame is too small, or has not the bundle's pixel type and bit depth.
         """
-        needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
+        needed = self._needed
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(
-                f"{source}: a frame is {frame.shape}, the views of the scene need (H, W) of at least {tuple(needed)}; "
+                f"{source}: a frame is {frame.shape}, the views of the scene need (H, W) of at least {needed}; "
                 "correct [views] of the scene or the size that the camera is set to"
             )
         if frame.dtype != bundle.dtype:
@@ -99,17 +119,13 @@ class Slot(Frame):
                 f"{source}: a frame is {frame.dtype}, the bundle takes {bundle.dtype} (bit_depth {bundle.bit_depth}); "
                 "set the camera to that depth or export a bundle with the camera's"
             )
-        for name, view in _views(scene).items():
+        for name, view in self._placed.items():
             np.copyto(self.views[name][0, 0], view.crop(frame))
             if 8 < bundle.bit_depth < 16 and self.views[name].max() >> bundle.bit_depth:
                 raise PlayerError(
                     f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
                     "bundle; export one with the camera's bit_depth"
                 )
-        if scene.contact.appears == "bright":
+        if self._bright:
             seen = self.views[CONTACT_VIEW]
             np.copyto(seen, negative(seen, bundle.bit_depth))
-
-
-def _views(scene: Scene) -> dict[str, View]:
-    return {CONTACT_VIEW: scene.views.contact, TOPOGRAPHY_VIEW: find_topography(scene)}

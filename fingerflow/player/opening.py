@@ -66,7 +66,7 @@ def open_player(
     of_stream = options.engine if options.provider is None else "onnx"
     engine = engine_of_stream(bundle, of_stream, options.provider, options.threads or 1)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark)
-    tracker.warm_up(Slot(bundle))
+    tracker.warm_up(Slot(bundle, scene))
     named = options.output or scene.stream.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None

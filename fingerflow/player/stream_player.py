@@ -96,7 +96,7 @@ class Player:
         self._source, self._open_source, self._first_number = source, played.open_source, played.first
         # Slots in use: one is being filled, one is computed, up to LONGEST are deferred, one is measured,
         # one is drawn on the page. The others form the queue, whose length is limited.
-        slots = [Slot(bundle) for _ in range(settings.queue + 4 + LONGEST)]
+        slots = [Slot(bundle, played.scene) for _ in range(settings.queue + 4 + LONGEST)]
         # Take the slot that was used last, which is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.process_all else 1)
@@ -368,7 +368,7 @@ class Player:
             return
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
-        slot.fill(frame, self.scene, self.bundle, self.source_name)
+        slot.fill(frame, self.bundle, self.source_name)
         self._tracker.inspect(slot)
         self.frames_in += 1
         self._newest = slot.number, slot.arrival

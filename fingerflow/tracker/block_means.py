@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.arrays import kind
 from fingerflow.kernels.declarations import FRAME_KINDS
-from fingerflow.kernels.library import is_present, run
+from fingerflow.kernels.library import compiled, is_present
 
 Array = NDArray[Any]
 
@@ -45,7 +45,7 @@ def block_means(frames: Array) -> BlockMeans:
     (down, along), (rows, columns) = _grid(*frames.shape[1:])
     if is_present() and kind(frames) in FRAME_KINDS:
         grid = {"down": down, "along": along, "rows": rows, "columns": columns}
-        return BlockMeans(*run("block_means", frames=frames[:, None], **grid))
+        return BlockMeans(*compiled("block_means")(frames=frames[:, None], **grid))
     sums = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float64)
     lines = sums.mean(2)
     sums, lines_each = _sums(sums, 1, rows)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.library import is_present, run
+from fingerflow.kernels.library import compiled, is_present
 
 Array = NDArray[Any]
 
@@ -35,13 +35,17 @@ class PixelSamples(NamedTuple):
     light: Array
 
     @classmethod
-    def sample(cls, frames: Array) -> PixelSamples:
-        """Sample pixels of frames (n, H, W) on a regular grid; pixels that are not finite count as 0."""
-        down, along = max(1, frames.shape[1] // _LINES), max(1, frames.shape[2] // _PIXELS)
-        pixels = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float32)
-        if frames.dtype.kind == "f":
+    def sample(cls, *frames: Array) -> PixelSamples:
+        """Sample pixels of arrays of frames (n, H, W), one array after another, on a regular grid; pixels that are not
+        finite count as 0.
+        """
+        _, height, width = frames[0].shape
+        down, along = max(1, height // _LINES), max(1, width // _PIXELS)
+        grids = [array[:, down // 2 :: down, along // 2 :: along] for array in frames]
+        pixels: Array = np.concatenate(grids, dtype=np.float32)
+        if frames[0].dtype.kind == "f":
             np.nan_to_num(pixels, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        mean = np.maximum(pixels.mean((1, 2)), _TINY)
+        mean = np.maximum(np.add.reduce(pixels, (1, 2)) / pixels[0].size, _TINY)
         pixels /= mean[:, None, None]
         return cls(pixels, np.log(mean))
 
@@ -83,7 +87,7 @@ def _pattern_distances(now: Array, before: Array, bands: int) -> Array:
     of lines, and of all lines.
     """
     if is_present():
-        return run("frame_distances", now=now, before=before, bands=bands, most=_MOST)
+        return compiled("frame_distances")(now=now, before=before, bands=bands, most=_MOST)
     difference = np.minimum(np.abs(now - before), np.float32(_MOST)).mean(2)
     edges = np.arange(bands + 1) * difference.shape[1] // bands
     of_bands = np.add.reduceat(difference, edges[:-1], axis=1) / np.diff(edges)

@@ -119,7 +119,7 @@ def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
     for smooth motion, more the more it jerks.
     """
     ordered = np.sort(steps, axis=axis)
-    most, middle = (np.fmax(ordered.take(k, axis=axis), 1) for k in (-3, NEARBY // 2))
+    most, middle = np.fmax(ordered.take(-3, axis=axis), 1), np.fmax(ordered.take(NEARBY // 2, axis=axis), 1)
     return most * (most / middle)
 
 

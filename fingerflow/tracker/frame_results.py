@@ -12,7 +12,7 @@ from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
-from fingerflow.tracker.deviations.curvature import curvature_variance
+from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.entry import Entries
@@ -88,11 +88,11 @@ class FrameResults:
             self._begin(seeding, covered[0])
         self._frames += 1
         size = self._size
-        noise = np.sqrt(points.variance)
-        curvature = curvature_variance(self._engine, seeding.points, points.points)
+        variance = points.variance  # by image noise
+        curvature = self._curvature.update(points.points)
         center, semi_axes = (lengths.astype(np.float64) * size for lengths in (contact.center, contact.semi_axes))
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
-        residual = self._slip.update(points.points[0], noise[0], covered[0])
+        residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
             "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
@@ -102,10 +102,10 @@ class FrameResults:
             "illumination_gain": contact.illumination_gain[0],
             "position_px": points.points[0],
             "forward_backward_error": points.error[0],
-            "position_std_px": np.sqrt(points.variance + curvature)[0],
+            "position_std_px": np.sqrt(variance + curvature)[0],
             "status": points.status[0],
             "in_contact": covered[0],
-            **self._since_onset(points, curvature, covered, ellipse),
+            **self._since_onset(points.points, variance, curvature, covered, ellipse),
             "slip_residual": residual * self._per_px,
             "slip_flag": self._slip.slipping,
         }
@@ -119,7 +119,7 @@ class FrameResults:
         count = len(seeding.points)
         self._touches = Touches(count)
         positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
-        self._entries = Entries(self._engine, positions)
+        self._entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
         self._deformation = Deformation(self._engine, positions)
         self._late = np.zeros((2, count))
         # Noise counts alike for all points, and their onsets are not known yet.
@@ -137,22 +137,23 @@ class FrameResults:
         return result
 
     def _since_onset(
-        self, points: TrackedPoints, curvature: Array, covered: Array, ellipse: FrameEllipse
+        self, points: Array, noise: Array, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the medians over the contact ellipse; return them by result name.
 
-        `curvature` (1, N) px^2 is the variance of the positions that `points` does not hold.
+        `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and by
+        curved displacement.
         """
-        position, border, px2 = self._on_glass(points.points), Border(*ellipse), np.float32(self._per_px**2)
-        variance = points.variance + curvature
-        touch = self._touches.add_frames(np.array([self._frames]), covered, position, points.variance, border)
+        position, border, px2 = self._on_glass(points), Border(*ellipse), np.float32(self._per_px**2)
+        variance = noise + curvature
+        touch = self._touches.add_frames(np.array([self._frames]), covered, position, noise, border)
         entered = self._entries.update(
             *(position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], border)
         )
         if self._frames % EVERY == 0:
             self._entries.learn_errors()
-        of_displacement = (noise_variance(points.variance, touch) + curvature) * px2
+        of_displacement = (noise_variance(noise, touch) + curvature) * px2
         reference, moved = touch.position[0], position - touch.position
         errors = of_displacement, self._entries.of_onset, self._gain
         since = Displacement(reference, moved, *errors, entered, self._late)

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
-from fingerflow.engines.engine import Engine, FrameContact, Images, TrackedPoints
-from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import PointMotion, is_finite
 from fingerflow.tracker.points import STREAM, Points
@@ -87,7 +86,8 @@ class Work:
         index: of the frame in the stream, from 0.
         frame: the frame itself.
         images: both views, in the engine's own representation.
-        guess: (N, 2) px, predicted positions; None before any points were seeded.
+        latest: motion of the points as known when the frame began; None before any points were seeded.
+        guess: (N, 2) px, positions predicted from it.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         points, measured: points tracked in it, and the threshold measured in it.
         contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
@@ -96,6 +96,7 @@ class Work:
     index: int
     frame: Frame
     images: dict[str, Images]
+    latest: _KnownMotion | None
     guess: Array | None
     threshold: float
     points: TrackedPoints | None = None
@@ -251,7 +252,7 @@ class StreamTracker:
         if not self._deferred:
             passed += self._make_changes(frame)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        work = Work(self._index, frame, images, self._guess(frame.number), self.threshold)
+        work = Work(self._index, frame, images, self._latest, self._guess(frame.number), self.threshold)
         if self._points is not None and work.guess is not None:
             work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
         if self.measures and self._search.wants(self._index):
@@ -398,7 +399,7 @@ class StreamTracker:
         ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
         tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
         self._latest = _KnownMotion(points.motion, frame.number)
-        tracked = int((tracked_points.status[0] == TrackStatus.TRACKED).sum())
+        tracked = int((tracked_points.status[0] == TRACKED).sum())
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
@@ -426,11 +427,11 @@ class StreamTracker:
         """
         assert work.guess is not None  # points are tracked in every frame that may be usable
         assert work.points is not None
-        guess, changes = self._guess(work.frame.number), points.changes(work.index)
-        assert guess is not None
-        if not changes and np.array_equal(guess, work.guess, equal_nan=True):
+        if work.latest is self._latest and not points.changes(work.index):
             return work.guess, work.points
         points.update_due(work.index)
+        guess = self._guess(work.frame.number)
+        assert guess is not None
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
     def _outcome(self, work: Work, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
@@ -484,7 +485,7 @@ class StreamTracker:
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
-        points = int((covered & (tracked_points.status[0] == TrackStatus.TRACKED)).sum())
+        points = int((covered & (tracked_points.status[0] == TRACKED)).sum())
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None

@@ -76,35 +76,37 @@ class Touches:
             variance: (F, N) px^2 of a component.
             border: of the apparent contact.
         """
-        before = np.concatenate((self._before, position))
-        borders = Border(*[np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)])
-        variances = np.concatenate((self._variance_before, variance))
-        self._before, self._border_before = before[-1:].copy(), borders.select(slice(-1, None))
-        self._variance_before = variances[-1:].copy()
         steps, goes_on = len(frames), self.length > 0
-        touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
-        start_position = np.repeat(np.where(goes_on[:, None], self.position, np.nan)[None], steps, axis=0)
-        share, spread, earlier = [
-            np.repeat(np.where(goes_on, values, np.float32(np.nan))[None], steps, axis=0)
-            for values in (self.share, self.variance, self.earlier)
+        before, borders, variances = self._before, self._border_before, self._variance_before
+        self._before, self._border_before = (
+            position[-1:].copy(),
+            border if steps == 1 else border.select(slice(-1, None)),
+        )
+        self._variance_before = variance[-1:].copy()
+        touching, begins = goes_on[None].repeat(steps, axis=0), np.zeros((steps, self.points), dtype=bool)
+        # Of points without a touch these are NaN.
+        start_position, share, spread, earlier = [
+            values[None].repeat(steps, axis=0) for values in (self.position, self.share, self.variance, self.earlier)
         ]
         # Skip the points with a lasting touch and those out of contact in all of these frames, which are most.
-        active = ((self.length < LASTING) & (goes_on | covered.any(0))).nonzero()[0]
+        active = ((self.length < LASTING) & (goes_on | np.logical_or.reduce(covered))).nonzero()[0]
         if not len(active):
             return Touching(start_position, share, spread, earlier, touching, begins)
+        before, variances = np.concatenate((before, position)), np.concatenate((variances, variance))
+        borders = Border(*[np.concatenate(pair) for pair in zip(borders, border, strict=True)])
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
         # For points without a lasting touch: number of frames since the last one without contact.
-        left = np.maximum.accumulate(np.where(covered[:, active], 0, number), axis=0)
-        length = number - left + np.where(left == 0, self.length[active], 0)
-        stays = np.logical_or.accumulate(length >= LASTING, axis=0)
-        length = np.where(stays, LASTING, length).astype(np.uint8)
+        left = np.maximum.accumulate(number * (covered[:, active] == 0), axis=0)
+        length = number - left + (left == 0) * self.length[active]
+        length[np.logical_or.accumulate(length >= LASTING, axis=0)] = LASTING
+        length = length.astype(np.uint8)
         begin = (length == 1) & (np.concatenate((self.length[None, active], length[:-1])) == 0)
         touching[:, active], begins[:, active] = length > 0, begin
         at_border, passed = _border_crossings(before, borders, begins)
         came = (begin.any(0) & (self.first[active] < 0)).nonzero()[0]
         first, points = begin[:, came].argmax(0), active[came]
         self.first[points], self.first_position[points] = frames[first], at_border[first, points]
-        began = np.maximum.accumulate(np.where(begin, number, 0), axis=0)
+        began = np.maximum.accumulate(number * begin, axis=0)
         here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
         at = at * self.points + active
         for values, new_values, none in (
@@ -113,8 +115,11 @@ class Touches:
             (spread, variance, np.float32(np.nan)),
             (earlier, np.nan_to_num(variances[:-1]), np.float32(np.nan)),
         ):
-            values[:, active] = np.where(here, np.where(new, new_values.ravel()[at], values[:, active]), none)
-        self.start[active] = np.where(new[-1], frames[began[-1] - 1], self.start[active])
+            part = values[:, active]
+            part[new] = new_values.ravel()[at[new]]
+            part[~here] = none
+            values[:, active] = part
+        self.start[active[new[-1]]] = frames[began[-1][new[-1]] - 1]
         self.length[active], self.position = length[-1], start_position[-1].copy()
         self.share, self.variance, self.earlier = share[-1].copy(), spread[-1].copy(), earlier[-1].copy()
         return Touching(start_position, share, spread, earlier, touching, begins)
@@ -130,15 +135,16 @@ def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[A
     between them, the nearer end of the step is taken; without an ellipse in the previous frame, its middle; and for a
     point that was lost there, its position now.
     """
-    share = np.ones(begins.shape, np.float32)
-    if not begins.any():
+    share = np.empty(begins.shape, np.float32)
+    share[:] = 1
+    frame, point = begins.nonzero()
+    if not len(frame):
         return position[1:], share
-    frame, point = np.nonzero(begins)
     now, before = position[frame + 1, point], position[frame, point]
     outside = border.select(frame).inside(before[:, None])[:, 0]
     inside = border.select(frame + 1).inside(now[:, None])[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        passed = np.where(inside > outside, np.clip(outside / (outside - inside), 0, 1), 0.5)
+        passed = np.where(inside > outside, np.minimum(np.maximum(outside / (outside - inside), 0), 1), 0.5)
     valid = np.isfinite(before).all(-1)
     share[frame, point] = np.where(valid, passed, 1)
     positions = position[1:].copy()

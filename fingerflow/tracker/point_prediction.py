@@ -74,14 +74,14 @@ class PointMotion(NamedTuple):
         points = points.copy()
         valid = is_finite(points)
         lost = (~valid).nonzero()[0]
-        missing = np.zeros_like(self.missing)
+        missing = np.zeros(len(valid), self.missing.dtype)
         if len(lost):
             missing[lost] = np.minimum(self.missing[lost] + frames, _NEVER)
             if by_neighbours is not None:
                 predicted = lost[is_finite(self.position[lost]) & is_finite(by_neighbours[lost])]
                 points[predicted] = by_neighbours[predicted]
                 valid[predicted] = True
-        jolted = np.zeros_like(valid) if jolted is None else jolted & valid
+        jolted = np.zeros(len(valid), bool) if jolted is None else jolted & valid
         # A point that is found again may lie off its prediction. One such jolt is not taken for motion; two in a row
         # are.
         moved = valid & self.valid & (self.jolted | ~jolted)

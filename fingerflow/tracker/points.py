@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import (
     ROWS,
+    TRACKED,
     Corrected,
     Engine,
     Followed,
@@ -24,13 +25,14 @@ from fingerflow.engines.engine import (
 )
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import UPDATE_PX, Number, TrackStatus
-from fingerflow.tracker.deviations.curvature import curvature_variance
+from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.point_prediction import TRUSTED, PointMotion, is_finite
 from fingerflow.tracker.recovery import Search, Track, lost_points, recover, replaced
 from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
 
+_WINDOW_DIFFERS, _DUST_IN_WINDOW = int(TrackStatus.WINDOW_DIFFERS), int(TrackStatus.DUST_IN_WINDOW)
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
 
@@ -108,7 +110,7 @@ class Points:
         self._every = np.concatenate((points, around)).astype(np.float32)
         self.motion = motion or PointMotion.at_rest(points)
         self.correction: Array = np.zeros((1, *points.shape), np.float32)
-        self._verification = Verification(engine, image, points)
+        self._verification, self._curvature = Verification(engine, image, points), Curvature(engine, self._every)
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         # Deformation gradient at the last check, and the inverse of that in the templates.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
@@ -143,7 +145,7 @@ class Points:
         """Return the tracking result (1, N) for the key frame itself, with all points at the seeded positions."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
-        status = np.where(is_finite(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
+        status = np.where(is_finite(points), TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
         unknown = np.where(is_finite(points), exact, np.float32(np.nan))
         covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
         return TrackedPoints(points.copy(), unknown, covariance, status, points.copy())
@@ -182,19 +184,19 @@ class Points:
         return self._verified(images, joined) if self._knowledge.ahead else joined
 
     def curvature_variance(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> NDArray[np.float32]:
-        """Return the variance (n, N) px^2 of the positions `tracked` (n, N) by displacement since the key frame that is
-        curved within windows; `around` (n, A) is the result of the surrounding points.
+        """Return the variance (n, N) px^2 of the positions `tracked` (n, N) in the next n frames by displacement since
+        the key frame that is curved within windows; `around` (n, A) is the result of the surrounding points.
         """
         around = nothing_found(len(tracked.points)) if around is None else around
         positions = np.concatenate((tracked.points, around.points), axis=1)
-        return curvature_variance(self._engine, self._every, positions)[:, : len(self)]
+        return self._curvature.update(positions)[:, : len(self)]
 
     def track(self, image: Images, guess: Array) -> TrackedPoints:
         """Track the points in one image near guessed positions (N, 2), without updating motion or templates.
 
         Any thread may call it while other frames are tracked.
         """
-        return self._engine.track(self._templates, image, guess, np.zeros_like(guess)).found
+        return self._engine.track(self._templates, image, guess, np.zeros(guess.shape, guess.dtype)).found
 
     def accept(
         self, image: Images, guess: Array, tracked: TrackedPoints, frames: int = 1, index: int | None = None
@@ -437,13 +439,9 @@ class Points:
         if verified.variance.any():
             covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
         points = points._replace(covariance=covariance)
-        tracked = points.status == TrackStatus.TRACKED
-        for which, status in (
-            (tracked & verified.differs, TrackStatus.WINDOW_DIFFERS),
-            (tracked & verified.held & ~verified.differs, TrackStatus.DUST_IN_WINDOW),
-        ):
-            points = reject(points, which, status)
-        return points
+        tracked = points.status == TRACKED
+        points = reject(points, tracked & verified.differs, _WINDOW_DIFFERS)
+        return reject(points, tracked & verified.held & ~verified.differs, _DUST_IN_WINDOW)
 
     def _last_warp(self) -> Array:
         """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import TrackedPoints, reject
+from fingerflow.engines.engine import TRACKED, TrackedPoints, reject
 from fingerflow.kernels.tracking_limits import TrackStatus
 
 Array = NDArray[Any]
+
+_NOT_CONVERGED = int(TrackStatus.NOT_CONVERGED)
 #: Function that tracks rows (L,) near places (L, 2) px and returns the points found (1, L).
 Track = Callable[[Array, Array], TrackedPoints]
 #: Function that returns the places (L, 2) px of rows (L,) found near guesses (L, 2), and whether a search back from
@@ -27,7 +29,7 @@ def lost_points(status: Array) -> Array:
     """Return a mask (...) of the points to search for, by their tracking status: textured and inside the frame, but
     either not found or found and rejected.
     """
-    return status >= TrackStatus.NOT_CONVERGED
+    return status >= _NOT_CONVERGED
 
 
 def recover(
@@ -69,7 +71,7 @@ def recover(
         searched[sample] = True
         if len(sample) == len(rows) or by_neighbours is None:
             break
-        if np.mean(points.status[0, sample] == TrackStatus.TRACKED) < _YIELD:
+        if np.mean(points.status[0, sample] == TRACKED) < _YIELD:
             break
         positions = by_neighbours(points)
         away = np.abs(positions - guess).max(-1) > _NEARER  # False where the position is unknown
@@ -86,7 +88,7 @@ def _reject_unreturned(points: TrackedPoints, returns: Array, guess: Array) -> T
     `returns` is (L,). Each point is searched for backward, independently of the forward search. It returns if it misses
     the start by at most the forward-backward limit plus 1 px, the accuracy of a search.
     """
-    wrong = ~returns[None] & (points.status == TrackStatus.TRACKED)
+    wrong = ~returns[None] & (points.status == TRACKED)
     if not wrong.any():
         return points
     estimate = np.where(wrong[..., None], guess, points.estimate)

@@ -29,11 +29,11 @@ _LIT = 0.3  # share of the mean light: lines of the empty glass with less are no
 
 
 class Picture(NamedTuple):
-    """Sampled pixels of each view of a frame, the contact view first, and the hash by which exact copies are recognised
+    """Sampled pixels of the views of a frame, the contact view first, and the hash by which exact copies are recognised
     (`frame_copies.frame_key`).
     """
 
-    samples: tuple[PixelSamples, ...]
+    samples: PixelSamples
     key: bytes
 
 
@@ -72,15 +72,13 @@ class FrameCheck:
         self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
     def inspect(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
-        """Sample all views (1, 1, H, W), and determine the frame status from this frame alone.
+        """Sample all views (1, 1, H, W) of one size, and determine the frame status from this frame alone.
 
         Any thread may call it.
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
         (contact, lines), *rest = (_blocks(view[0]) for view in images)
-        picture = Picture(
-            tuple(PixelSamples.sample(view) for view in images), frame_key([contact, *(blocks for blocks, _ in rest)])
-        )
+        picture = Picture(PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]))
         if float(contact.mean()) < self._least:
             return picture, _DARK
         if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
@@ -113,15 +111,16 @@ class FrameCheck:
                 return [], None
             return [], frame.status
         if not self._deferred:
-            if self._is_far(frame):
+            step = self._step_to(frame)
+            if self._last is not None and step is not None and self._is_far(frame.number - self._last.number, step):
                 self._deferred.append(frame)
                 return [], None
-            self._count(frame)
+            self._count(frame, step)
             return [], USABLE
         if self._comes_back(frame):
             self._returned.append(True)
             decided = self.settle()
-            self._count(frame)
+            self._count(frame, self._step_to(frame))
             return decided, USABLE
         if frame.number - self._deferred[0].number < LONGEST:
             self._deferred.append(frame)
@@ -129,7 +128,7 @@ class FrameCheck:
         # The image does not return, so the first deferred frame is usable; the frames behind it are judged again.
         first, *rest = self._deferred
         self._deferred = []
-        self._count(first)
+        self._count(first, self._step_to(first))
         decided = [USABLE]
         for later in rest:
             before, status = self._judged(later)
@@ -159,20 +158,26 @@ class FrameCheck:
         self._same.append(same)
         return same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same)
 
-    def _count(self, frame: _Seen) -> None:
-        if self._last is not None and frame.number == self._last.number + 1:
-            self._steps.append(frame.squared_distance(self._last))
+    def _step_to(self, frame: _Seen) -> Array | None:
+        """Return the squared distance (rows,) of a frame from the last usable one; None if there is none."""
+        return None if self._last is None else frame.squared_distance(self._last)
+
+    def _count(self, frame: _Seen, step: Array | None) -> None:
+        """Take a frame as the latest usable one, at the squared distance `step` from the one before, None for none."""
+        if self._last is not None and step is not None and frame.number == self._last.number + 1:
+            self._steps.append(step)
         self._returned.append(False)
         self._keys.append(frame.picture.key)
         self._last = frame
 
-    def _is_far(self, frame: _Seen) -> bool:
-        if self._last is None or not self._steps or sum(self._returned) >= _RETURNS:
+    def _is_far(self, gap: int, step: Array) -> bool:
+        """Return whether the squared distance `step` from the last usable frame, `gap` frames before, is so large that
+        the image may have jumped.
+        """
+        if not self._steps or sum(self._returned) >= _RETURNS:
             return False
         # The steps of frames that were dropped or not usable add up.
-        gap = min(frame.number - self._last.number, LONGEST + 1)
-        usual = self._usual() * gap**2
-        step = frame.squared_distance(self._last)
+        usual = self._usual() * min(gap, LONGEST + 1) ** 2
         # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
         return is_far(step, usual) and is_far(step, usual, self._ordinary())
 
@@ -194,7 +199,7 @@ class FrameCheck:
         """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
         the latest one and the `ordinary_limit` of recent ones.
         """
-        steps = np.stack([*self._steps][-NEARBY:])
+        steps = np.array([*self._steps][-NEARBY:])
         most = ordinary_limit(steps, axis=0) if len(steps) == NEARBY else steps.max(0)
         return np.maximum(most, steps[-1])
 
@@ -216,8 +221,7 @@ class _Seen(NamedTuple):
         """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
         sequence.
         """
-        pairs = zip(self.picture.samples, before.picture.samples, strict=True)
-        return np.concatenate([squared_distances(now, then)[0] for now, then in pairs])
+        return squared_distances(self.picture.samples, before.picture.samples).ravel()
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:

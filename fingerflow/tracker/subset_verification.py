@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import STEP, Engine, Images, noise_of
-from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.engines.engine import STEP, TRACKED, Engine, Images, noise_of
 from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
@@ -83,7 +82,7 @@ class Verification:
         `warp` (N, 2, 2) is the deformation gradient in the last image, NaN where it is not known.
         """
         frames = len(images)
-        tracked = status == TrackStatus.TRACKED
+        tracked = status == TRACKED
         # Number of the last image with the point tracked, counted from 1; 0 if there is none.
         last = (tracked * np.arange(1, frames + 1)[:, None]).max(0)
         number = np.maximum(last - 1, 0)

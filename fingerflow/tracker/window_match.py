@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.library import is_present, run
+from fingerflow.kernels.library import compiled, is_present
 from fingerflow.kernels.tracking_limits import EXCLUDED_WEIGHT, LEAST_VARIANCE, MAD, TUKEY, WEIGHT_ROUNDS
 
 Array = NDArray[Any]
@@ -149,7 +149,7 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
     """
     if is_present():
         windows = {"then": then, "around": around, "now": now, "shift": shift, "weight": weight}
-        return Shifts(*run("shift_windows", **windows, noise=noise))
+        return Shifts(*compiled("shift_windows")(**windows, noise=noise))
     right, left, below, above = around
     unknown = np.stack((right - left, below - above, -then, -np.ones_like(then)), axis=-1).astype(np.float64)
     valid: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))

@@ -19,7 +19,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.kernel import Kernel
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.tensors import twin
 from fingerflow.kernels.tracking_limits import NUMBERS
 from tests.embedded import CASES, scene
@@ -125,7 +125,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             *(contact_threshold, frames, glass, black, np.ones(2, np.float32)), median_px=3, radius=8, stride_px=1
         ),
         "covered": call(covers, glass, points[None], np.ones((2, 3), np.float32), 4),
-        "block_means": call(run, "block_means", frames=frames, down=2, along=2, rows=4, columns=4),
+        "block_means": call(compiled("block_means"), frames=frames, down=2, along=2, rows=4, columns=4),
         "correct_points": call(
             tracking.correct_points, points, moved, covariance, numbers, covariance[0], window=25, gauge_px=120.0
         ),
@@ -133,9 +133,9 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             tracking.find_outliers, tracking.find_neighbours(points, 120.0), moved - points, deviation
         ),
         "search_and_return": call(engine.search, engine.prepare(frame, points[:0]), frame, points, points),
-        "frame_distances": call(run, "frame_distances", now=grey[:3], before=grey[3:], bands=8, most=30.0),
+        "frame_distances": call(compiled("frame_distances"), now=grey[:3], before=grey[3:], bands=8, most=30.0),
         "shift_windows": call(
-            *(run, "shift_windows"), **windows, shift=np.zeros((200, 2)), weight=np.ones((200, 81)), noise=1.0
+            compiled("shift_windows"), **windows, shift=np.zeros((200, 2)), weight=np.ones((200, 81)), noise=1.0
         ),
         "detect_points": call(engine.detect, frame, everywhere[0, 0], 20),
     }

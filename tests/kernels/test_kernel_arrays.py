@@ -14,7 +14,7 @@ from torch import Tensor
 
 from fingerflow.kernels import kernel, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from tests.embedded import tensors_of
 from tests.kernels.kernel_calls import calls, entered, in_tensors
 
@@ -40,7 +40,7 @@ def test_every_kernel_gives_what_it_gives_for_tensors() -> None:
         results = enter()
         if name not in called and name != "flow_descend":  # whose levels hold addresses of tensors
             called.add(name)
-            of_arrays = run(name, **{key: in_numpy(value) for key, value in values.items()})
+            of_arrays = compiled(name)(**{key: in_numpy(value) for key, value in values.items()})
             for array, tensor in zip(*(tensors_of(in_tensors(one)) for one in (of_arrays, results)), strict=True):
                 torch.testing.assert_close(array, tensor, rtol=0, atol=0, equal_nan=True)
         return results
@@ -53,7 +53,7 @@ def test_every_kernel_gives_what_it_gives_for_tensors() -> None:
 
 def followed(frames: Any, points: Any, variance: Any) -> Any:
     arrays = {"image": frames, "start": points, "inverse_warp": None, "variance": variance}
-    templates = run("prepare_templates", **arrays, window=11, gain_offset=1, rounding=0.0)
+    templates = compiled("prepare_templates")(**arrays, window=11, gain_offset=1, rounding=0.0)
     return tracking.find_templates(templates, frames, points, None, None, 2, 0.0, 1.0, 0.5)
 
 
@@ -78,18 +78,18 @@ def test_no_points_and_no_frames() -> None:
     none = np.zeros((2, 0, 2), np.float32)
     assert followed(FRAME, none, ONES)[0].shape == (1, 2, 0, 2)
     arrays = {"image": FRAME, "start": POINTS, "inverse_warp": None, "variance": ONES}
-    templates = run("prepare_templates", **arrays, window=11, gain_offset=1, rounding=0.0)
+    templates = compiled("prepare_templates")(**arrays, window=11, gain_offset=1, rounding=0.0)
     points, *_, position, _ = tracking.find_templates(templates, FRAME[:0], POINTS, None, None, 2, 0.0, 1.0, 0.5)
     assert points.shape == (0, 2, 2, 2)
     assert np.array_equal(position, POINTS, equal_nan=True)
-    assert run("halve", frames=FRAME[:0]).shape == (0, 1, 20, 30)
+    assert compiled("halve")(frames=FRAME[:0]).shape == (0, 1, 20, 30)
 
 
 def test_views_that_torch_negates_are_written_out() -> None:
     frames = torch.from_numpy(FRAME).float()
     conjugate = torch.complex(frames, -frames).conj().imag
     assert conjugate.is_neg()
-    assert torch.equal(run("halve", frames=conjugate), run("halve", frames=frames))
+    assert torch.equal(compiled("halve")(frames=conjugate), compiled("halve")(frames=frames))
 
 
 def test_threads_are_those_of_torch(torch_threads: Callable[[int], None]) -> None:
@@ -118,7 +118,7 @@ kernel.set_threads(3)
 assert kernel.threads() == 3
 given = np.load(sys.argv[1])
 arrays = {"image": given["frames"], "start": given["points"], "inverse_warp": None, "variance": given["variance"]}
-templates = library.run("prepare_templates", **arrays, window=11, gain_offset=1, rounding=0.0)
+templates = library.compiled("prepare_templates")(**arrays, window=11, gain_offset=1, rounding=0.0)
 found = tracking.find_templates(templates, given["frames"], given["points"], None, None, 2, 0.0, 1.0, 0.5)
 np.savez(sys.argv[2], *found)
 assert "torch" not in sys.modules

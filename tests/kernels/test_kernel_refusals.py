@@ -14,7 +14,7 @@ from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import flow, tracking
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import ArrayField, NumberField, declared
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from tests.kernels.kernel_calls import kernel_calls, reached
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -71,10 +71,10 @@ def test_what_does_not_fit_its_declaration_is_refused(kernel: str) -> None:
     for name, value, error in wrong_arguments(kernel):
         changed = {name: value} if name else value
         with pytest.raises(error, match=f"kernel {kernel}: {name or '.*'} (is|goes)"):
-            run(kernel, **{**ARGUMENTS[kernel], **changed})
+            compiled(kernel)(**{**ARGUMENTS[kernel], **changed})
     for name in ARGUMENTS[kernel]:
         with pytest.raises(TypeError, match=f"kernel {kernel} was called with"):
-            run(kernel, **{key: value for key, value in ARGUMENTS[kernel].items() if key != name}, unknown=1)
+            compiled(kernel)(**{key: value for key, value in ARGUMENTS[kernel].items() if key != name}, unknown=1)
 
 
 #: Kernel, arguments that fit by themselves and not together, and the number that is named.
@@ -96,7 +96,7 @@ UNRELATED: list[tuple[str, dict[str, Any], str]] = [
 @pytest.mark.parametrize(("kernel", "change", "words"), UNRELATED)
 def test_numbers_that_do_not_fit_together_are_refused(kernel: str, change: dict[str, Any], words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
-        run(kernel, **{**ARGUMENTS[kernel], **change})
+        compiled(kernel)(**{**ARGUMENTS[kernel], **change})
 
 
 def test_planes_of_another_dtype_are_refused() -> None:

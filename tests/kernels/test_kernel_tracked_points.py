@@ -13,7 +13,7 @@ from fingerflow.engines.native import NativeEngine
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking as native
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.ops.tracking.search import search_and_return
 from tests.kernels.twins import places_in_skin, skin
 from tests.ops.tracking import test_outliers as fields
@@ -89,7 +89,7 @@ def test_the_same_search_both_ways(window: int, radius: int, instruction_set: in
             size, reach = native.sizes_of(window, radius)
             positions = {"start": places_in_skin().numpy(), "guess": guess.numpy(), "image_index": index.numpy()}
             search = {"size": size, "reach": reach, "limit": 1.0 + native.SEARCHED}
-            found = run("search_and_return", key=given[0], current=given[1], **positions, **search)
+            found = compiled("search_and_return")(key=given[0], current=given[1], **positions, **search)
             np.testing.assert_array_equal(found[0], expected[0].numpy())
             np.testing.assert_array_equal(found[1], expected[1].numpy())
     assert found[1].any()

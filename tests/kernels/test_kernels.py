@@ -61,6 +61,7 @@ def test_absent_kernels_are_reported_once(monkeypatch: pytest.MonkeyPatch, caplo
     monkeypatch.setattr(library, "_path", lambda: None)
     monkeypatch.delenv("FINGERFLOW_KERNELS", raising=False)
     library._library.cache_clear()
+    library.compiled.cache_clear()
     try:
         with caplog.at_level(logging.INFO, "fingerflow.kernels"):
             assert not kernels.serve(FRAME)

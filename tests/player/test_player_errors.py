@@ -136,7 +136,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     _rewritten(stream.bundle, graphs={"noise": {}})
     assert "has no proper entry 'sha256'" in said()
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 8; use the player of the same bundle, or export it again" in said()
+    assert "its format is 1, this player reads 9; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.declarations import ArrayField, declared
-from fingerflow.kernels.library import run
+from fingerflow.kernels.library import compiled
 from fingerflow.kernels.tensors.serving import serve
 from fingerflow.kernels.tensors.torch_op import torch_op
 
@@ -36,7 +36,7 @@ class Twin(Generic[_R]):
         names = [argument.name for argument in arguments]
 
         def call(*values: Any) -> Any:
-            return run(name, **dict(zip(names, values, strict=True)))
+            return compiled(name)(**dict(zip(names, values, strict=True)))
 
         kinds = [_type(argument) for argument in arguments]
         call.__name__ = name

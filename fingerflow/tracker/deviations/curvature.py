@@ -23,17 +23,38 @@ Array = NDArray[Any]
 
 _SHARE = 0.8
 _GAUGE = 2.0  # windows, gauge length of the fits
+_EVERY = 8  # frames between two evaluations: skin deforms slowly
 
 
-def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[np.float32]:
-    """Return the variance (n, N) px^2 of a position component in n frames by displacement that is curved within the
-    windows of N points; 0 where too few neighbours are known.
+class Curvature:
+    """Variance of the positions of N points by displacement that is curved within their windows, frame by frame.
+
+    The first and every eighth frame are evaluated; the frames behind have the variance of the latest of them.
 
     Args:
         engine: computes the fits, and gives the side of a window.
         start: (N, 2) px, positions in the key frame; NaN for no point.
-        points: (n, N, 2) px, tracked positions; NaN for lost points.
     """
+
+    def __init__(self, engine: Engine, start: Array) -> None:
+        self._engine, self._start, self._frames = engine, start, 0
+        self._latest = np.zeros((1, len(start)), np.float32)
+
+    def update(self, points: Array) -> NDArray[np.float32]:
+        """Return the variance (n, N) px^2 of a position component in the next n frames, in which the points lie at
+        `points` (n, N, 2) px, NaN for lost ones; it is 0 where too few neighbours are known.
+        """
+        frames, first = len(points), -self._frames % _EVERY
+        self._frames += frames
+        if first >= frames:
+            return self._latest if frames == 1 else self._latest.repeat(frames, axis=0)
+        evaluated = np.concatenate((self._latest, curvature_variance(self._engine, self._start, points[first::_EVERY])))
+        self._latest = evaluated[-1:]
+        return evaluated[(np.arange(frames) - first) // _EVERY + 1]
+
+
+def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[np.float32]:
+    """Return the variance (n, N) px^2 of the positions `points` (n, N, 2) px in n frames, as `Curvature`."""
     window = engine.settings.window_px
     valid = np.flatnonzero(np.isfinite(start).all(-1))
     result = np.zeros(points.shape[:2], np.float32)

@@ -70,7 +70,8 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     """
     share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
     came = np.zeros(len(share)) if entered is None else (entered & np.isfinite(fields.divergence)).sum(1).astype(float)
-    rows = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # in the other frames both ranks are the same
+    # In the other frames both ranks are the same.
+    rows = ((share > 0) & ((share < 1) | (came > 0))).nonzero()[0]
     if not len(rows):
         return result
     values = stack_components(fields)[rows]
@@ -79,18 +80,17 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     ordered = np.where(whole, values, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
     count, frame, field = whole.sum(2), np.arange(len(rows))[:, None], np.arange(5)
-    ranks = (ordered < fields.median[rows, :, None]).sum(2)
+    ranks, last = (ordered < fields.median[rows, :, None]).sum(2), np.maximum(count - 1, 0)
 
     def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
         for five deformation fields in k frames.
         """
         low, high = (
-            ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
+            ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + step), 0), last).astype(int)]
             for step in (-reach, reach)
         )
-        spread = np.asarray((high - low) / 2, dtype=np.float64)
-        return np.where(count > 0, spread**2, 0.0)
+        return np.where(count > 0, ((high - low) / 2).astype(np.float64) ** 2, 0.0)
 
     share = share[rows, None]
     result[rows] = squared_half_range(count * (1 - share) / (2 * share)) / 3
@@ -117,4 +117,7 @@ def _nanmedian(values: Array) -> NDArray[np.float64]:
 
 def stack_components(fields: FrameFields) -> Array:
     """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
-    return np.stack((fields.divergence, fields.curl, *np.moveaxis(fields.strain, -1, 0)), axis=1)
+    frames, points = fields.divergence.shape
+    result = np.empty((frames, 5, points), fields.divergence.dtype)
+    result[:, 0], result[:, 1], result[:, 2:] = fields.divergence, fields.curl, fields.strain.transpose(0, 2, 1)
+    return result
