@@ -43,7 +43,12 @@ settings.register_profile(
 settings.load_profile("reproducible")
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that need an exported bundle as long, and let the longest modules come first."""
+    for item in items:
+        if "bundle_of_trials" in getattr(item, "fixturenames", ()):
+            item.add_marker("long")
     places = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
@@ -130,7 +135,7 @@ def trials(shared_folder: Path) -> Path:
 @pytest.fixture(scope="session")
 def bundle_of_trials(shared_folder: Path) -> Path:
     """Return the bundle that plays the trials of tests/small_trials.py, which no test may write to. The first test that
-    needs the bundle exports it, in a minute.
+    needs the bundle exports it, in two minutes: such tests are long.
     """
     return _made_once(shared_folder / "bundle_of_trials", write_bundle_of_trials)
 

@@ -142,8 +142,8 @@ class FrameResults:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
         of contact, and the medians over the contact ellipse; return them by result name.
 
-        `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and by
-        curved displacement.
+        `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
+        by curved displacement.
         """
         position, border, px2 = self._on_glass(points), Border(*ellipse), np.float32(self._per_px**2)
         variance = noise + curvature
