@@ -1,6 +1,7 @@
 """Conversion of a result to tables with named columns."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,7 +12,7 @@ from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
 
 #: Columns (R,) of a table of R rows, by their names with shown units.
-Table = dict[str, NDArray[np.generic]]
+Table = dict[str, NDArray[Any]]
 
 
 def frame_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
