@@ -67,7 +67,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
     positions = start[valid]
 
     def gradient(values: Array) -> Array:
-        return engine.fit(positions, values, positions, _GAUGE * window).gradient
+        return engine.fit(positions, values, positions, _GAUGE * window)[0]
 
     slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.
