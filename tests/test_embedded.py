@@ -383,7 +383,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "among": points[..., 0].to(torch.bool),
         **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), torch.ones(1, 2)),
         **dict.fromkeys(("ellipse_angle", "gauge_length", "threshold"), torch.ones(1)),
-        **{f"neighbour_{name}": one for name, one in beside._asdict().items()},
+        **dict(zip(("neighbour_number", "neighbour_offset", "neighbour_within"), beside, strict=True)),
     }
     for name, graph in build_graphs(recipe).items():
         step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)

@@ -26,7 +26,7 @@ from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.sending import Destination, Message, Sender
+from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
@@ -436,7 +436,7 @@ class Player:
         if self._senders:
             record = self._room[index].copy()
             stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
-            message = Message(stamp, self._values.flatten(record))
+            message = stamp, self._values.flatten(record)
             for sender in self._senders:
                 sender.offer(message)
         self.latencies.add(latency)

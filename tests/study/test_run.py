@@ -172,7 +172,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), "everything", codes, 1))
+        outcome = worker.run_trial((replace(study, trials=(entry,)), "everything"), codes, 1)
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 
