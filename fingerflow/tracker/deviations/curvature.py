@@ -29,8 +29,8 @@ _EVERY = 4  # frames between two evaluations
 class Curvature:
     """Variance of the positions of N points by displacement that is curved within their windows, frame by frame.
 
-    The first and every fourth frame are evaluated. The frames behind have the variance of the latest of them, which goes
-    on to grow where it has grown: an edge of slip that comes near bends the displacement within a few frames.
+    The first and every fourth frame are evaluated. The frames behind have the variance of the latest of them, which
+    goes on to grow where it has grown: an edge of slip that comes near bends the displacement within a few frames.
 
     Args:
         engine: computes the fits, and gives the side of a window.
