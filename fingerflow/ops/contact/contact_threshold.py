@@ -87,7 +87,7 @@ def _threshold(
         levels = levels.to(torch.uint8)
     smooth = strided_median(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
-    brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
+    brightness = lost.new_ones(frames.shape[0]) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
         """Return the relative intensity loss at a quantised level, corrected for the illumination gain."""

@@ -43,7 +43,7 @@ def histogram(
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
     # `bincount` is not used: the host would wait for the device to learn the largest index. Products of one-hot digits
     # of every pixel are not used: they take ONNX Runtime ten times as long.
-    counts = torch.zeros(len(frames), bins + 1, dtype=torch.int32, device=frames.device)
+    counts = torch.zeros(frames.shape[0], bins + 1, dtype=torch.int32, device=frames.device)
     return counts.scatter_add(1, index.long(), torch.ones_like(index))[:, :bins].long()
 
 

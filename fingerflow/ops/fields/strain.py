@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
+from fingerflow.ops.tensors import half_angle, hypotenuse
 
 
 def divergence(gradient: Tensor) -> Tensor:
@@ -102,8 +103,8 @@ def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:
     equal = (half_difference == 0) & (exy == 0)
     # Replace the arguments beforehand, since hypot and atan2 have NaN derivatives at the origin.
     half_difference, exy = torch.where(equal, 1, half_difference), torch.where(equal, 0, exy)
-    radius = torch.where(equal, 0, torch.hypot(half_difference, exy))
-    angle = torch.where(equal, torch.nan, torch.atan2(exy, half_difference) / 2)
+    radius = torch.where(equal, 0, hypotenuse(half_difference, exy))
+    angle = torch.where(equal, torch.nan, half_angle(exy, half_difference))
     return torch.stack((mean + radius, mean - radius), dim=-1), angle
 
 
