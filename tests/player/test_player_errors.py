@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import HEIGHT, WIDTH, frame
+from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
 
@@ -126,17 +127,25 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
 
     file.write_bytes(whole[:-3])
     assert "track.onnx: its SHA-256 is" in said()
-    facts = json.loads((stream.bundle / "bundle.json").read_text())
-    facts["graphs"]["track"]["sha256"] = hashlib.sha256(whole[:-3]).hexdigest()
-    _rewritten(stream.bundle, graphs=facts["graphs"])
+    files = json.loads((stream.bundle / "bundle.json").read_text())["files"]
+    _rewritten(stream.bundle, files=files | {"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
-    _rewritten(stream.bundle, graphs={})
+    _rewritten(stream.bundle, files={})
     assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
     assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
-    _rewritten(stream.bundle, graphs={"noise": {}})
-    assert "has no proper entry 'sha256'" in said()
+    for name in ("../bundle/track.onnx", "/etc/passwd", "C:/x", "a\\b", "", "a/../b", "./track.onnx", "a\0b"):
+        _rewritten(stream.bundle, files={name: "0"})
+        assert "is no name of a file in its folder" in said()
+    os.mkfifo(stream.bundle / "pipe")
+    for name, problem in (("pipe", "it is no file"), ("nowhere", "No such file"), ("track.onnx", "has 0...")):
+        _rewritten(stream.bundle, files={name: 0})
+        assert problem in said()
+    for entry, wrong in (("files", []), ("recipe", None), ("expected", 1), ("fingerflow", {})):
+        _rewritten(stream.bundle, files={}, **{entry: wrong})
+        assert f"has no proper entry '{entry}'" in said()
+        stream.bundle = write_bundle(stream.folder / entry)
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 9; use the player of the same bundle, or export it again" in said()
+    assert "its format is '1', this player reads 10; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 
