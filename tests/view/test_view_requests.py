@@ -52,6 +52,15 @@ def test_what_no_page_sends_is_refused_in_a_sentence(served: Served, own: dict[s
             if status == 422:
                 told += bool(json.loads(said)["error"])
     assert told > 140
+    for path in (
+        "folder?at=%00",
+        "folder?at=a%00b",
+        "progress?of=%00",
+        "result/range?key=%00",
+        f"folder?at={'x' * 5000}",
+    ):
+        status, _, said = ask(served, f"/api/{path}", **own)
+        assert (status, bool(json.loads(said)["error"])) == (422, True), path
     for path in GETS:
         status, _, said = ask(served, f"/api/{path}", **own)
         assert (status, bool(json.loads(said)["error"])) == (422, True), path
