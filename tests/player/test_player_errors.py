@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
+from fingerflow.results.stream_folder import read_results
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -141,7 +143,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
         _rewritten(stream.bundle, files={name: 0})
         assert problem in said()
     for entry, wrong in (("files", []), ("recipe", None), ("expected", 1), ("fingerflow", {})):
-        _rewritten(stream.bundle, files={}, **{entry: wrong})
+        _rewritten(stream.bundle, **({"files": {}} | {entry: wrong}))
         assert f"has no proper entry '{entry}'" in said()
         stream.bundle = write_bundle(stream.folder / entry)
     _rewritten(stream.bundle, format=1)
@@ -172,7 +174,11 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (frame()[:-1], "a frame is (63, 192), the views of the scene need (H, W) of at least (64, 192)"),
+        (frame()[:-1], "frame 2 is (63, 192), the background or the frames before are (64, 192)"),
+        (np.pad(frame(), 1), "frame 2 is (66, 194), the background or the frames before are (64, 192)"),
+        (frame().repeat(2, 0).repeat(2, 1), "frame 2 is (128, 384)"),
+        (frame().T.copy(), "frame 2 is (192, 64)"),
+        (np.dstack([frame()] * 3), "frame 2 is (64, 192, 3)"),
         (frame().astype(np.uint16), "a frame is uint16, the bundle takes uint8 (bit_depth 8)"),
     ],
 )
@@ -181,6 +187,48 @@ def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, sai
     assert ended.code == 2
     assert said in ended.said
     assert len(ended.results.records) == 2
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_a_camera_that_ends_its_program_ends_the_stream(stream: Stream, error: type[BaseException]) -> None:
+    def make() -> Any:
+        given = iter([frame(), frame()])
+
+        def grab() -> Any:
+            if (shown := next(given, None)) is None:
+                raise error
+            return shown
+
+        return grab
+
+    ended = stream.run(*stream.camera(make), "--policy", "every")
+    assert ended.code == 2
+    assert f"ended the stream by {error.__name__}; return None after the last frame" in ended.said
+    assert len(ended.results.records) == 2
+
+
+def test_results_that_are_removed_while_playing_go_on_elsewhere(stream: Stream) -> None:
+    def make() -> Any:
+        given = iter(range(4))
+
+        def grab() -> Any:
+            number = next(given, None)
+            if number == 2:
+                (stream.folder / "results").rename(stream.folder / "away")
+                shutil.rmtree(stream.folder / "away")
+            return None if number is None else frame()
+
+        return grab
+
+    (stream.folder / "results-moved").mkdir()  # a name that is taken
+    said = stream.play(
+        [str(stream.bundle), *stream.camera(make), "--policy", "every", "--page", "off", "--threads", "1"]
+        + ["--output", str(stream.folder / "results")]
+    )
+    moved = read_results(stream.folder / "results-moved-2")
+    assert said == 0
+    assert list(moved.records["frame"]) == [0, 1, 2, 3]
+    assert moved.events[-1]["event"] == "moved"
 
 
 @pytest.mark.parametrize(
