@@ -71,9 +71,8 @@ _EVEN = 100 + np.arange(60) / 100  # s
 def test_time_never_runs_backwards_or_away_from_arrivals(stamps: np.ndarray[Any, Any], exact: int | None) -> None:
     clock, late = CameraClock(), 2e-3 * np.random.default_rng(1).random(len(stamps))
     arrivals = 7000 + np.arange(len(stamps)) / 100 + late
-    times, exposed = np.transpose(
-        [clock.update(*pair) for pair in zip(stamps.tolist(), arrivals.tolist(), strict=True)]
-    )
+    pairs = zip(stamps.tolist(), arrivals.tolist(), strict=True)
+    times, exposed = np.transpose([clock.update(*pair) for pair in pairs])
     assert (np.diff(times) > 0).all()
     assert np.abs(times - arrivals).max() < 0.03
     assert np.abs(exposed - arrivals).max() < 0.03

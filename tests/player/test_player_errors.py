@@ -221,10 +221,8 @@ def test_results_that_are_removed_while_playing_go_on_elsewhere(stream: Stream) 
         return grab
 
     (stream.folder / "results-moved").mkdir()  # a name that is taken
-    said = stream.play(
-        [str(stream.bundle), *stream.camera(make), "--policy", "every", "--page", "off", "--threads", "1"]
-        + ["--output", str(stream.folder / "results")]
-    )
+    options = [*stream.camera(make), "--policy", "every", "--page", "off", "--threads", "1"]
+    said = stream.play([str(stream.bundle), *options, "--output", str(stream.folder / "results")])
     moved = read_results(stream.folder / "results-moved-2")
     assert said == 0
     assert list(moved.records["frame"]) == [0, 1, 2, 3]
