@@ -53,8 +53,8 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         return NativeEngine(settings)
     if name == "auto" and device.type == "cpu" and os.environ.get("FINGERFLOW_KERNELS") != "0":
         log.warning(
-            "the compiled library is not there, so that torch computes, several times slower; install again where a C++ "
-            "compiler is"
+            "the compiled library is not there, so that torch computes, several times slower; install again where a "
+            "C++ compiler is"
         )
     return TorchEngine(settings, device)
 

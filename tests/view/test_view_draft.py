@@ -69,13 +69,12 @@ def test_what_was_changed_elsewhere_meanwhile_is_replaced_with_leave_alone(press
     [
         ("result.h5", b"\x89HDF\r\n"),
         ("table.csv", b"frame,time (s)\n0,0\n"),
-        ("frames.npy", b"\x93NUMPY"),
+        ("other.npy", b"\x93NUMPY"),
         ("store", None),
     ],
 )
 def test_a_scene_replaces_no_file_of_another_kind(press: Path, name: str, content: bytes | None) -> None:
-    draft, other = Draft.read(press / "scene.toml"), press / "results" / name
-    other.parent.mkdir()
+    draft, other = Draft.read(press / "scene.toml"), press / name
     other.mkdir() if content is None else other.write_bytes(content)
     (press / "link.toml").symlink_to(other)
     for path in (other, press / "link.toml"):
