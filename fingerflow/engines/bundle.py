@@ -16,7 +16,8 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.keys import keys_of
-from fingerflow.schema.recipe import GRAPHS, parse_recipe
+from fingerflow.schema.recipe import GRAPHS as GRAPHS
+from fingerflow.schema.recipe import parse_recipe
 
 _AGAIN = "export the bundle again, or copy its folder again"
 _FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system

@@ -6,12 +6,11 @@ import logging
 import os
 from typing import TYPE_CHECKING
 
-from fingerflow.engines.bundle import Bundle
+from fingerflow.engines.bundle import GRAPHS, Bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.library import is_present
-from fingerflow.schema.recipe import GRAPHS
 
 if TYPE_CHECKING:
     import torch
