@@ -22,11 +22,11 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fingerflow import ops
 from fingerflow.export.build import build_graphs
-from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact import apparent_contact, otsu
 from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.track_points import in_passes
+from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
 from tests.kernels.kernel_calls import Call, call, kernel_calls
 from tests.without_kernels import without_kernels

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import ContactGraph, DetectGraph, Fields, FieldsGraph, KeyGraph, TrackGraph
 from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
@@ -22,6 +21,7 @@ from fingerflow.ops.tracking.outliers import find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
+from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")

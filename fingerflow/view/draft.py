@@ -186,8 +186,12 @@ class Draft:
         text = self.text
         scene = scene_of_text(text, path)
         spare(path, *scene.files()[1:])
-        if path.exists() and not replace and not (path == self.path and _read(path) == self._stored):
-            raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
+        if path.exists():
+            content = _read(path)  # raises an error for a result or a recording, which a scene never replaces
+            if path != self.path:
+                _parsed(content, path)
+            if not replace and (path != self.path or content != self._stored):
+                raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
         write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
         self.path, self._stored = path, text
         return path
@@ -245,6 +249,8 @@ def _free(path: Path) -> Path:
 
 def _read(path: Path) -> str:
     try:
+        if path.exists() and not path.is_file():
+            raise OSError("it is no file")
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise FingerflowError(f"{path}: cannot be read ({error}); name a scene file, which is UTF-8 text") from None

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.export.recipe import GRAPHS, load_recipe
+from fingerflow.schema.recipe import GRAPHS, load_recipe
 
 RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
 
