@@ -24,6 +24,9 @@ EACH_FRAME_BY_ITSELF = frozenset(
 _PLAYBACK_HZ = 60.0  # Hz, highest stated rate that may be that of playback instead of recording
 _SAME_RATE = 0.01
 
+#: Types of pixels, in either byte order, that readers admit: those of the kernels, and float64, which is rounded.
+PIXEL_TYPES = ("uint8", "uint16", "float32", "float64")
+
 Frames = NDArray[Any]
 
 
@@ -354,13 +357,21 @@ def possible_rate(rate: float) -> bool:
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     """Return a data type unchanged, after checking that it can hold grey values.
 
-    Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
+    Raises FingerflowError for types that the kernels do not take, among them signed integers, logical and complex
+    values, for which the meaning of zero is ambiguous.
     """
-    if dtype.kind == "f" or (dtype.kind == "u" and dtype.itemsize <= 4):
+    if dtype.name in PIXEL_TYPES:
         return dtype
     raise FingerflowError(
-        f"{path}: pixels are {dtype}, but frames are unsigned integers of 8 to 32 bits or floating point. "
-        "Save them as uint8, uint16 or float32."
+        f"{path}: pixels are {dtype}, but frames are {', '.join(PIXEL_TYPES)}. Save them as uint8, uint16 or float32."
+    )
+
+
+def orientation(stated: object) -> str:
+    """Return a warning for the user that a file states another orientation of its frames, which is not applied."""
+    return (
+        f"the file states an orientation ({stated}), by which viewers turn or mirror the picture; frames are read as "
+        "stored: check that views and calibration are of them"
     )
 
 

@@ -14,7 +14,15 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype, surplus
+from fingerflow.recordings.frames.recording import (
+    DamagedFrame,
+    Description,
+    FileRecording,
+    Frames,
+    grey_dtype,
+    orientation,
+    surplus,
+)
 from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of lossy compressions
@@ -152,11 +160,14 @@ def _describe(
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
     stored = sum(page.databytecounts)
     warnings = list(surplus(min((at for at in headers if at >= end), default=size) - end, max(stored, 1), count))
-    if page.compression == tifffile.COMPRESSION.NONE and not page.is_tiled and stored != frame_bytes:
+    expected = height * -(-width * int(page.bitspersample) // 8)  # packed rows end with a whole byte
+    if page.compression == tifffile.COMPRESSION.NONE and not page.is_tiled and stored != expected:
         warnings.append(
-            f"a frame of {height} x {width} {dtype} has {frame_bytes} bytes, and the file states {stored}: its header "
+            f"a frame of {height} x {width} {dtype} has {expected} bytes, and the file states {stored}: its header "
             "is damaged, or not of these pixels"
         )
+    if (turned := page.tags.get("Orientation")) is not None and turned.value != 1:
+        warnings.append(orientation(turned.value))
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
     if complaints and whole == count:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, orientation
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.claimed_sizes import MOST_PIXELS
 from fingerflow.recordings.guard.file_checks import reading
@@ -58,9 +58,10 @@ def open_frames(path: Path) -> VideoRecording:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = []
     # MKV states no number of frames, only the duration in ticks and the number of bytes.
-    lasting = container_seconds * float(rate or 0)
-    if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
-        promised = round(lasting)
+    lasting, spacing = container_seconds * float(rate or 0), float(tick) * float(rate or 0)
+    span = index.count if index.stamps is None else float(index.stamps[-1] - index.stamps[0]) * spacing + 1
+    if not promised and lasting - span > 0.5 + spacing:
+        promised = index.count + round(lasting - span)
     elif not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
@@ -68,6 +69,7 @@ def open_frames(path: Path) -> VideoRecording:
             f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
             "its colour is dropped"
         )
+    warnings += _picture_warnings(path)
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
@@ -286,6 +288,25 @@ def _reported_errors() -> Iterator[list[str]]:
 def _open(path: Path) -> Any:
     with reading(path, "video"):
         return av.open(str(path), metadata_errors="replace")
+
+
+def _picture_warnings(path: Path) -> list[str]:
+    """Return warnings of interlacing and of an orientation that the first picture of a video states."""
+    try:
+        with _open(path) as container:
+            picture = next(container.decode(video=0))
+    except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
+        return []  # reported as an unreadable frame
+    warnings = []
+    if picture.interlaced_frame:
+        warnings.append(
+            "the video is interlaced: odd and even rows of a frame are half a frame apart, so moving skin is torn; "
+            "record progressive frames"
+        )
+    matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
+    if matrices and not np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1)):
+        warnings.append(orientation("display matrix"))
+    return warnings
 
 
 def _has_checksums(path: Path) -> bool:
