@@ -61,5 +61,7 @@ def decimal_point(text: str, separator: str | None) -> str:
     for mark in marks:
         sure = rf"(?<![\d.,])0+[{mark}]|(?<!\d)[{mark}]|\d{{4}}[{mark}]|[{mark}](?!\d{{3}}(?![\deE]))"
         if cell is not None and (mark == "," or separator in (";", "\t")) and not re.search(sure, text):
-            raise ValueError(f"{cell[0]!r} may be decimal or have a thousands mark; {advice}, or more decimals")
+            raise ValueError(
+                f"the number {cell[0]!r} may be decimal or have a thousands mark; {advice}, or more decimals"
+            )
     return text.replace(",", ".")

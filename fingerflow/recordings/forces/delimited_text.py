@@ -62,8 +62,10 @@ def read_table(path: Path) -> ForceTable:
     if '"' in body:
         body, separator = "\n".join("\t".join(split_cells(line, separator)) for line in body.splitlines()), "\t"
     try:
-        if separator != ",":
-            body = decimal_point(body, stated)
+        body = body if separator == "," else decimal_point(body, stated)
+    except ValueError as error:
+        raise FingerflowError(f"{path}: {error}") from None
+    try:
         numbers = _numbers(body, separator, len(names))
     except ValueError as error:
         raise FingerflowError(f"{path}: {_fault(body, separator, names) or first_line(error)}") from None

@@ -79,15 +79,14 @@ def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[
     """Return times (N,) s of frames from the data set beside them that holds one time a frame, or None if these are
     evenly spaced or there are none; the frame rate; and warnings.
     """
-    for name, item in frames.parent.items():
-        if not (isinstance(item, h5py.Dataset) and item.shape == frames.shape[:1] and item.dtype.kind in "iuf"):
-            continue
-        if name.lower().replace("_", "").removeprefix("frame") not in _TIMES or len(item) < 2:
+    for name in frames.parent:
+        item = frames.parent.get(name) if name.lower().replace("_", "").removeprefix("frame") in _TIMES else None
+        if getattr(item, "shape", ()) != frames.shape[:1] or item.dtype.kind not in "iuf" or len(item) < 2:
             continue
         unit = item.attrs.get("units", item.attrs.get("unit", ""))
         seconds = TO_SECONDS.get(unit.decode("latin-1") if isinstance(unit, bytes) else str(unit))
-        values = read_whole(item, path)
-        stamps = (values - values[0]).astype(np.float64) * (seconds or 1.0)
+        values = read_whole(item, path).astype(np.float64 if item.dtype.kind == "f" else np.int64)
+        stamps = (values - values[0]) * (seconds or 1.0)
         steps = np.diff(stamps)
         if not (np.isfinite(stamps).all() and np.all(steps > 0)):
             return None, rate, (f"the times of frames in {item.name} do not increase, and are not used",)

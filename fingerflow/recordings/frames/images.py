@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, orientation
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 from fingerflow.schema.text_file import check_file
@@ -19,8 +19,7 @@ from fingerflow.schema.text_file import check_file
 _EXIF_BYTES = 1 << 17  # at the begin of a file, where its EXIF data lie
 # Tag Orientation (274) of TIFF and EXIF, a number of 16 bits, in either byte order.
 _ORIENTATION = re.compile(
-    rb"(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0{3}([\1-\x08])|MM\0\*.*?\x01\x12\0\x03\0{3}\x01\0([\1-\x08]))",
-    re.DOTALL,
+    rb"(?s)(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0\0\0(.)|MM\0\*.*?\x01\x12\0\x03\0\0\0\x01\0(.))"
 )
 # A number in a name: a sign, unless behind a digit, decimals and an exponent, each if there is one.
 _NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:\.\d+)?(?:[eE][-+]\d+)?)")
@@ -45,9 +44,7 @@ def open_frames(path: Path) -> FileRecording:
     there = [file for file in files if file is not None]
     first = _read_image(there[0])
     with there[0].open("rb") as opened:
-        turned = re.search(_ORIENTATION, opened.read(_EXIF_BYTES))
-    if turned is not None and (turned[1] or turned[2]) != b"\1":
-        warnings += (orientation((turned[1] or turned[2])[0]),)
+        turned = _ORIENTATION.search(opened.read(_EXIF_BYTES))
     description = Description(
         path=path,
         count=len(files),
@@ -56,6 +53,7 @@ def open_frames(path: Path) -> FileRecording:
         lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
         warnings=warnings,
         unreadable={index: "has no file" for index, file in enumerate(files) if file is None},
+        orientation="1" if turned is None else str((turned[1] or turned[2])[0]),
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
     return FileRecording(description, partial(_read_numbered, files, description))

@@ -37,7 +37,7 @@ class Description:
     `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
     None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
     states no trigger. `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`:
-    frames known to be damaged, by number, and the reason.
+    frames known to be damaged, by number, and the reason. `orientation`: as the file states it, "1" for none.
     """
 
     path: Path
@@ -54,6 +54,7 @@ class Description:
     has_trigger: bool = False
     lossy: str | None = None
     unreadable: Mapping[int, str] = field(default_factory=dict)
+    orientation: str = "1"
 
 
 class DamagedFrame(FingerflowError):
@@ -210,6 +211,11 @@ class FileRecording(Recording):
         if missing > 0:
             cut = f"truncated: {missing} of {description.stated_count} frames are missing at the end of the file"
             self.warnings = (cut, *self.warnings)
+        if description.orientation != "1":
+            self.warnings += (
+                f"the file states an orientation ({description.orientation}), by which viewers turn or mirror the "
+                "picture; frames are read as stored: check that views and calibration are of them",
+            )
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
@@ -364,14 +370,6 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
         return dtype
     raise FingerflowError(
         f"{path}: pixels are {dtype}, but frames are {', '.join(PIXEL_TYPES)}. Save them as uint8, uint16 or float32."
-    )
-
-
-def orientation(stated: object) -> str:
-    """Return a warning for the user that a file states another orientation of its frames, which is not applied."""
-    return (
-        f"the file states an orientation ({stated}), by which viewers turn or mirror the picture; frames are read as "
-        "stored: check that views and calibration are of them"
     )
 
 

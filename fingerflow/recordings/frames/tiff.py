@@ -14,15 +14,7 @@ import numpy as np
 import tifffile
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import (
-    DamagedFrame,
-    Description,
-    FileRecording,
-    Frames,
-    grey_dtype,
-    orientation,
-    surplus,
-)
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, grey_dtype, surplus
 from fingerflow.recordings.guard.file_checks import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of lossy compressions
@@ -166,8 +158,6 @@ def _describe(
             f"a frame of {height} x {width} {dtype} has {expected} bytes, and the file states {stored}: its header "
             "is damaged, or not of these pixels"
         )
-    if (turned := page.tags.get("Orientation")) is not None and turned.value != 1:
-        warnings.append(orientation(turned.value))
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
         warnings.append(f"the file calls its {count} images channels; they are read as frames")
     if complaints and whole == count:
@@ -185,6 +175,7 @@ def _describe(
             frame_rate=_rate(imagej),
             lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
             unreadable=damaged,
+            orientation=str(page.tags.valueof("Orientation", 1)),
             warnings=tuple(warnings),
             metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
         ),

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
-from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames, orientation
+from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.guard.child_process import check_in_child_process
 from fingerflow.recordings.guard.claimed_sizes import MOST_PIXELS
 from fingerflow.recordings.guard.file_checks import reading
@@ -69,7 +69,12 @@ def open_frames(path: Path) -> VideoRecording:
             f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
             "its colour is dropped"
         )
-    warnings += _picture_warnings(path)
+    interlaced, orientation = _first_picture(path)
+    if interlaced:
+        warnings.append(
+            "the video is interlaced: odd and even rows of a frame are half a frame apart, so moving skin is torn; "
+            "record progressive frames"
+        )
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
@@ -91,6 +96,7 @@ def open_frames(path: Path) -> VideoRecording:
         warnings=tuple(warnings),
         lossy=lossy,
         unreadable=index.damaged,
+        orientation=orientation,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
     return VideoRecording(description, pixels, index)
@@ -290,23 +296,16 @@ def _open(path: Path) -> Any:
         return av.open(str(path), metadata_errors="replace")
 
 
-def _picture_warnings(path: Path) -> list[str]:
-    """Return warnings of interlacing and of an orientation that the first picture of a video states."""
+def _first_picture(path: Path) -> tuple[bool, str]:
+    """Return whether the first picture of a video is interlaced, and the orientation that it states, "1" for none."""
     try:
         with _open(path) as container:
             picture = next(container.decode(video=0))
     except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
-        return []  # reported as an unreadable frame
-    warnings = []
-    if picture.interlaced_frame:
-        warnings.append(
-            "the video is interlaced: odd and even rows of a frame are half a frame apart, so moving skin is torn; "
-            "record progressive frames"
-        )
+        return False, "1"  # reported as an unreadable frame
     matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
-    if matrices and not np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1)):
-        warnings.append(orientation("display matrix"))
-    return warnings
+    upright = not matrices or np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1))
+    return picture.interlaced_frame, "1" if upright else "display matrix"
 
 
 def _has_checksums(path: Path) -> bool:
