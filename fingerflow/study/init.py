@@ -67,7 +67,8 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not _is_ignored(file, folder)]
     scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
     rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
-    answered, matched = [], ""
+    answered: list[dict[str, str]] = []
+    matched = ""
     if answers is not None:
         answered, matched = matching(rows, answers)
         for row, answer_row in zip(rows, answered, strict=True):

@@ -138,7 +138,7 @@ def _use_clock(table: ForceTable, columns: list[str], time_column: str | None) -
     clocks, or other times in their group of the file than the selected ones.
     """
     clocks = {column: table.clocks[column] for column in columns if column in table.clocks}
-    steps, starts = zip(*clocks.values(), strict=True) if clocks else ((1.0,), (0.0,))
+    steps, starts = zip(*clocks.values() or [(1.0, 0.0)], strict=True)
     if max(np.ptp(steps), np.ptp(starts)) > SAME_RATE * min(steps):
         listed = ", ".join(f"{name!r} every {step:g} s from {start:g} s" for name, (step, start) in clocks.items())
         raise FingerflowError(
