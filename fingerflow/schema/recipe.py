@@ -12,6 +12,7 @@ from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_number
 from fingerflow.schema.scene_check import TableCheck
 from fingerflow.schema.scene_tables import ContactCells, GaugeSettings, PointSettings
+from fingerflow.schema.text_file import read_text
 
 GraphName = Literal[
     "contact",
@@ -94,14 +95,10 @@ def load_recipe(path: Path) -> Recipe:
         FingerflowError: the file cannot be read, is not valid TOML, or has an unknown key or a value out of range; with
             the file, the line and the key.
     """
+    text = read_text(path, "recipes are TOML files such as export/exact.toml")
     try:
-        text = path.read_text(encoding="utf-8")
         written = tomllib.loads(text)
-    except OSError as error:
-        raise FingerflowError(
-            f"{path} cannot be read ({error.strerror}); recipes are TOML files such as export/exact.toml"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path} is no TOML file: {error}") from None
     return parse_recipe(written, path, text)
 
