@@ -86,7 +86,7 @@ def load_bundle(folder: Path) -> Bundle:
             raise PlayerError(f"{path}: its expected numbers are not of {name} {number}, that of its recipe; {_AGAIN}")
     for name, digest in facts["files"].items():
         _check_file(folder, name, digest)
-    files = {name: folder / f"{name}.onnx" for name in GRAPHS if f"{name}.onnx" in facts["files"]}
+    files: dict[str, Path] = {name: folder / f"{name}.onnx" for name in GRAPHS if f"{name}.onnx" in facts["files"]}
     return Bundle(
         folder=folder,
         recipe=asdict(recipe),

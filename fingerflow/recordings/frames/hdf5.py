@@ -81,7 +81,9 @@ def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[
     """
     for name in frames.parent:
         item = frames.parent.get(name) if name.lower().replace("_", "").removeprefix("frame") in _TIMES else None
-        if getattr(item, "shape", ()) != frames.shape[:1] or item.dtype.kind not in "iuf" or len(item) < 2:
+        if not isinstance(item, h5py.Dataset) or item.shape != frames.shape[:1]:
+            continue
+        if item.dtype.kind not in "iuf" or len(item) < 2:
             continue
         unit = item.attrs.get("units", item.attrs.get("unit", ""))
         seconds = TO_SECONDS.get(unit.decode("latin-1") if isinstance(unit, bytes) else str(unit))
