@@ -98,6 +98,7 @@ def test_other_recipes_export(tmp_path: Path) -> None:
     assert export_bundle(_recipe(tmp_path, bits=12, graphs=graphs, **settings), tmp_path / "bundle")
 
 
+@pytest.mark.long
 def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise FingerflowError("no")

@@ -34,6 +34,7 @@ def _run(study: Manifest, scheduler: str, **options: Any) -> dict[str, str]:
     return {one.name: one.status for one in summary.outcomes}
 
 
+@pytest.mark.long
 def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, scheduler: str) -> None:
     assert _run(study, scheduler) == {entry.name: MEASURED for entry in study.trials}
     assert plan_run(study) == []
