@@ -16,7 +16,7 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.keys import keys_of
-from fingerflow.schema.recipe import GRAPHS as GRAPHS
+from fingerflow.schema.recipe import GRAPHS as GRAPHS  # `choice` may not import the schema, and takes it from here
 from fingerflow.schema.recipe import parse_recipe
 
 _AGAIN = "export the bundle again, or copy its folder again"

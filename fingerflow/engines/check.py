@@ -213,7 +213,7 @@ def _rounded(values: Array) -> Any:
 
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
-    """Compute the results of an engine for the built-in frame, by the names in `TOLERANCES`."""
+    """Return the results that an engine computes for the built-in frame; their names are those of `TOLERANCES`."""
     return {
         name: np.asarray(value, np.float64)
         for name, value in (

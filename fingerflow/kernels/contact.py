@@ -24,9 +24,8 @@ def median(frames: Array, size: int) -> Array:
     """Compute the median filter of uint8 or uint16 frames over windows of `size` x `size` px, odd and 3 to 31, as
     `ops.filters.median.median_filter`.
     """
-    return compiled("median")(
-        frames=frames, size=size, table=table_of(int(size))
-    )  # a symbolic size of the torch compiler
+    # The compiler of torch gives a symbolic size, which no cache takes.
+    return compiled("median")(frames=frames, size=size, table=table_of(int(size)))
 
 
 @functools.cache

@@ -55,8 +55,10 @@ def half_angle(y: Tensor, x: Tensor) -> Tensor:
 
 
 def hypotenuse(x: Tensor, y: Tensor) -> Tensor:
-    """Return the lengths of vectors (x, y): `torch.hypot`, for which ONNX has no operator, so that an exported graph
-    takes the root of a sum of squares, which are relative to the larger component as they could overflow.
+    """Return the lengths (...) of vectors with components x and y (...), as `torch.hypot`.
+
+    ONNX has no such operator. An exported graph takes the root of the sum of squares, relative to the larger component
+    so that no square overflows.
     """
     if not torch.compiler.is_exporting():
         return torch.hypot(x, y)

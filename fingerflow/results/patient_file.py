@@ -52,7 +52,7 @@ class PatientFile:
             return False
 
     def move(self, path: Path) -> None:
-        """Continue in another file, an empty one, with all that was written until now, as far as it can be read."""
+        """Copy all that was written to an empty file `path`, as far as it can be read, and write there from now on."""
         with self._lock:
             left, self._path, self._file = self._file, path, self._open(path)
             with contextlib.suppress(OSError):  # the disk is gone

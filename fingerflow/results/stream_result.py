@@ -17,9 +17,7 @@ from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TI
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 # Fields that depend on the gauge length.
-_WITH_GAUGE = (
-    *("divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"),
-)
+_WITH_GAUGE = "divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"
 _TRACKED = 0  # value of `status` for a tracked point
 
 

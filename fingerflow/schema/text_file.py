@@ -13,8 +13,8 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+_HDF5 = b"\x89HDF\r\n"  # signature of an HDF5 file
 # Byte order marks; that of UTF-32 begins with that of UTF-16, so it stands first.
-_HDF5 = b"\x89HDF\r\n"
 _MARKS = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 
 

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     if not folder.is_dir():
         raise FingerflowError(f"{folder} is no folder; name the one that holds the recordings")
     files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not _is_ignored(file, folder)]
-    scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
+    scenes = {file: scene for file in files if file.suffix == ".toml" and (scene := _read_scene(file))}
     rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
     answered: list[dict[str, str]] = []
     matched = ""
@@ -98,18 +98,19 @@ def _is_ignored(file: Path, folder: Path) -> bool:
     return any(part.startswith(".") or part in _WRITTEN for part in file.relative_to(folder).parts)
 
 
-def _is_scene(file: Path) -> bool:
+def _read_scene(file: Path) -> dict[str, Any]:
+    """Return the tables of a scene file; {} for another file."""
     try:
-        return "recording" in tomllib.loads(read_text(file, ""))
+        written = tomllib.loads(read_text(file, ""))
     except (FingerflowError, ValueError, RecursionError):
-        return False
+        return {}
+    return written if "recording" in written else {}
 
 
-def _scene_rows(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+def _scene_rows(folder: Path, scenes: Mapping[Path, Any]) -> tuple[list[dict[str, str]], dict[str, Any]]:
     flat: list[dict[str, Any]] = []
     rows = []
-    for file in scenes:
-        written = tomllib.loads(read_text(file, ""))
+    for file, written in scenes.items():
         values = dict(flattened(written))
         for name, value in values.items():
             if isinstance(key := find_entry(name), SceneKey) and isinstance(key.type, File):

@@ -32,7 +32,8 @@ class Displacement(NamedTuple):
         onset: (N, 2, 2) mm^2, covariance by the error of the time of onset.
         gain: (N,) factor by which overlapping windows raise the variance of gradients (`OverlapErrors.variance_gain`).
         entered: points that were advected into the contact, with gradients since their entry; None if there are none.
-        late: (2, N) variance of divergence and curl of these points by the error of the time of entry; 0 for others.
+        late: (2, N) variance of divergence and curl of these points by the error of the time of entry, 0 for others;
+            not set in streams.
     """
 
     reference: Array
@@ -41,7 +42,7 @@ class Displacement(NamedTuple):
     onset: Array
     gain: Array
     entered: EnteredPoints | None
-    late: Array
+    late: Array | float = 0.0
 
 
 class Deformation:
@@ -65,12 +66,17 @@ class Deformation:
         self.latest = np.full(5, np.nan)
 
     def add(self, frames: Array, since: Displacement, ellipse: FrameEllipse) -> tuple[FrameFields, Array]:
-        """Compute the fields of n frames, numbered `frames` (n,), from displacements since a reference and the ellipses
-        of the apparent contact, mm.
+        """Compute the fields of n frames, and the variance of their medians by unknown and advected skin.
 
-        Return them with the standard deviations of divergence and curl at points by all terms, and those of medians by
-        errors of points; and the variance (n, 5) of the medians by the rank of unknown and advected skin, to which
-        `bias` is to be added.
+        Args:
+            frames: (n,) numbers of the frames.
+            since: displacements in these frames.
+            ellipse: of the apparent contact, mm.
+
+        Returns:
+            The fields, with the standard deviations of divergence and curl at points by all terms, and of medians by
+            errors of points alone; and the variance (n, 5) of the medians by `rank_variance`. The variance of a median
+            is the sum of both and of `bias`.
         """
         moved, reference = since.moved.astype(np.float32), since.reference.astype(np.float32)
         ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
@@ -83,7 +89,9 @@ class Deformation:
         rows = evaluated.nonzero()[0]
         smoothing = self._of_smoothing
         if len(rows):
-            part = FrameFields(*(values[rows] for values in fields if values is not None))
+            part = fields._replace(
+                **{name: values[rows] for name, values in fields._asdict().items() if values is not None}
+            )
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             bias = bias_variance(self._engine, reference, moved[rows], around, part, excluded)

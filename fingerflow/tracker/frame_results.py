@@ -120,7 +120,6 @@ class FrameResults:
         positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
         self._entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
         self._deformation = Deformation(self._engine, positions)
-        self._late = np.zeros((2, count))
         # Noise counts alike for all points, and their onsets are not known yet.
         alike = np.zeros(count, int), seeding.points, np.ones(count), np.zeros((count, 2, 2))
         errors = OverlapErrors(*alike, by_onsets=True, window_px=self._engine.settings.window_px)
@@ -144,19 +143,18 @@ class FrameResults:
         `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
         by curved displacement.
         """
-        position, border, px2 = self._on_glass(points), ellipse, np.float32(self._per_px**2)
-        variance = noise + curvature
-        touch = self._touches.add_frames(np.array([self._frames]), covered, position, noise, border)
+        position, px2 = self._on_glass(points), np.float32(self._per_px**2)
+        variance, frame = noise + curvature, np.array([self._frames])
+        touch = self._touches.add_frames(frame, covered, position, noise, ellipse)
         entered = self._entries.update(
-            *(position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], border)
+            position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], ellipse
         )
         if self._frames % EVERY == 0:
             self._entries.learn_errors()
         of_displacement = (noise_variance(noise, touch) + curvature) * px2
         reference, moved = touch.position[0], position - touch.position
-        errors = of_displacement, self._entries.of_onset, self._gain
-        since = Displacement(reference, moved, *errors, entered, self._late)
-        fields, ranks = self._deformation.add(np.array([self._frames]), since, ellipse)
+        since = Displacement(reference, moved, of_displacement, self._entries.of_onset, self._gain, entered)
+        fields, ranks = self._deformation.add(frame, since, ellipse)
         assert fields.median_std is not None
         median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
         without_onset = (self._seeded_in_contact & touch.touching[0]).sum()

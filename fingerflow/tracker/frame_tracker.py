@@ -216,7 +216,7 @@ class StreamTracker:
 
     def inspect(self, frame: Frame) -> None:
         """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
-        frame.picture = self._check.inspect(frame.views)
+        frame.picture = self._check.inspect(frame.number, frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
@@ -246,7 +246,7 @@ class StreamTracker:
         if self._points is None:  # no usable frame has arrived yet
             passed.append(self._outcome(work, frame.picture.status, None, 0))
         else:
-            decided, status = self._check.update(frame.number, frame.picture)
+            decided, status = self._check.update(frame.picture)
             passed += self._decided(decided)
             if status is None:
                 self._deferred.append(work)

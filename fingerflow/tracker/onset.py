@@ -80,11 +80,8 @@ class Touches:
         """
         steps, goes_on = len(frames), self.length > 0
         before, borders, variances = self._before, self._border_before, self._variance_before
-        self._before, self._border_before = (
-            position[-1:].copy(),
-            border if steps == 1 else border.select(slice(-1, None)),
-        )
-        self._variance_before = variance[-1:].copy()
+        self._before, self._variance_before = position[-1:].copy(), variance[-1:].copy()
+        self._border_before = border if steps == 1 else border.select(slice(-1, None))
         touching, begins = goes_on[None].repeat(steps, axis=0), np.zeros((steps, self.points), dtype=bool)
         # Of points without a touch these are NaN.
         start_position, share, spread, earlier = [

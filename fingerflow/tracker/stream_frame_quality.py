@@ -30,13 +30,13 @@ _LIT = 0.3  # share of the mean light: lines of the empty glass with less are no
 
 class Picture(NamedTuple):
     """Frame under comparison: its status as determined from the frame alone, sampled pixels of its views, the contact
-    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), and its number.
+    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), and the number of the frame.
     """
 
     status: int
     samples: PixelSamples
     key: bytes
-    number: int = 0
+    number: int
 
     def squared_distance(self, before: Picture) -> Array:
         """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
@@ -79,8 +79,9 @@ class FrameCheck:
         self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
-    def inspect(self, views: Mapping[str, Array]) -> Picture:
-        """Sample all views (1, 1, H, W) of one size, and determine the frame status from this frame alone.
+    def inspect(self, number: int, views: Mapping[str, Array]) -> Picture:
+        """Sample all views (1, 1, H, W), of one size, of the frame with this number, and determine its status from the
+        frame alone.
 
         Any thread may call it.
         """
@@ -93,14 +94,15 @@ class FrameCheck:
             status = _SATURATED
         elif (self._lit & (lines < self._least)).any():
             status = _JUMPS
-        return Picture(status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]))
+        return Picture(
+            status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]), number
+        )
 
-    def update(self, number: int, picture: Picture) -> tuple[list[int], int | None]:
+    def update(self, picture: Picture) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
         that are thereby decided, and that of this frame.
 
         Args:
-            number: of the frame.
             picture: result of `inspect`.
 
         Returns:
@@ -113,7 +115,7 @@ class FrameCheck:
             status = USABLE
         if status == USABLE and self._repeats(picture.key):
             status = _REPEATED
-        return self._judged(Picture(status, picture.samples, picture.key, number))
+        return self._judged(picture._replace(status=status))
 
     def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
         if frame.status != USABLE:
@@ -123,7 +125,7 @@ class FrameCheck:
             return [], frame.status
         if not self._deferred:
             step = self._step_to(frame)
-            if self._last is not None and step is not None and self._is_far(frame.number - self._last.number, step):
+            if self._is_far(frame, step):
                 self._deferred.append(frame)
                 return [], None
             self._count(frame, step)
@@ -160,9 +162,7 @@ class FrameCheck:
 
         They do not count, unless too few steps are known to tell what is usual.
         """
-        few = len(self._steps) < NEARBY
-        statuses = [frame.status for frame in self._deferred]
-        return statuses if few else self.settle()
+        return [frame.status for frame in self._deferred] if len(self._steps) < NEARBY else self.settle()
 
     def _repeats(self, key: bytes) -> bool:
         same = key in self._keys
@@ -174,21 +174,23 @@ class FrameCheck:
         return None if self._last is None else frame.squared_distance(self._last)
 
     def _count(self, frame: Picture, step: Array | None) -> None:
-        """Take a frame as the latest usable one, at the squared distance `step` from the one before, None for none."""
+        """Record a usable frame as the latest one; `step` is its squared distance (rows,) from the usable frame before,
+        None if there is none.
+        """
         if self._last is not None and step is not None and frame.number == self._last.number + 1:
             self._steps.append(step)
         self._returned.append(False)
         self._keys.append(frame.key)
         self._last = frame
 
-    def _is_far(self, gap: int, step: Array) -> bool:
-        """Return whether the squared distance `step` from the last usable frame, `gap` frames before, is so large that
-        the image may have jumped.
+    def _is_far(self, frame: Picture, step: Array | None) -> bool:
+        """Return whether the squared distance `step` (rows,) of a frame from the last usable one is so large that the
+        image may have jumped.
         """
-        if not self._steps or sum(self._returned) >= _RETURNS:
+        if self._last is None or step is None or not self._steps or sum(self._returned) >= _RETURNS:
             return False
         # The steps of frames that were dropped or not usable add up.
-        usual = self._usual() * min(gap, LONGEST + 1) ** 2
+        usual = self._usual() * min(frame.number - self._last.number, LONGEST + 1) ** 2
         # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
         return is_far(step, usual) and is_far(step, usual, self._ordinary())
 

@@ -18,7 +18,9 @@ class Connection(H11Protocol):
     that makes room, and no number of connections keeps the owner out.
     """
 
-    connections: set[Self]  # type: ignore[assignment]  # of the server
+    # All connections of the server. uvicorn declares a set of protocols of any kind, of which a set of this class is no
+    # subtype; the server makes all its connections of this class.
+    connections: set[Self]  # type: ignore[assignment]
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

@@ -190,9 +190,8 @@ class Draft:
         scene = scene_of_text(text, path)
         spare(path, *scene.files()[1:])
         if path.exists():
-            content = read_text(
-                path, _REMEDY
-            )  # raises an error for a result or a recording, which a scene never replaces
+            # This raises an error for a result or a recording, which a scene never replaces.
+            content = read_text(path, _REMEDY)
             if path != self.path:
                 _parsed(content, path)
             if not replace and (path != self.path or content != self._stored):

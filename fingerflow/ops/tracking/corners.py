@@ -264,8 +264,9 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
 
 
 def _ranks(frame: Tensor, batch: int) -> tuple[Tensor, Tensor]:
-    """Return for each candidate its number within its frame, and the number of candidates of each frame; candidates are
-    sorted by `frame`.
+    """Number the corner candidates of each frame from 0; return these numbers (K,), and the counts of candidates (B,).
+
+    `frame` (K,) holds the index of each candidate's frame, in ascending order.
     """
     counts = torch.bincount(frame, minlength=batch)
     return torch.arange(len(frame), device=frame.device) - (counts.cumsum(0) - counts)[frame], counts

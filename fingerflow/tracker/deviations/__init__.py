@@ -1,4 +1,4 @@
-"""Error model of published numbers: terms that are added as variances, one a module, for recordings and streams.
+"""Error model of results, in recordings and streams: the variance of a result is the sum of these terms.
 
 | term | module | what it is the variance of |
 |---|---|---|

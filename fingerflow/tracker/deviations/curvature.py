@@ -58,7 +58,14 @@ class Curvature:
 
 
 def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[np.float32]:
-    """Return the variance (n, N) px^2 of the positions `points` (n, N, 2) px in n frames, as `Curvature`."""
+    """Return the variance (n, N) px^2 of a position component of N points in n frames by displacement that is curved
+    within their windows; 0 where too few neighbours are known.
+
+    Args:
+        engine: computes the fits, and gives the side of a window.
+        start: (N, 2) px, positions in the key frame; NaN for no point.
+        points: (n, N, 2) px, positions in the n frames; NaN for lost points.
+    """
     window = engine.settings.window_px
     valid = np.flatnonzero(np.isfinite(start).all(-1))
     result = np.zeros(points.shape[:2], np.float32)

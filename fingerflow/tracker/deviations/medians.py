@@ -43,7 +43,7 @@ def bias_variance(
         entered: points that were advected into the contact.
     """
     assert fields.median_std is not None
-    of_points, components = np.square(fields.median_std), stack_components(fields)
+    of_points, components = np.square(fields.median_std), _stack_components(fields)
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
     smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(BORDER_MM))
@@ -74,7 +74,7 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     rows = ((share > 0) & ((share < 1) | (came > 0))).nonzero()[0]
     if not len(rows):
         return result
-    values = stack_components(fields)[rows]
+    values = _stack_components(fields)[rows]
     whole = np.isfinite(values.sum(1, keepdims=True))
     # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
     ordered = np.where(whole, values, np.float32(np.nan))
@@ -115,7 +115,7 @@ def _nanmedian(values: Array) -> NDArray[np.float64]:
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 
-def stack_components(fields: FrameFields) -> Array:
+def _stack_components(fields: FrameFields) -> Array:
     """Stack divergence, curl, exx, eyy and exy of N points in n frames to an array (n, 5, N)."""
     frames, points = fields.divergence.shape
     result = np.empty((frames, 5, points), fields.divergence.dtype)

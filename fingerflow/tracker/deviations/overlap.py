@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,14 +51,20 @@ class OverlapErrors:
         near = (abs(x[:, None] - x) <= self.window_px) & (abs(y[:, None] - y) <= self.window_px)
         return valid[np.argwhere(np.triu(near, 1))]
 
+    @cached_property
+    def _shared_part(self) -> Array:
+        """Return the part (P,) of the standard deviation of each displacement that image noise causes: errors of onset
+        are independent.
+        """
+        of_onset = np.trace(self.of_onset, axis1=1, axis2=2) / 2
+        return np.sqrt(self.noise / np.maximum(self.noise + of_onset, 1e-30))
+
     def between(self, first: Array, second: Array) -> NDArray[np.float32]:
         """Return the correlations (...) of the displacement errors of points (...) with those of other points."""
-        of_onset = np.trace(self.of_onset, axis1=1, axis2=2) / 2
-        share = np.sqrt(self.noise / np.maximum(self.noise + of_onset, 1e-30))
         distance = np.abs(self.positions_px[first] - self.positions_px[second]) / self.window_px
         later = np.minimum(abs(self.since[first] - self.since[second]), 2)
         common = np.clip(1 - distance, 0, 1).prod(-1) * np.take(_OF_ONSETS if self.by_onsets else _OF_FRAMES, later)
-        return np.nan_to_num(common * share[first] * share[second]).astype(np.float32)
+        return np.nan_to_num(common * self._shared_part[first] * self._shared_part[second]).astype(np.float32)
 
     def variance_gain(self, gauge_px: float) -> NDArray[np.float32]:
         """Return the factor (P,) by which these correlations raise the variance of a gradient fitted around each point.

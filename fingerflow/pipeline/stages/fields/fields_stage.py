@@ -71,7 +71,7 @@ class FieldsStage(Stage):
         displacement, moved = self.trial.stage(DisplacementStage), batch.result(DisplacementStage)
         entered, late = None, np.zeros((2, len(self._reference)))
         if self._entry is not None:
-            entered = self._gradients_since_entry(self._entry, batch.indices)
+            entered = self._gradients_since_entry(self._entry, batch.indices)  # sets `late` of points that enter
             (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
             late[:, displacement.entered] = np.square((xx + yy, yx - xy))
         shift = moved.displacement.astype(np.float32)
