@@ -31,7 +31,7 @@ def test_two_trials_and_one_that_is_not_there(
     assert abrupt.startswith(f"{scenes[0]}: vanishes abruptly (as printed: vanishes abruptly; ")
     assert "collapse" in abrupt
     assert nothing.startswith(f"{scenes[1]}: not judged: ")
-    assert "cannot be read" in nothing
+    assert "there is no such file" in nothing
     assert fading.startswith(f"{scenes[2]}: diminishes (as printed: vanishes abruptly; ")
     assert count == (
         "2 trials: vanishes abruptly 1, diminishes 1, inconclusive 0; "

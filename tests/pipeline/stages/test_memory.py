@@ -18,7 +18,7 @@ from tests.pipeline.stages.conftest import Change
 
 def scene_of(count: int, changed: Change, frames: np.ndarray[Any, Any], folder: Path) -> Scene:
     """Write a scene of so many frames to disk, of which the six with contact repeat."""
-    smaller = {"points = 700": "points = 60", "window_px = 25": "window_px = 9"}
+    smaller = {"points = 700": "points = 200", "window_px = 25": "window_px = 9"}
     scene = changed(smaller, forces=False, frames=frames[:1])
     np.save(folder / "frames.npy", frames[2 + np.arange(count) % 6])
     return scene
@@ -51,7 +51,8 @@ def test_what_stays_in_memory_does_not_grow_with_the_frames(
             tracemalloc.stop()
     gc.unfreeze()
     a_frame = {to: (last - first) / (many - few) for to, (first, last) in count_bytes.items()}
-    assert a_frame[file] < 1000  # of 23,040 bytes: some forty numbers, and offsets of chunks in the file
+    # Of 23,040 bytes a frame: some 120 numbers, and offsets of chunks in the file; a float32 of each point has 800.
+    assert a_frame[file] < 1500
     assert a_frame[file] < a_frame[None] / 5
     xr.testing.assert_identical(load_result(file).drop_attrs(deep=False), made.drop_attrs(deep=False).drop_encoding())
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".h5"] == ["result.h5"]
