@@ -43,6 +43,7 @@ STATED = {
     "real contact area": ("real contact area",),
     "gross contact area": ("gross contact area",),
     "axes of its ellipse": ("semi-major axis", "semi-minor axis"),
+    "median displacement": ("median displacement",),
     "median divergence": ("median divergence",),
     "median curl": ("median curl",),
     "median strain": ("median strain exx", "median strain eyy", "median strain exy"),
@@ -103,6 +104,11 @@ def test_medians(result: xr.Dataset, truth: Truth) -> None:
     of 22 frames: 95 % of normal errors are. The parts of gauge length and border are at most 3 um/mm.
     """
     true = [truth.medians(k) for k in FRAMES]
+    moved = np.array([(medians.displacement_x, medians.displacement_y) for medians in true])
+    error = np.abs(result["global_displacement_vector"].values[FRAMES] - moved)
+    assert np.mean(error < 2 * result["global_displacement_vector_std"].values[FRAMES]) >= 0.9
+    assert np.sqrt((error**2).mean()) < 0.002
+    assert error.max() < 0.006  # three deviations
     for name in ("divergence", "curl"):
         error = 1000 * (result[f"median_{name}"].values[FRAMES] - [getattr(medians, name) for medians in true])
         assert np.sqrt((error**2).mean()) < 1.0, name

@@ -46,6 +46,12 @@ _MEDIAN_STD_EQUATION = (
     "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
     "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
 )
+_AREA_STD_EQUATION = (
+    "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "
+    "d² = (rim/2)² + ((1 − κ)/(2κ))²/3 + √N/(6 N²), rim the share of a border 0.06 mm wide, κ the known share, N points"
+)
+_MEDIAN = "over the area of the gross contact"
+_ERROR = "standard deviation of the"
 _RATE_EQUATION = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
 _STRAIN_EQUATION = (
     "e_xx = u_x + (u_x² + v_x²)/2, e_yy = v_y + (u_y² + v_y²)/2, e_xy = (u_y + v_x)/2 + (u_x u_y + v_x v_y)/2; "
@@ -213,14 +219,21 @@ DISPLACEMENT = (
         equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of "
         "points at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
         shown_in=MICROMETRE),
-    Variable("global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component",
-        equation="(median u, median v) over the points", shown_in=MICROMETRE, label="median displacement"),
+    Variable("global_displacement_vector", ("frame", "xy"), "mm",
+        f"median displacement {SINCE} {_MEDIAN}, by component",
+        equation="(median u, median v) over the area, each part with the u of the nearest point within half of "
+        "fields.gauge_length_mm; NaN where less than 0.85 is known", shown_in=MICROMETRE, label="median displacement"),
+    Variable("global_displacement_vector_std", ("frame", "xy"), "mm", f"{_ERROR} global_displacement_vector",
+        equation=_AREA_STD_EQUATION, shown_in=MICROMETRE),
     Variable("global_displacement", FRAME, "mm", "length of the median displacement",
         equation="|global_displacement_vector|", shown_in=MICROMETRE, label="median displacement"),
+    Variable("global_displacement_std", FRAME, "mm", f"{_ERROR} length of the median displacement",
+        equation="that of the component along global_displacement_vector", shown_in=MICROMETRE),
+    Variable("printed_global_displacement", FRAME, "mm",
+        "length of the median displacement over the points, as the paper has it: points crowd where skin has texture",
+        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),
 )
 
-_MEDIAN = "over the area of the gross contact"
-_ERROR = "standard deviation of the"
 _ALONE = (
     "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, the share "
     "that is not known, and points that moved in"

@@ -8,6 +8,7 @@ from scipy.special import ndtr
 
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
+from fingerflow.pipeline.stages.displacement.area_median import median_over_area
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -31,11 +32,13 @@ class Moved(NamedTuple):
     """Displacement of N points in n frames from the reference position; NaN before contact.
 
     Attributes:
+        position: (n, N, 2) mm.
         displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
         variance: (n, N) mm^2, of a component, by image noise.
         curvature: (n, N) mm^2, of a component, by displacement that is curved within windows.
     """
 
+    position: Points
     displacement: Points
     variance: NDArray[np.float32]
     curvature: NDArray[np.float32]
@@ -101,7 +104,8 @@ class DisplacementStage(Stage):
         super().__init__(trial)
         self.mm_per_px = self.inputs.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
-        self._vector = np.full((len(trial), 2), np.nan)
+        self._vector, self._vector_std = np.full((2, len(trial), 2), np.nan)
+        self._printed = np.full(len(trial), np.nan)
         self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
         self._attributes: dict[str, str | int] = {}
 
@@ -166,10 +170,15 @@ class DisplacementStage(Stage):
         self.results["displacement"][batch.indices] = moved.displacement
         # Root mean square error of a component.
         square = moved.variance + moved.curvature + self._of_onset
-        square[:, self._doubtful] += self._entered_unseen(moved.displacement, batch.indices)
+        square[:, self._doubtful] += self._entered_unseen(moved, batch.indices)
         self.results["displacement_std"][batch.indices] = np.sqrt(square)
-        # Component by component (the lab's script takes the x median twice).
-        self._vector[batch.indices] = nanmedian(moved.displacement)
+        border, reach = self._border.select(batch.indices), self.inputs.scene.fields.gauge_length_mm / 2
+        self._vector[batch.indices], self._vector_std[batch.indices] = median_over_area(
+            moved.position, moved.displacement, square, border, reach
+        )
+        if "printed_global_displacement" in self.trial.requested:
+            # Component by component (the lab's script takes the x median twice).
+            self._printed[batch.indices] = np.linalg.norm(nanmedian(moved.displacement), axis=1)
         if self.by_onsets:
             # A touch in passing counts from itself: beside neighbours that have been dragged along, it is no strain.
             passing = (self.onset < 0) | (batch.indices[:, None] < self.onset)
@@ -177,8 +186,17 @@ class DisplacementStage(Stage):
         return moved
 
     def finish(self) -> None:
+        length = np.linalg.norm(self._vector, axis=1)
+        # Without a displacement its direction is unknown, and the error is that of any component.
+        direction = np.divide(
+            self._vector, length[:, None], where=length[:, None] > 0, out=np.full_like(self._vector, 0.5**0.5)
+        )
         self.results.put("global_displacement_vector", self._vector, self._attributes)
-        self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
+        self.results.put("global_displacement_vector_std", self._vector_std)
+        self.results.put("global_displacement", length, self._attributes)
+        self.results.put("global_displacement_std", np.linalg.norm(direction * self._vector_std, axis=1))
+        if "printed_global_displacement" in self.trial.requested:
+            self.results.put("printed_global_displacement", self._printed, self._attributes)
 
     def tracked_variance(self, indices: NDArray[np.intp], name: str = "position_std_px") -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
@@ -259,9 +277,9 @@ class DisplacementStage(Stage):
         noise = noise_variance(variance, touching, adds_up=self._template == "previous")
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
-        return Moved(moved, noise, self._curvature(indices))
+        return Moved(position, moved, noise, self._curvature(indices))
 
-    def _entered_unseen(self, moved: Points, indices: NDArray[np.intp]) -> Points:
+    def _entered_unseen(self, moved: Moved, indices: NDArray[np.intp]) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
         which may have touched earlier or later than was seen.
 
@@ -270,8 +288,7 @@ class DisplacementStage(Stage):
         inwards by c, the share min(1, b/c) is from before. A point that was not seen in contact in the first frame, at
         a depth d, touched with the probability Phi(d/b): then it has also moved as far as from there to its onset.
         """
-        position = self.results["position"][indices][:, self._doubtful]
-        displacement = moved[:, self._doubtful]
+        position, displacement = moved.position[:, self._doubtful], moved.displacement[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
         depth = self._border.select(indices).inside(position)
         inwards = np.maximum(np.nan_to_num(depth - then), 0) + ELLIPSE_MM
