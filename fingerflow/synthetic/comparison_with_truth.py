@@ -1,5 +1,6 @@
 """Comparison of pipeline results with the ground truth of a synthetic scene."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.ops.tracking.track_points import TrackStatus
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
+from fingerflow.synthetic.frame_threads import each_frame
 
 Array = NDArray[np.float64]
 
@@ -42,7 +44,8 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     looked = np.flatnonzero(large)[:: max(1, large.sum() // 30)]
     checked = np.zeros_like(large)
     checked[[*looked, last]] = True
-    real = np.array([truth.real_contact_area_mm2(i) if checked[i] else np.nan for i in range(scene.n_frames)])
+    real = np.full(scene.n_frames, np.nan)
+    real[checked] = list(each_frame(truth.real_contact_area_mm2, np.flatnonzero(checked).tolist()))
     relative("real contact area", "mm²", result["real_contact_area"].values, real, checked)
     relative("gross contact area", "mm²", result["gross_contact_area"].values, gross, large)
     ellipses = [truth.ellipse(i) for i in range(scene.n_frames)]
@@ -64,7 +67,7 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         return rows
     frames = [*looked[::2], last]
     since = result["median_divergence"].attrs.get("reference_frame")
-    medians = {i: truth.medians(i, reference=since) for i in frames}
+    medians = dict(zip(frames, each_frame(partial(truth.medians, reference=since), frames), strict=True))
     moved = np.array([[medians[i].displacement_x, medians[i].displacement_y] for i in frames])
     strain = result["median_strain"].values[frames].T
     for name, component, measured, true in (
