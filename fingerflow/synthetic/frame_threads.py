@@ -2,14 +2,12 @@
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any
 
 import torch
 
-_Value = TypeVar("_Value")
 
-
-def each_frame(function: Callable[[int], _Value], frames: Sequence[int]) -> Generator[_Value, None, None]:
+def each_frame(function: Callable[[int], Any], frames: Sequence[int]) -> Generator[Any, None, None]:
     """Yield function(frame) of each frame, in order; as many are evaluated at a time as torch has threads.
 
     Each evaluation uses one thread of torch: threads within an operation wait for each other, four times as long on a

@@ -27,8 +27,6 @@ Array = NDArray[np.float64]
 
 #: Newton's iterations end when no coordinate is off by more than this (mm); at 20 mm rounding is 4e-15 mm.
 TOLERANCE = 1e-13
-#: Number of float64 points whose intermediate results stay in a second-level cache.
-CACHED_POINTS = 2**14
 
 
 @dataclass(frozen=True)
@@ -124,14 +122,10 @@ class Truth:
         if ellipse is None:
             return 0.0
         x, y, cell = _grid_around(ellipse, self.mm_per_px / samples_per_px)
-        area = 0.0
-        # Evaluate rows that fit into a cache, and of these the cells of which a part can lie in the apparent contact.
-        rows = max(1, CACHED_POINTS // x.shape[1])
-        for right, down in zip(x.split(rows), y.split(rows), strict=True):
-            near = ellipse.distance(right, down) > -cell / 2
-            filled = self._contact_margin(right[near], down[near], frame, ellipse) / cell + 0.5
-            area += float(filled.clamp(0, 1).sum()) * cell**2
-        return area
+        rows = max(1, 2**14 // x.shape[1])  # of which the intermediate results stay in a cache
+        parts = zip(x.split(rows), y.split(rows), strict=True)
+        margins = (self._contact_margin(*part, frame, ellipse) for part in parts)
+        return sum(float((margin / cell + 0.5).clamp(0, 1).sum()) for margin in margins) * cell**2
 
     # Deformation since the onset
 

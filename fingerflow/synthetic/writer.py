@@ -90,10 +90,7 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, SyntheticScene):
-        raise FingerflowError(
-            f"{path} describes a {type(scene).__name__}, where a Press, a ChainPress, a Slide or a PartialSlip is "
-            "needed"
-        )
+        raise FingerflowError(f"{path} holds a {type(scene).__name__}, not a Press, ChainPress, Slide or PartialSlip")
     return scene
 
 
@@ -108,9 +105,8 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
     def write(number: int) -> None:
         frames[number] = scene.render(number)
 
-    numbers = range(scene.n_frames)
-    with closing(each_frame(write, numbers)) as written:
-        for _ in tqdm(written, total=len(numbers), desc="synthetic frames", unit="frame", disable=not progress):
+    with closing(each_frame(write, range(scene.n_frames))) as written:
+        for _ in tqdm(written, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress):
             pass
     frames.flush()
 
