@@ -87,6 +87,5 @@ class Findings:
         return (
             f"the median divergence is NaN in {self._unknown} of {self._wide} frames with a contact of more than "
             f"{_WIDE_MM2:g} mm2, the first is {self._first_unknown}, the last {self._last_unknown}: there, points with "
-            f"a known divergence reach less than {LEAST_SHARE:.0%} of the contact, or points were seeded on skin that "
-            "already touched, whose deformation before is unknown"
+            f"a known divergence reach less than {LEAST_SHARE:.0%} of the contact"
         )

@@ -37,7 +37,7 @@ RESULTS = (
     *("slip_residual", "slip_flag"),
 )
 # Largest share of the points in contact whose onset is unknown, as they were seeded again on touching skin; with more,
-# medians are NaN: the deformation of that skin before is not known.
+# medians have no deviation: the deformation of that skin before is not known.
 _WITHOUT_ONSET = 0.15
 
 
@@ -161,7 +161,7 @@ class FrameResults:
         median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
         without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
         if without_onset > _WITHOUT_ONSET * touch.touching[0].sum():
-            median, median_std = np.full((2, 5), np.nan)
+            median_std = np.full(5, np.nan)
         results: dict[str, Any] = {"point_strain": fields.strain[0], "entered": self._entries.entered.copy()}
         for name in ("divergence", "divergence_std", "curl", "curl_std"):
             results[name] = getattr(fields, name)[0]
