@@ -1,5 +1,6 @@
 """Comparison of pipeline results with the ground truth of a synthetic scene."""
 
+from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.ops.tracking.track_points import TrackStatus
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
+from fingerflow.synthetic.frame_threads import each_frame
 
 Array = NDArray[np.float64]
 
@@ -40,9 +42,9 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
     large = gross > 10
     looked = np.flatnonzero(large)[:: max(1, large.sum() // 30)]
-    checked = np.zeros_like(large)
-    checked[[*looked, last]] = True
-    real = np.array([truth.real_contact_area_mm2(i) if checked[i] else np.nan for i in range(scene.n_frames)])
+    checked = np.unique([*looked, last])
+    real = np.full(scene.n_frames, np.nan)
+    real[checked] = list(each_frame(truth.real_contact_area_mm2, checked.tolist()))
     relative("real contact area", "mm²", result["real_contact_area"].values, real, checked)
     relative("gross contact area", "mm²", result["gross_contact_area"].values, gross, large)
     ellipses = [truth.ellipse(i) for i in range(scene.n_frames)]
@@ -64,19 +66,17 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         return rows
     frames = [*looked[::2], last]
     since = result["median_divergence"].attrs.get("reference_frame")
-    medians = {i: truth.medians(i, reference=since) for i in frames}
-    moved = np.array([[medians[i].displacement_x, medians[i].displacement_y] for i in frames])
-    strain = result["median_strain"].values[frames].T
+    medians = each_frame(lambda frame: astuple(truth.medians(frame, reference=since)), frames)
+    divergence, curl, *strains, x, y = np.array(list(medians)).T
+    strain = result["median_strain"].values.T
     for name, component, measured, true in (
-        ("global_displacement", "", result["global_displacement"].values[frames], np.hypot(*moved.T)),
-        ("median_divergence", "", result["median_divergence"].values[frames], [medians[i].divergence for i in frames]),
-        ("median_curl", "", result["median_curl"].values[frames], [medians[i].curl for i in frames]),
-        ("median_strain", " exx", strain[0], [medians[i].exx for i in frames]),
-        ("median_strain", " eyy", strain[1], [medians[i].eyy for i in frames]),
-        ("median_strain", " exy", strain[2], [medians[i].exy for i in frames]),
+        ("global_displacement", "", result["global_displacement"].values, np.hypot(x, y)),
+        ("median_divergence", "", result["median_divergence"].values, divergence),
+        ("median_curl", "", result["median_curl"].values, curl),
+        *(("median_strain", *row) for row in zip((" exx", " eyy", " exy"), strain, strains, strict=True)),
     ):
         variable = VARIABLES[name]
-        computed, expected = variable.shown_values(measured), variable.shown_values(np.array(true))
+        computed, expected = variable.shown_values(measured[frames]), variable.shown_values(true)
         error = computed - expected
         rows.append(
             Comparison(

@@ -122,8 +122,10 @@ class Truth:
         if ellipse is None:
             return 0.0
         x, y, cell = _grid_around(ellipse, self.mm_per_px / samples_per_px)
-        filled = self._contact_margin(x, y, frame, ellipse) / cell + 0.5
-        return float(filled.clamp(0, 1).sum()) * cell**2
+        rows = max(1, 2**14 // x.shape[1])  # of which the intermediate results stay in a cache
+        parts = zip(x.split(rows), y.split(rows), strict=True)
+        margins = (self._contact_margin(*part, frame, ellipse) for part in parts)
+        return sum(float((margin / cell + 0.5).clamp(0, 1).sum()) for margin in margins) * cell**2
 
     # Deformation since the onset
 
@@ -333,7 +335,7 @@ def _determinant(matrix: Tensor) -> Tensor:
 
 def _grid_around(ellipse: Ellipse, spacing: float) -> tuple[Tensor, Tensor, float]:
     """Return a square grid of positions (mm) that covers an ellipse, symmetric about its centre, and its spacing."""
-    count = math.ceil(max(ellipse.semi_axes) / spacing) + 1
-    offsets = torch.arange(-count, count + 1, dtype=torch.float64) * spacing
-    y, x = torch.meshgrid(offsets + ellipse.centre[1], offsets + ellipse.centre[0], indexing="ij")
+    counts = (math.ceil(reach / spacing) + 1 for reach in ellipse.reach)
+    offsets = [torch.arange(-count, count + 1, dtype=torch.float64) * spacing for count in counts]
+    y, x = torch.meshgrid(offsets[1] + ellipse.centre[1], offsets[0] + ellipse.centre[0], indexing="ij")
     return x, y, spacing

@@ -4,13 +4,12 @@ import dataclasses
 import json
 import os
 import shutil
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
@@ -21,6 +20,7 @@ from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
+from fingerflow.synthetic.frame_threads import each_frame
 from fingerflow.synthetic.linear_slip import LinearSlip
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
@@ -90,10 +90,7 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, SyntheticScene):
-        raise FingerflowError(
-            f"{path} describes a {type(scene).__name__}, where a Press, a ChainPress, a Slide or a PartialSlip is "
-            "needed"
-        )
+        raise FingerflowError(f"{path} holds a {type(scene).__name__}, not a Press, ChainPress, Slide or PartialSlip")
     return scene
 
 
@@ -108,22 +105,9 @@ def _write_frames(path: Path, scene: SyntheticScene, progress: bool) -> None:
     def write(number: int) -> None:
         frames[number] = scene.render(number)
 
-    # Render one frame per thread: threads within an operation wait for each other, four times as long on a busy
-    # machine.
-    threads = torch.get_num_threads()
-    try:
-        with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            pending = pool.map(write, range(scene.n_frames))
-            try:
-                for _ in tqdm(
-                    pending, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress
-                ):
-                    pass
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, do not wait for all other frames
-                raise
-    finally:
-        torch.set_num_threads(threads)
+    with closing(each_frame(write, range(scene.n_frames))) as written:
+        for _ in tqdm(written, total=scene.n_frames, desc="synthetic frames", unit="frame", disable=not progress):
+            pass
     frames.flush()
 
 
