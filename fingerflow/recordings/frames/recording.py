@@ -366,8 +366,9 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     """
     if dtype.name in COMPUTED_TYPES:
         return dtype
+    admitted = ", ".join(COMPUTED_TYPES)
     raise FingerflowError(
-        f"{path}: pixels are {dtype}, but frames are {', '.join(COMPUTED_TYPES)}. Save them as uint8, uint16 or float32."
+        f"{path}: pixels are {dtype}, but frames are {admitted}. Save them as uint8, uint16 or float32."
     )
 
 
