@@ -23,7 +23,7 @@ _TABLE = {
     "ops": "kernels tensors",
     "graphs": "kernels ops",
     "engines": "errors kernels schema",  # works on NumPy arrays
-    "torch_engine": "engines errors graphs kernels ops tensors",  # see `_room`
+    "torch_engine": "engines errors graphs kernels ops schema tensors",  # see `_room`
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
     "tracker": "engines kernels schema",
     "models": "errors tensors",

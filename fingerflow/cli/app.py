@@ -1,6 +1,7 @@
 """Define the Typer application of all commands, and the options that several commands share."""
 
 import json
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -34,6 +35,27 @@ def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options:
     from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
+
+
+def scene_in(path: Path) -> Any:
+    """Return the scene in a scene file, or the settings with which a result was computed."""
+    from fingerflow.results.result import is_result, open_result
+    from fingerflow.schema.scene import load_scene, scene_of_settings
+
+    if path.suffix not in (".h5", ".hdf5", ".nc", ".zarr") and not is_result(path):
+        return load_scene(path)
+    with open_result(path) as stored:
+        return scene_of_settings(stored.attrs["settings"])
+
+
+def result_in(path: Path) -> Any:
+    """Return a result or the results folder of a stream; for a scene file result.h5 beside it."""
+    from fingerflow.results.result import load_result
+    from fingerflow.results.stream_result import open_stream
+
+    if path.is_dir() and path.suffix != ".zarr":
+        return open_stream(path)
+    return load_result(path.parent / "result.h5" if path.suffix == ".toml" else path)
 
 
 def figure_files(formats: str | None, width: str | None) -> Any:

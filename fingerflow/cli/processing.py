@@ -6,14 +6,14 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, tell
+from fingerflow.cli.app import AsJson, Overwrite, app, process_scene, scene_in, tell
 from fingerflow.errors import FingerflowError
 
 
 @app.command()
 def process(
     scene: Annotated[
-        Path | None, typer.Argument(help="A scene file; with --from the one of that result, where none is given.")
+        Path | None, typer.Argument(help="A scene file, or a result; with --from the scene of that result.")
     ] = None,
     variables: Annotated[
         list[str] | None,
@@ -46,14 +46,13 @@ def process(
 ) -> None:
     """Process the recording of a scene and save the result."""
     from fingerflow.results.result import scene_of
-    from fingerflow.schema.scene import load_scene
 
     if scene is None:
         if earlier is None:
             raise FingerflowError("name a scene file, or a result by --from whose scene is computed again")
         scene = scene_of(earlier)
     path = output or scene.parent / "result.h5"
-    loaded = load_scene(scene)
+    loaded = scene_in(scene)
     result = process_scene(
         loaded, variables, quiet=as_json, device=device, engine=engine, to=path, overwrite=overwrite, earlier=earlier
     )

@@ -6,46 +6,48 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, Format, Overwrite, Width, app, figure_files, process_scene, tell
+from fingerflow.cli.app import (
+    AsJson,
+    Format,
+    Overwrite,
+    Width,
+    app,
+    figure_files,
+    process_scene,
+    result_in,
+    scene_in,
+    tell,
+)
 from fingerflow.errors import FingerflowError
 
 
 @app.command()
 def report(
-    scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
+    scene: Annotated[Path, typer.Argument(help="A scene file, a result, or the results folder of a stream.")],
     result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
     formats: Format = None,
     width: Width = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream.
+    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream, beside it.
 
     With --format or --width, each figure of the page is also written as a file into the folder figures beside it.
     """
     from fingerflow.report import write_report
-    from fingerflow.results.result import load_result
-    from fingerflow.schema.scene import load_scene
 
     files = figure_files(formats, width) if formats or width else None
-    if scene.is_dir():
-        from fingerflow.results.stream_result import open_stream
-
-        if result is not None:
-            raise FingerflowError(
-                f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
-            )
-        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite, figure_files=files)}")
-        return
-    loaded = load_scene(scene)  # loaded first, so that an error in the scene is not reported as an error in the result
-    stored = load_result(result or scene.parent / "result.h5")
-    page = write_report(stored, loaded, scene.parent, overwrite=overwrite, figure_files=files)
+    if scene.is_dir() and result is not None:
+        raise FingerflowError(f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out")
+    # The scene is loaded first, so that an error in it is not reported as an error in the result.
+    loaded, folder = (None, scene) if scene.is_dir() else (scene_in(scene), scene.parent)
+    page = write_report(result_in(result or scene), loaded, folder, overwrite=overwrite, figure_files=files)
     typer.echo(f"report: {page}")
 
 
 @app.command("noise-floor")
 def noise_floor(
     frames: Annotated[Path, typer.Argument(help="A recording of skin, or of a print, that rests on the glass.")],
-    scene: Annotated[Path, typer.Option(help="The scene whose settings apply.")] = Path("scene.toml"),
+    scene: Annotated[Path, typer.Option(help="The scene or result whose settings apply.")] = Path("scene.toml"),
     as_json: AsJson = False,
 ) -> None:
     """Measure the noise floors of displacement, divergence and strain in still frames, and print them as the keys
@@ -53,14 +55,17 @@ def noise_floor(
     """
     from dataclasses import asdict
 
-    from fingerflow.report.noise_floor import MEASURED, still_scene
+    from fingerflow.report.noise_floor import MEASURED, moved, still_scene
     from fingerflow.report.noise_floor import noise_floor as floor_of
-    from fingerflow.schema.scene import load_scene
     from fingerflow.schema.toml_value import toml_value
     from fingerflow.schema.variables import VARIABLES
 
-    still = still_scene(load_scene(scene), frames.resolve())
-    floors = asdict(floor_of(process_scene(still, list(MEASURED), quiet=as_json), still))
+    still = still_scene(scene_in(scene), frames.resolve())
+    measured = process_scene(still, [*MEASURED, "displacement_std"], quiet=as_json)
+    floor = floor_of(measured, still)
+    for warning in moved(measured, floor):
+        typer.echo(f"warning: {frames}: {warning}", err=True)
+    floors = asdict(floor)
     floors = {name: value if isinstance(value, int) else float(f"{value:.3g}") for name, value in floors.items()}
     lines = [
         f"{name:14}{variable.shown_unit.factor * value:.3g} {variable.shown_unit.name}"
@@ -72,7 +77,7 @@ def noise_floor(
 
 @app.command()
 def slip(
-    scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
+    scenes: Annotated[list[Path], typer.Argument(help="Scene files or results of trials of tangential loading.")],
     figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
     formats: Format = None,
     width: Width = None,
@@ -80,7 +85,7 @@ def slip(
 ) -> None:
     """Classify trials of tangential loading: does the stuck area vanish abruptly or shrink gradually?"""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
-    from fingerflow.schema.scene import load_scene
+    from fingerflow.results.result import is_result, load_result
 
     if figure is None and (formats or width):
         raise FingerflowError("--format and --width are of figures; name a folder for them by --figure")
@@ -88,9 +93,10 @@ def slip(
     trials, failed = [], 0
     for path in scenes:
         try:
-            result = process_scene(
-                load_scene(path), ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"], quiet=True
-            )
+            result = load_result(path) if is_result(path) else {}
+            if "stuck_ratio" not in result:
+                names = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"]
+                result = process_scene(scene_in(path), names, quiet=True)
         except FingerflowError as error:
             failed += 1
             typer.echo(f"{path}: not judged: {error}")

@@ -59,8 +59,7 @@ def run(
     from fingerflow.study.table import write_tables
 
     loaded = load_manifest(manifest)
-    if loaded.matched:
-        typer.echo(loaded.matched)
+    typer.echo(loaded.matched, nl=bool(loaded.matched))
     if dry_run:
         planned = plan_run(loaded, only, retry_failed)
         for plan in planned:
@@ -87,9 +86,10 @@ def report(
     from fingerflow.study.manifest import load_manifest
     from fingerflow.study.report import write_study_report
 
-    files = figure_files(formats, width)
+    files, loaded = figure_files(formats, width), load_manifest(manifest)
+    typer.echo(loaded.matched, nl=bool(loaded.matched))
     try:
-        page = write_study_report(load_manifest(manifest), scheduler, workers, figure_files=files)
+        page = write_study_report(loaded, scheduler, workers, figure_files=files)
     except Interrupted as stop:
         typer.echo(f"no page: {stop}", err=True)
         raise typer.Exit(INTERRUPTED) from None

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import Overwrite, app
+from fingerflow.cli.app import Overwrite, app, result_in
 
-Result = Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")]
+Result = Annotated[
+    Path, typer.Argument(help="A result file, the results folder of a stream, or a scene beside its result.h5.")
+]
 
 
 @app.command("export-table")
@@ -29,17 +31,14 @@ def export_table(
 ) -> None:
     """Export a result as a CSV table (a row per frame, point or track step), or completely as .mat, .nwb or .zarr."""
     from fingerflow.results import tables
-    from fingerflow.results.result import load_result
-    from fingerflow.results.stream_result import open_stream
 
-    source = open_stream(result) if result.is_dir() and result.suffix != ".zarr" else load_result(result)
-    tables.export_table(source, table, rows, variables, overwrite)
+    tables.export_table(result_in(result), table, rows, variables, overwrite)
     typer.echo(f"{table} was written")
 
 
 @app.command("export-map")
 def export_map(
-    result: Annotated[Path, typer.Argument(help="A result file.")],
+    result: Result,
     variable: Annotated[str, typer.Argument(help="With a value for each point or triangle, such as divergence.")],
     picture: Annotated[Path, typer.Argument(help="A .tif file, for ImageJ, or a .csv file.")],
     step_mm: Annotated[float, typer.Option(help="Between the places of the grid, on the glass.")] = 0.1,
@@ -47,7 +46,6 @@ def export_map(
 ) -> None:
     """Export a variable as maps on a regular grid of the glass, one map per frame."""
     from fingerflow.results import tables
-    from fingerflow.results.result import load_result
 
-    tables.export_map(load_result(result), picture, variable, step_mm, overwrite)
+    tables.export_map(result_in(result), picture, variable, step_mm, overwrite)
     typer.echo(f"{picture} was written")

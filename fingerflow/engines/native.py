@@ -32,6 +32,7 @@ from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
 from fingerflow.kernels.library import compiled
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
+from fingerflow.schema.pixel_types import COMPUTED_TYPES
 
 
 @dataclass
@@ -68,9 +69,7 @@ class NativeEngine:
         self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
-        if frames.dtype == np.float64:
-            frames = frames.astype(np.float32)
-        return frames[:, None]
+        return frames.astype(COMPUTED_TYPES[frames.dtype.name], copy=False)[:, None]
 
     def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         radius = self.settings.gross_radius_px

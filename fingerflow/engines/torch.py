@@ -23,6 +23,7 @@ from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Templates, further_rounds
 from fingerflow.ops.tracking.window_correlation import sample_windows
+from fingerflow.schema.pixel_types import COMPUTED_TYPES
 
 
 @dataclass
@@ -195,10 +196,9 @@ def images_on(device: torch.device, frames: Array) -> Tensor:
     It must not be written to: on the CPU it shares memory with the frames unless these are converted. uint16 becomes
     int32, with which torch can compute, and float64 becomes float32.
     """
+    frames = frames.astype(COMPUTED_TYPES[frames.dtype.name], copy=False)
     if frames.dtype == np.uint16:
         frames = frames.astype(np.int32)
-    elif frames.dtype == np.float64:
-        frames = frames.astype(np.float32)
     elif not frames.flags.writeable:
         frames = np.asarray(_DeclaredWritable(frames))
     return torch.from_numpy(frames).to(device)[:, None]

@@ -11,6 +11,7 @@ from fingerflow.schema.scene import NoiseFloor, Scene
 
 #: Outputs that `noise_floor` needs.
 MEASURED = ("displacement", "divergence", "strain")
+_MOVED = 5.0  # scatter of displacements, in their stated deviations, above which skin moves: 1 in still frames
 
 
 def still_scene(scene: Scene, frames: Path) -> Scene:
@@ -43,3 +44,15 @@ def noise_floor(result: xr.Dataset, scene: Scene) -> NoiseFloor:
         floor[name] = float(np.sqrt(samples.var(0, ddof=1).mean()))
     settings = {"window_px": scene.tracking.window_px, "gauge_length_mm": scene.fields.gauge_length_mm}
     return NoiseFloor(floor["displacement"], floor["divergence"], floor["strain"], **settings)
+
+
+def moved(result: xr.Dataset, floor: NoiseFloor) -> list[str]:
+    """Return a warning if points moved by more than the noise of their pictures in the result of `noise_floor`."""
+    stated = float(np.sqrt(np.nanmean(np.square(result["displacement_std"].values[1:].astype(np.float64)))))
+    if not floor.displacement_mm > _MOVED * stated:
+        return []
+    return [
+        f"points move by {1000 * floor.displacement_mm:.3g} um, and the noise of the pictures explains "
+        f"{1000 * stated:.2g} um: this is no noise floor unless the rig vibrates so. Record skin or a print that rests "
+        f"on the glass"
+    ]

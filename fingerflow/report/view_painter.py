@@ -38,7 +38,10 @@ class ViewPainter:
         """Return an RGB image (H, W, 3) of a frame, by its index in the result: its views side by side, with contact,
         points, and displacement arrows lengthened by `arrow_scale` (0: no arrows).
         """
-        picture, outlined = self._recording[self._first + frame], self._outlined.isel(frame=frame)
+        picture, outlined = (
+            self._recording[self._first + frame],
+            self._outlined.isel(frame=frame, missing_dims="ignore"),
+        )
         outlines = ((contact_outline(outlined), CONTACT, 1), (stuck_outline(outlined), STUCK, 2))
         parts = []
         for number, (view, matrix) in enumerate(self._views):

@@ -28,7 +28,7 @@ REFERENCE = "reference"  # column that names the trial of the same participant w
 KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
 _KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
 _STUDY_KEYS = ("results", "trials", "answers", "design")
-_MOST_SHOWN = 20  # largest number of wrong rows listed in an error; the others are counted
+_MOST_SHOWN = 20  # largest number of wrong rows, and of those without a partner, that are listed; others are counted
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Manifest:
     shared: Mapping[str, Any]
     trials: tuple[TrialEntry, ...]
     design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
-    matched: str = ""  # sentence that says how many of the rows of answers belong to trials
+    matched: str = ""  # sentence that says which trials have an answer, and which rows of answers no trial
 
     def build_scene(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
@@ -121,7 +121,17 @@ def load_manifest(path: str | Path) -> Manifest:
             row.update({name: value for name, value in answer_row.items() if not row.get(name)})
             row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
-    return Manifest(path, results, shared, _entries(rows, labels, path), design, matched)
+    trials = _entries(rows, labels, path)
+    without = [entry.name for entry in trials if entry.answer is None]
+    if len(without) < len(trials):
+        matched += f"{len(trials) - len(without)} of {len(trials)} trials have an answer{_listed('; without', without)}"
+    return Manifest(path, results, shared, trials, design, matched)
+
+
+def _listed(words: str, names: Sequence[str]) -> str:
+    """Return names behind the words that say what they are, "" for none."""
+    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
+    return f"{words}: {', '.join(names[:_MOST_SHOWN])}{more}" if names else ""
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -131,7 +141,7 @@ def relative(path: Path, folder: Path) -> str:
 
 def matching(rows: Sequence[Mapping[str, str]], answers: Path) -> tuple[list[dict[str, str]], str]:
     """Return, for each row of the table of trials, the row of the table `answers` of the same participant and trial
-    number, {} if there is none, and a sentence that says how many rows matched.
+    number, {} if there is none, and a sentence that says which rows matched.
 
     The condition counts too, if both tables have it. Identifiers are compared by `spelled_alike`.
 
@@ -161,14 +171,14 @@ def matching(rows: Sequence[Mapping[str, str]], answers: Path) -> tuple[list[dic
             )
         answer_rows[key(row)] = row
     matched = [answer_rows.get(key(row), {}) for row in rows]
-    count = sum(map(bool, matched))
-    if not count:
+    strays = [
+        " ".join(f"{name} {row[name]}" for name in names) for match, row in answer_rows.items() if match not in trials
+    ]
+    if not any(matched):
         trial, answer = (", ".join(f"{name} {row.get(name, '')!r}" for name in names) for row in (rows[0], table[0]))
         raise FingerflowError(f"{answers}: none of its trials is one of the study, such as {trial}; it has {answer}")
-    return (
-        matched,
-        f"{answers.name}: {count} of {len(table)} rows belong to trials, {count} of {len(rows)} trials have one",
-    )
+    count = f"{answers.name}: {len(table) - len(strays)} of {len(table)} rows belong to trials"
+    return matched, f"{count}{_listed(', not', strays)}; "
 
 
 def spelled_alike(name: str) -> str:

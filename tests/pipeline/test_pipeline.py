@@ -109,7 +109,11 @@ def test_what_cannot_be_computed_is_named(scene: Scene, tmp_path: Path) -> None:
     background = replace(scene.background, frames=tmp_path / "small.npy", dark=None)
     alone = Views({"contact": scene.views.contact})
     swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
+    itself = replace(background, frames=scene.recording.frames)
+    later = replace(scene.recording, first_frame=3)
     cases: list[tuple[dict[str, Any], str, str]] = [
+        ({"background": itself}, "real_contact_area", "the recording itself"),
+        ({"background": itself, "recording": later}, "real_contact_area", "the recording itself"),
         ({}, "real_contact_aera", "did you mean 'real_contact_area'"),
         ({"views": alone}, "divergence", "topography"),
         ({"forces": None}, "normal_force", "forces"),

@@ -129,9 +129,20 @@ def test_a_trigger_within_a_step_leaves_the_first_frame_covered() -> None:
     assert np.isfinite(late[1:]).all()
 
 
-def test_forces_that_cover_no_frame():
-    with pytest.raises(FingerflowError, match=r"0 to 1\.4999 s, the frames from 10\.2137 to 11\.2104 s"):
-        forces(x=np.ones(TIMES.size)).resample(FRAMES + 10)
+@pytest.mark.parametrize(
+    ("times", "frames", "cause"),
+    [
+        (TIMES, FRAMES + 10, r"0 to 1\.4999 s, the frames from 10\.2137 to 11\.2104 s"),
+        (TIMES * 1e3, FRAMES, r"last 1\.5e\+03 s, the 300 frames 0\.997 s.*unit of the times"),  # ms read as s
+        (TIMES * 1e6, FRAMES, "unit of the times"),
+        (TIMES * 1e-3, FRAMES - FRAMES[0], "unit of the times"),  # s read as ms
+        (TIMES / 60, FRAMES - FRAMES[0], "unit of the times"),
+        (np.arange(-2.0, 30) * 5, FRAMES, "unit of the times"),  # 0.2 Hz
+    ],
+)
+def test_forces_of_another_time_than_the_frames(times: np.ndarray, frames: np.ndarray, cause: str) -> None:
+    with pytest.raises(FingerflowError, match=cause):
+        forces(times, x=np.ones(times.size)).resample(frames)
 
 
 def test_forces_slower_than_the_frames_are_interpolated_and_it_is_said():

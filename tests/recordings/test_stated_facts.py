@@ -13,8 +13,12 @@ import tifffile
 from nptdms import ChannelObject, TdmsWriter
 
 from fingerflow import open_forces, open_recording
+from fingerflow.engines.engine import EngineSettings
+from fingerflow.engines.native import NativeEngine
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.recordings.forces.forces import Forces
+from fingerflow.schema.pixel_types import COMPUTED_TYPES
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_rows import read_rows
 
@@ -107,10 +111,12 @@ def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, 
     assert bool(warns) == bool(recording.warnings)
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64", ">f4", ">u2"])
+@pytest.mark.parametrize("dtype", [*COMPUTED_TYPES, ">f4", ">f8", ">u2"])
 def test_pixel_types_that_are_admitted(dtype: str, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((2, 16, 24), dtype))
-    assert open_recording(tmp_path / "a.npy")[0].sum() == 384
+    frame = open_recording(tmp_path / "a.npy")[0]
+    assert frame.sum() == 384
+    assert NativeEngine(EngineSettings()).images(frame[None]).dtype.name in FRAME_KINDS
 
 
 @pytest.mark.parametrize("dtype", ["uint32", "float16", "longdouble", "uint64", "int8", "bool"])

@@ -1,6 +1,7 @@
 """Tests of the page of a result: its content, one self-contained file, and its layout on a phone and in print."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
 from fingerflow.report.key_numbers import key_numbers, scatter
+from fingerflow.results.result import save_result
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -141,6 +143,24 @@ def test_strain_that_no_skin_has_is_said(trial: Trial) -> None:
 
 
 @pytest.mark.long
+def test_commands_take_a_scene_or_its_result(
+    trial: Trial, command: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, result = trial
+    save_result(result[["normal_force", "gross_contact_area"]], tmp_path / "other.h5")
+    save_result(result, scene.path.parent / "result.h5")
+    for source in (tmp_path / "other.h5", scene.path):
+        assert command("export-table", source, tmp_path / "table.csv") == 0
+        assert command("process", source, "-v", "normal_force", "-o", tmp_path / "forces.h5") == 0
+    assert command("export-map", scene.path, "divergence", tmp_path / "map.csv") == 0
+    assert command("report", tmp_path / "other.h5") == 0
+    assert "Key numbers" in told(tmp_path / "report.html")
+    (tmp_path / "other.h5").write_bytes(b"damaged")
+    capsys.readouterr()
+    assert command("report", tmp_path / "other.h5") == 2
+    assert "UTF-8" not in capsys.readouterr().err
+
+
 def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
     """The page makes no network request, no line is wider than a phone, and the cursor reads out the values of the
     result.

@@ -48,7 +48,7 @@ def test_two_trials_and_one_that_is_not_there(
     assert "n = 120 frames" in caption
 
 
-def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> None:
+def test_the_stuck_part_in_page_and_video(command: Command, slip_trials: Path, tmp_path: Path, capsys: Printed) -> None:
     """The page shows the verdict with its figure; page and video show the outline of the stick region at its border,
     and none once nothing sticks.
     """
@@ -57,6 +57,9 @@ def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> 
     page = write_report(result, scene, tmp_path).read_text(encoding="utf-8")
     assert "Partial slip: vanishes abruptly" in page
     assert ">stuck part<" in page  # in the legend of the image
+    save_result(result, tmp_path / "result.h5")
+    assert command("slip", tmp_path / "result.h5") == 0
+    assert "result.h5: vanishes abruptly" in capsys.readouterr().out
     with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         painter = ViewPainter(result, scene, recording)
         for frame, size in ((40, 1), (119, 0)):

@@ -1,6 +1,7 @@
 """Tests of the manifest of a study and its table, and errors that name the row."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -156,6 +157,7 @@ ANSWERS = {
     "decimals": ("1212", "participant,trial,answer\n1.0,1.0,1\n1.0,2.0,0\n", [True, False, None, None]),
     "semicolons": ("1212", "participant;trial;condition;answer\n1;1;0,0;1\n1;2;2,0;0\n", [True, False, None, None]),
     "each condition": ("1111", "participant,trial,condition,answer\n01,1,0,0\n01,1,2,1\n", [False, True, None, None]),
+    "strays": ("1212", "participant,trial,answer\n1,1,1\n9,1,0\n9,2,0\n", [True, None, None, None]),
     "one condition": ("1111", "participant,trial,condition,answer\n01,1,2,1\n", [None, True, None, None]),
     "shared": ("1111", "participant,trial,answer\n01,1,1\n", "row 2: participant 01, trial 1 is 2 trials of the study"),
     "other condition": ("1212", "participant,trial,condition,answer\n01,1,2,1\n", "none of its trials is one of"),
@@ -164,7 +166,9 @@ ANSWERS = {
 
 
 @pytest.mark.parametrize("case", ANSWERS)
-def test_answers_belong_to_participant_condition_and_trial(case: str, tmp_path: Path) -> None:
+def test_answers_belong_to_participant_condition_and_trial(
+    case: str, tmp_path: Path, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
     numbers, answers, expected = ANSWERS[case]
     (tmp_path / "trials.csv").write_text(_TRIALS.format(*numbers))
     (tmp_path / "answers.csv").write_text(answers)
@@ -176,7 +180,12 @@ def test_answers_belong_to_participant_condition_and_trial(case: str, tmp_path: 
     study = load_manifest(tmp_path)
     assert [entry.answer for entry in study.trials] == expected
     count = sum(answer is not None for answer in expected)
-    assert f"{count} of {answers.count(chr(10)) - 1} rows belong to trials, {count} of 4 trials" in study.matched
+    strays = ", not: participant 9 trial 1, participant 9 trial 2" if case == "strays" else ""
+    assert f"{count} of {answers.count(chr(10)) - 1} rows belong to trials{strays}; " in study.matched
+    without = ", ".join(entry.name for entry in study.trials if entry.answer is None)
+    assert command("study", "report", tmp_path) == 2  # nothing is measured
+    assert study.matched in capsys.readouterr().out
+    assert study.matched.endswith(f"{count} of 4 trials have an answer" + (f"; without: {without}" if without else ""))
 
 
 def test_a_participant_written_in_two_ways_is_named(tmp_path: Path) -> None:

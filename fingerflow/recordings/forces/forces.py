@@ -14,6 +14,9 @@ from fingerflow.recordings.forces.low_pass import low_pass
 
 Samples = NDArray[np.float64]
 _LEAST_SAMPLES = 4  # within the frames, from which their forces can be interpolated at all
+# Duration of forces in that of the frames above which forces sampled less often than frames, and below which all, are
+# taken to be in another unit of time.
+_LONGEST, _SHORTEST = 50.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +105,13 @@ class Forces:
             )
         self._check_overlap(targets)
         within = int(np.sum((self.times >= targets.min()) & (self.times <= targets.max())))
-        if within < _LEAST_SAMPLES < targets.size:
+        lasts, span = float(np.ptp(self.times)), float(np.ptp(targets))
+        sparse = (_rate(self.times) or 0.0) < (_rate(targets) or 0.0) and lasts > _LONGEST * span
+        if targets.size > _LEAST_SAMPLES and (within < _LEAST_SAMPLES or sparse or lasts < _SHORTEST * span):
             raise FingerflowError(
-                f"{self.path}: only {within} samples of the forces, which last {np.ptp(self.times):g} s, lie within "
-                f"the {targets.size} frames of {np.ptp(targets):g} s: is the unit of the times right? Write it in the "
-                "heading, 'time (ms)', or give the sample_rate"
+                f"{self.path}: the forces last {lasts:.3g} s, the {targets.size} frames {span:.3g} s, and {within} "
+                "samples lie within them: is the unit of the times right? Write it in the heading, 'time (ms)', or "
+                "give the sample_rate; check recording.frame_rate"
             )
         # Samples that are not finite count as missing; channels that lack the same samples are filtered together.
         lacking: dict[bytes, list[str]] = {}

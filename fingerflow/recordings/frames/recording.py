@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
+from fingerflow.schema.pixel_types import COMPUTED_TYPES
 
 # Lossy codecs (names in FFmpeg and tifffile) that compress each frame independently of the others (intra-frame).
 EACH_FRAME_BY_ITSELF = frozenset(
@@ -23,9 +24,6 @@ EACH_FRAME_BY_ITSELF = frozenset(
 
 _PLAYBACK_HZ = 60.0  # Hz, highest stated rate that may be that of playback instead of recording
 _SAME_RATE = 0.01
-
-#: Types of pixels, in either byte order, that readers admit: those of the kernels, and float64, which is rounded.
-PIXEL_TYPES = ("uint8", "uint16", "float32", "float64")
 
 Frames = NDArray[Any]
 
@@ -366,10 +364,11 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     Raises FingerflowError for types that the kernels do not take, among them signed integers, logical and complex
     values, for which the meaning of zero is ambiguous.
     """
-    if dtype.name in PIXEL_TYPES:
+    if dtype.name in COMPUTED_TYPES:
         return dtype
+    admitted = ", ".join(COMPUTED_TYPES)
     raise FingerflowError(
-        f"{path}: pixels are {dtype}, but frames are {', '.join(PIXEL_TYPES)}. Save them as uint8, uint16 or float32."
+        f"{path}: pixels are {dtype}, but frames are {admitted}. Save them as uint8, uint16 or float32."
     )
 
 

@@ -133,7 +133,10 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            if np.array_equal(still[0], self.recording[0]) and len(still) == len(self.recording) > 1:
+            same = still[self.scene.recording.first_frame :][: len(self.recording)]
+            if len(same) == len(self.recording) > 1 and np.array_equal(
+                *(read_frames(frames[[0, -1]]) for frames in (same, self.recording))
+            ):
                 raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
