@@ -27,6 +27,7 @@ _CURVES = {
     "S13": (("B", "curl"),),
 }
 _AREAS = ("gross_contact_area", "real_contact_area")  # areas in figure S1, which shows them at 3 N
+_NEVER_NEGATIVE = (*_AREAS, "strain_energy")
 _MOST_NAMED = 12  # largest number of conditions named in a legend
 
 
@@ -103,7 +104,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     its 95 % interval over participants as a band; `curves` is the table `curves.csv` as a DataFrame.
     """
     rows = curves[curves["metric"] == metric]
-    conditions = list(dict.fromkeys(rows["condition"]))
+    conditions, floor = list(dict.fromkeys(rows["condition"])), 0.0 if metric in _NEVER_NEGATIVE else None
     shown = NUMBERS[metric]
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.
     means = shown.shown_values(rows["mean"])
@@ -113,11 +114,13 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
         force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
         label = f"{condition:g}" if isinstance(condition, float) else str(condition)
         axes.plot(force, mean, label=label if len(conditions) <= _MOST_NAMED else None, **style)
-        low, high = shown.shown_values(part["low"]), shown.shown_values(part["high"])
+        low, high = shown.shown_values(part["low"]).clip(lower=floor), shown.shown_values(part["high"])
         axes.fill_between(force, low, high, color=style["color"], alpha=0.15, linewidth=0)
     low, high = axes.get_ylim()
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
-    axes.set_ylim(max(low, float(means.min()) - margin), min(high, float(means.max()) + margin))
+    axes.set_ylim(
+        max(low if floor is None else floor, float(means.min()) - margin), min(high, float(means.max()) + margin)
+    )
     caption = (
         f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
         "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
