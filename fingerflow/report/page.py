@@ -238,10 +238,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
     loads = [(draw, name) for draw, name in time_only if name in result]
     loads = [(draw, name) for draw, name in loads if name == "normal_force" or varies(result, name)]
-    contact: list[tuple[Draw, str]] = [
-        (plot.contact_area, "gross_contact_area"),
-        (plot.contact_axes, "ellipse_semi_axes"),
-    ]
+    contact = (plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")
     sections.append(make.curves("Contact and load", contact, before=make.each(loads)))
     deformation: list[tuple[Draw, str]] = [
         (plot.median_divergence, "median_divergence"),

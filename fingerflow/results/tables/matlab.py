@@ -17,7 +17,6 @@ _ABOUT = (
     "dimension."
 )
 _COUNTED = ("frame", "onset_frame", "triangles")  # indices from 0 in a data set
-_DESCRIBED = {"units": "units", "definitions": "long_name", "meanings": "flag_meanings"}  # attributes of variables
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:
@@ -28,7 +27,7 @@ def save_matlab(result: xr.Dataset, path: Path) -> None:
     content: dict[str, Any] = {
         name: values.values + (name in _COUNTED) for name, values in variables.items() if values.dtype.kind in "iufb"
     }
-    for name, attribute in _DESCRIBED.items():
+    for name, attribute in (("units", "units"), ("definitions", "long_name"), ("meanings", "flag_meanings")):
         content[name] = {key: values.attrs[attribute] for key, values in variables.items() if attribute in values.attrs}
     content["components"] = {
         name: variables[str(values.dims[-1])].values.astype(object)
