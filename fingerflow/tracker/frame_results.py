@@ -15,7 +15,7 @@ from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.entry import Entries
-from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.onset import Touches, interpolate_displacement
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -36,9 +36,6 @@ RESULTS = (
     *("median_strain", "median_strain_std"),
     *("slip_residual", "slip_flag"),
 )
-# Largest share of the points in contact whose onset is unknown, as they were seeded again on touching skin; with more,
-# medians have no deviation: the deformation of that skin before is not known.
-_WITHOUT_ONSET = 0.15
 
 
 class Seeding(NamedTuple):
@@ -72,6 +69,7 @@ class FrameResults:
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self._frames = 0
+        self._touches = Touches(0)
 
     @property
     def slipping(self) -> bool:
@@ -110,14 +108,19 @@ class FrameResults:
         }
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
-        self._seeding = seeding
-        # (N,) points that were seeded again on skin already in contact: their onset is not known.
-        self._seeded_in_contact = covered & (self._frames > 0)
+        self._seeding, count = seeding, len(seeding.points)
+        positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        # (N,) mm^2, variance of displacements taken over from previous points; NaN where there are none, so that the
+        # displacement of skin that was in contact when it was seeded is not known.
+        self._inherited, touches = np.zeros(count), Touches(count)
         if seeding.before is not None:
             self._slip.follow_others(seeding.before, seeding.points)
-        count = len(seeding.points)
-        self._touches = Touches(count)
-        positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
+            rows, before = covered.nonzero()[0], np.zeros((0, 2)) if seeding.before is None else seeding.before
+            moved = self._on_glass(before) - self._touches.position[: len(before)]
+            inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
+            touches.replace(rows, positions[rows] - inherited)
+        self._touches = touches
         self._entries, self._curvature = Entries(self._engine, positions), Curvature(self._engine, seeding.points)
         self._deformation = Deformation(self._engine, positions)
         # Noise counts alike for all points, and their onsets are not known yet.
@@ -145,21 +148,23 @@ class FrameResults:
         """
         position, px2 = self._on_glass(points), np.float32(self._per_px**2)
         variance, frame = noise + curvature, np.array([self._frames])
+        left = np.isnan(self._inherited) & (covered[0] == 0)
+        if left.any():
+            self._inherited[left] = 0
+            self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
         touch = self._touches.add_frames(frame, covered, position, noise, ellipse)
         entered = self._entries.update(
             position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], ellipse
         )
         if self._frames % EVERY == 0:
             self._entries.learn_errors()
-        of_displacement = (noise_variance(noise, touch) + curvature) * px2
+        of_displacement = (noise_variance(noise, touch) + curvature) * px2 + self._inherited.astype(np.float32)
         reference, moved = touch.position[0], position - touch.position
+        moved[0, np.isnan(self._inherited)] = np.nan
         since = Displacement(reference, moved, of_displacement, self._entries.of_onset, self._gain, entered)
         fields, ranks = self._deformation.add(frame, since, ellipse)
         assert fields.median_std is not None
         median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
-        without_onset = (self._seeded_in_contact & touch.touching[0]).sum()
-        if without_onset > _WITHOUT_ONSET * touch.touching[0].sum():
-            median_std = np.full(5, np.nan)
         results: dict[str, Any] = {"point_strain": fields.strain[0], "entered": self._entries.entered.copy()}
         for name in ("divergence", "divergence_std", "curl", "curl_std"):
             results[name] = getattr(fields, name)[0]

@@ -14,6 +14,7 @@ Array = NDArray[Any]
 #: Number of consecutive frames in which the contact must cover a point for a lasting touch.
 LASTING = 3
 _NO_PAIR = complex(np.nan, np.nan)
+_NEAREST = 4  # number of previous points from which a new one takes its displacement, weighted by distance
 
 
 class Touching(NamedTuple):
@@ -64,6 +65,15 @@ class Touches:
         # Positions, variances and border in the previous frame.
         self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
         self._border_before = FrameEllipse(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
+
+    def replace(self, points: Array, position: Array) -> None:
+        """Give points (n,), indices, a lasting touch that began at `position` (n, 2) mm; NaN for no touch, so that the
+        next frame in contact begins one.
+        """
+        known = np.isfinite(position).all(1)
+        self.length[points], self.position[points] = np.where(known, LASTING, 0), position
+        self.share[points] = np.where(known, 1, np.nan)
+        self.variance[points] = self.earlier[points] = np.where(known, 0, np.nan)
 
     def add_frames(
         self, frames: Array, covered: Array, position: Array, variance: Array, border: FrameEllipse
@@ -122,6 +132,28 @@ class Touches:
         self.length[active], self.position = length[-1], start_position[-1].copy()
         self.share, self.variance, self.earlier = share[-1].copy(), spread[-1].copy(), earlier[-1].copy()
         return Touching(start_position, share, spread, earlier, touching, begins)
+
+
+def interpolate_displacement(before: Array, moved: Array, points: Array, fewest: int) -> tuple[Array, Array]:
+    """Return the displacements (N, 2) of newly seeded points, interpolated from those of the nearest previous points,
+    and the variance (N,) of a component among these; NaN if fewer than `fewest` previous points are known.
+
+    Args:
+        before: (M, 2) px, previous points in the frame of the seeding, NaN where lost.
+        moved: (M, 2) their displacements in any unit, NaN where not known.
+        points: (N, 2) px, the new points; NaN for none.
+    """
+    displacement, variance = np.full(points.shape, np.nan), np.full(len(points), np.nan)
+    known, new = np.isfinite(before + moved).all(-1), np.isfinite(points).all(-1)
+    if known.sum() >= max(fewest, _NEAREST):
+        distance = np.square(points[new, None] - before[None, known]).sum(-1)
+        nearest = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
+        weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
+        values, total = moved[known][nearest], weight.sum(1)
+        displacement[new] = (weight * values).sum(1) / total
+        square = np.square(values - displacement[new, None])
+        variance[new] = ((weight * square).sum(1) / total).mean(1)
+    return displacement, variance
 
 
 def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> tuple[Array, Array]:

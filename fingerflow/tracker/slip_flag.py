@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.tracker.onset import interpolate_displacement
+
 Array = NDArray[Any]
 
 _FEWEST = 12  # least number of points in contact for a fit of five coefficients
 _RAISED = 2.0  # factor on the noise of a point above which the flag is raised
 _ALL_ROUND = 2.0  # factor on the spread: the whole rim is ahead, its last part by a third of its first part
-_NEAREST = 4  # number of previous points from which a new one takes its displacement, weighted by distance
 _FRAMES = 3  # number of consecutive frames before the flag is raised or withdrawn
 
 
@@ -56,16 +57,9 @@ class SlipFlag:
         In the frame of the seeding the previous points lay at `before` (M, 2) px, NaN where lost.
         """
         moved = before - self._touched if len(self._touched) else np.full_like(before, np.nan)
-        valid, new = np.isfinite(moved).all(-1), np.isfinite(points).all(-1)
-        self._touched = np.full(points.shape, np.nan)
-        if valid.sum() >= _FEWEST:
-            distance = np.square(points[new, None] - before[None, valid]).sum(-1)
-            nearest = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
-            weight = 1 / (np.take_along_axis(distance, nearest, axis=1) + 1)[..., None]
-            by_nearest = (weight * moved[valid][nearest]).sum(1) / weight.sum(1)
-            self._touched[new] = points[new] - by_nearest
-        else:
-            self._held |= self.slipping
+        inherited, _ = interpolate_displacement(before, moved, points, _FEWEST)
+        self._touched = points - inherited
+        self._held |= self.slipping and not np.isfinite(inherited).any()
 
     def update(self, points: Array, std: Array, covered: Array) -> float:
         """Add the next frame, and return its slip residual, px: the RMS deviation per component of the displacement in

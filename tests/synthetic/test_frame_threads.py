@@ -1,5 +1,6 @@
 """Tests of the evaluation of frames in threads."""
 
+import time
 from collections.abc import Callable
 from contextlib import closing
 
@@ -26,13 +27,14 @@ def test_the_rest_is_left_out(broken: bool, torch_threads: Callable[[int], None]
         evaluated.append(frame)
         if broken and frame == 2:
             raise KeyboardInterrupt
+        time.sleep(0.01)
         return frame
 
-    with closing(each_frame(evaluate, range(100_000))) as values:
+    with closing(each_frame(evaluate, range(1000))) as values:  # ten seconds in all
         if broken:
             with pytest.raises(KeyboardInterrupt):
                 list(values)
         else:
             assert next(values) == 0
-    assert len(evaluated) < 100_000
+    assert len(evaluated) < 1000
     assert torch.get_num_threads() == 2

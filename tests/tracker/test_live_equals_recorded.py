@@ -13,9 +13,12 @@ from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
+from fingerflow.tracker.frame_results import FrameResults, Seeding
+from fingerflow.tracker.frame_tracker import PAGE
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
-from tests.small_trials import recipe_of_trials, write_library_bundle
+from fingerflow.tracker.reseeding import ReseedingSchedule
+from tests.small_trials import FRAMES, recipe_of_trials, write_library_bundle
 
 pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 Array = np.ndarray[Any, Any]
@@ -82,6 +85,43 @@ def test_a_stream_equals_the_recording_bit_for_bit(
     medians = recorded["median_divergence"].values.astype(np.float32)
     np.testing.assert_array_equal(records["median_divergence"][:frames][calm], medians[:frames][calm])
     assert np.isfinite(medians[:frames][calm]).sum() > 25
+
+
+@pytest.mark.parametrize("before", ["tracked", "lost"])
+def test_points_seeded_in_contact_take_over_the_displacement(
+    played: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, before: str
+) -> None:
+    """Points that are seeded again on skin in contact count from the onset of the points before them; where these are
+    lost, that skin and its medians are NaN.
+    """
+    update, begin = ReseedingSchedule.update, FrameResults._begin
+    asked: list[int] = []
+
+    def update_and_ask(schedule: ReseedingSchedule, index: int, number: int, tracked: int) -> str:
+        update(schedule, index, number, tracked)
+        if number < 36 or asked:
+            return ""
+        asked.append(number)
+        return PAGE
+
+    def begin_without(results: FrameResults, seeding: Seeding, covered: Array) -> None:
+        lost = None if seeding.before is None else np.full_like(seeding.before, np.nan)
+        begin(results, seeding._replace(before=lost), covered)
+
+    monkeypatch.setattr(ReseedingSchedule, "update", update_and_ask)
+    if before == "lost":
+        monkeypatch.setattr(FrameResults, "_begin", begin_without)
+    records = played["press"].play()
+    frames = np.arange(40, FRAMES)
+    assert records["restart"][frames].min() == 2
+    median, stated = (1000 * records[f"median_divergence{suffix}"][frames] for suffix in ("", "_std"))
+    if before == "lost":
+        assert np.isnan(median[:8]).all()
+        return
+    recorded = 1000 * fingerflow.process(played["press"].scene)["median_divergence"].values[frames]
+    assert recorded[0] > 20  # um/mm, by which a count that starts at the seeding would be off
+    assert (np.abs(median - recorded) < 2 * stated).mean() > 0.95
+    assert np.abs(median - recorded).max() < 10
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:
