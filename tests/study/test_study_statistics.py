@@ -71,8 +71,8 @@ def test_what_is_left_out_is_counted() -> None:
     }
     assert sample.counted.used == len(sample.trials.answer) == 74
     frame["reference"] = ""
-    frame["trial"] = np.arange(84)
-    frame.loc[10, "reference"] = 5
+    frame["trial"] = [str(number) for number in range(84)]
+    frame.loc[10, "reference"] = "5"
     assert [count for _, count in read_sample(frame).counted.rules] == [5, 4, 1]
     frame["answer"] = None
     without = read_sample(frame)
