@@ -29,7 +29,6 @@ def test_an_odd_field_has_the_value_at_the_centre_however_points_crowd() -> None
     assert np.abs(np.median(displacement[0], axis=0) - [0.1, -0.05]).max() > 0.02
     # Points are 0.8 mm apart where they are few: the line of the median is known to a quarter of that.
     np.testing.assert_allclose(median[0], [0.1, -0.05], atol=0.02 * 0.8 / 2)
-    assert (np.abs(median[0] - [0.1, -0.05]) < 3 * deviation[0]).all()
     assert (deviation[0] < 0.005).all()
 
 

@@ -16,7 +16,7 @@ from fingerflow.tracker.contact_border import BORDER_MM
 
 Array = NDArray[Any]
 
-_SIDE = 64  # px, side of the picture of a contact in which the nearest points are searched
+_SIDE = 48  # px, side of the picture in which the nearest points are searched
 _FEWEST = 3  # least number of points
 
 
@@ -26,9 +26,10 @@ def median_over_area(
     """Return the medians (n, 2) mm of displacements over the area of the contact, by component, and their standard
     deviations (n, 2) mm.
 
-    Each part of the area counts with the displacement of the nearest point, up to `reach_mm` from it. A median over the
-    points would differ, since they crowd where skin has texture. As for the fields (`ops.fields.area_medians`), a
-    median is NaN where less than 0.85 of the area is known, and where there is no contact.
+    Each part of the area counts with the displacement of the nearest point, up to `reach_mm` from it, in lengths that
+    the axes of the ellipse scale. A median over the points would differ, since they crowd where skin has texture. As
+    for the fields (`ops.fields.area_medians`), a median is NaN where less than 0.85 of the area is known, and where
+    there is no contact.
 
     The deviation is half the difference of the quantiles at 1/2 +- d, with what errors of the points near the median
     add. d^2 is the sum of the squares of three ranks, as shares of the area: half of the rim as wide as the error of
@@ -43,52 +44,51 @@ def median_over_area(
         reach_mm: largest distance to the nearest point.
     """
     median, deviation = np.full((2, len(position), 2), np.nan)
-    for frame, (center, axes) in enumerate(zip(ellipse.center, ellipse.semi_axes, strict=True)):
-        rows = np.isfinite(displacement[frame].sum(1) + position[frame].sum(1) + variance[frame]).nonzero()[0]
-        if not axes.min() > 0 or len(rows) < _FEWEST:
-            continue
-        size = 2 * axes.max() / (_SIDE - 2)  # mm per px of the picture
-        turned = ellipse.select(slice(frame, frame + 1))._replace(center=np.zeros((1, 2)))
-        inside = turned.inside(_grid()[None] * size)[0] > 0
-        pixels = np.rint((position[frame, rows] - center) / size + (_SIDE - 1) / 2).astype(int)
-        within = ((pixels >= 0) & (pixels < _SIDE)).all(1)
-        rows, (column, row) = rows[within], pixels[within].T
-        if len(rows) < _FEWEST:
-            continue
+    # In the frame of the ellipse, of which the unit disc is the contact, on pixels; each component separately, as NumPy
+    # is slow over an axis of two.
+    right, down = (position[..., k] - ellipse.center[:, k : k + 1] for k in (0, 1))
+    cosine, sine = np.cos(ellipse.angle)[:, None], np.sin(ellipse.angle)[:, None]
+    turned = right * cosine + down * sine, down * cosine - right * sine
+    axes, disc = ellipse.semi_axes, _disc()
+    scaled = [along / axes[:, k : k + 1] * (_SIDE / 2 - 1) + (_SIDE - 1) / 2 for k, along in enumerate(turned)]
+    finite = np.isfinite(displacement[..., 0] + displacement[..., 1] + variance + scaled[0])
+    columns, rows = (np.rint(np.where(finite, values, -1)).astype(np.int32) for values in scaled)
+    known = finite & (columns >= 0) & (columns < _SIDE) & (rows >= 0) & (rows < _SIDE)
+    reach = reach_mm / np.sqrt(axes[:, 0] * axes[:, 1]) * (_SIDE / 2 - 1)  # px
+    rim = 1 - np.maximum(axes - BORDER_MM, 0).prod(1) / axes.prod(1)
+    for frame in (known.sum(1) >= _FEWEST).nonzero()[0]:
+        points = known[frame].nonzero()[0]
+        pixels = rows[frame, points], columns[frame, points]
         picture = np.ones((_SIDE, _SIDE), np.uint8)
-        picture[row, column] = 0
+        picture[pixels] = 0
         distance, label = cv2.distanceTransformWithLabels(picture, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-        counted = inside & (distance.ravel() * size < reach_mm)
-        share = counted.sum() / inside.sum()
+        counted = label.ravel()[disc & (distance.ravel() < reach[frame])]
+        share = len(counted) / disc.sum()
         if share < LEAST_SHARE:
             continue
         # Two points in one pixel: the label is that of both, and the last of them takes the area.
-        area = np.bincount(label.ravel()[counted], minlength=int(label.max()) + 1)
-        points = np.zeros(len(area), int)
-        points[label[row, column]] = rows
-        points, area = points[area > 0], area[area > 0]
-        rim = 1 - np.prod(np.maximum(axes - BORDER_MM, 0) / axes)
-        ranks = math.sqrt(
-            (rim / 2) ** 2 + ((1 - share) / (2 * share)) ** 2 / 3 + math.sqrt(len(points)) / 6 / len(points) ** 2
-        )
+        area = np.bincount(counted, minlength=len(points) + 1)
+        labelled = np.zeros(len(area), int)
+        labelled[label[pixels]] = points
+        points, area = labelled[area > 0], area[area > 0]
+        unknown = (1 - share) / (2 * share)
+        ranks = math.sqrt((rim[frame] / 2) ** 2 + unknown**2 / 3 + len(points) ** -1.5 / 6)
+        of_points = variance[frame, points]
         for component in range(2):
             values = displacement[frame, points, component]
             order = values.argsort()
-            rank = (area[order].cumsum() - area[order] / 2) / area.sum()
+            rank = (area[order].cumsum() - area[order] / 2) / len(counted)
             low, middle, high = np.interp((0.5 - ranks, 0.5, 0.5 + ranks), rank, values[order])
-            of_points = variance[frame, points]
-            near = np.square(values - middle) / (REACH**2 * (of_points + ((high - low) / 2) ** 2) + 1e-30)
+            half = (high - low) / 2
+            near = np.square(values - middle) / (REACH**2 * (of_points + half**2) + 1e-30)
             weight = area * np.square(np.maximum(1 - near, 0))
-            noise = (weight**2 * of_points).sum() / max(weight.sum(), 1e-30) ** 2
-            median[frame, component], deviation[frame, component] = (
-                middle,
-                math.hypot(math.sqrt(noise), (high - low) / 2),
-            )
+            noise = weight @ (weight * of_points) / max(weight.sum(), 1e-30) ** 2
+            median[frame, component], deviation[frame, component] = middle, math.sqrt(noise + half**2)
     return median, deviation
 
 
 @functools.cache
-def _grid() -> NDArray[np.float64]:
-    """Return the pixel centres (px, 2) of the picture of a contact, px from its middle."""
+def _disc() -> NDArray[np.bool_]:
+    """Return the mask (px,) of the pixels in the unit disc, which is the contact."""
     row, column = np.indices((_SIDE, _SIDE)) - (_SIDE - 1) / 2
-    return np.stack((column, row), axis=-1).reshape(-1, 2)
+    return (row**2 + column**2 < (_SIDE / 2 - 1) ** 2).ravel()
