@@ -27,13 +27,14 @@ from playwright.sync_api import sync_playwright
 import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
+from fingerflow.calibration import calibrate_files
 from fingerflow.player import live_frames, page_token
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result
 from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
-from tests.own_press import press_of, write_raw_press
+from tests.own_press import VIEWS, press_of, write_raw_press
 from tests.small_trials import write_library_bundle
 from tests.view.walk import walk
 
@@ -100,6 +101,15 @@ def draw_result(browser: Any, path: Path) -> None:
         save(screenshot(page, 900), "view_result.png")
 
 
+def draw_calibration(folder: Path) -> None:
+    """Draw what `fingerflow calibrate` finds in pictures of a ring and of a target: discs, their edges, residuals."""
+    write_raw_press(folder, Press(n_frames=3, frame_rate=3.0, frames_before_trigger=1))
+    calibrate_files(
+        *(folder / f"{name}.tif" for name in ("ring", "target", "empty")), VIEWS, output=folder / "calibration.toml"
+    )
+    save((folder / "calibration.png").read_bytes(), "calibration.png")
+
+
 def draw_live(browser: Any, folder: Path) -> None:
     """Draw the live page of the synthetic source, after two seconds."""
     recipe = Recipe(views=ViewRecipe(height=192, width=240), tracking=PointSettings(points=150, window_px=15))
@@ -150,6 +160,8 @@ def main() -> None:
             page.goto(write_report(result, fingerflow.load_scene(folder / "scene.toml"), folder).as_uri())
             save(screenshot(page, 1150), "report.png")
             draw_live(browser, folder)
+            shutil.rmtree(folder)
+            draw_calibration(folder)
             shutil.rmtree(folder)
             draw_walk(browser, folder)
             browser.close()

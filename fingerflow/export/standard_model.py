@@ -93,7 +93,7 @@ def need_packages() -> None:
     missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise FingerflowError(
-            f"graphs in ONNX need {', '.join(missing)}, not installed here: pip install 'fingerflow-engine[export]'"
+            f"graphs in ONNX need {', '.join(missing)}, not installed here: pip install {' '.join(missing)}"
         )
 
 

@@ -84,7 +84,7 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the strain energy with a band of two standard deviations; arguments as for `contact_area`."""
-    return _draw_one(result, axes, against, "strain_energy", "Strain energy")
+    return _start_at_zero(_draw_one(result, axes, against, "strain_energy", "Strain energy"))
 
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:

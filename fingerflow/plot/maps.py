@@ -16,6 +16,7 @@ from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.plot.wording import frame_text
+from fingerflow.results.napari_reader import DIVERGING
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -124,7 +125,7 @@ def field_map(
     position, values = data["position"].values, chosen.values(data)
     corners = result["triangles"].values if "triangles" in result else np.zeros((0, 3), np.int32)
     limit = colour_limit(result, quantity, (frame,)) if limit is None else limit
-    low, colours_of = (-limit, "RdBu_r") if chosen.signed else (0.0, "viridis")
+    low, colours_of = (-limit, DIVERGING) if chosen.signed else (0.0, "viridis")
     scale: dict[str, Any] = {"cmap": colours_of, "vmin": low, "vmax": limit}
     whole = np.isfinite(position[corners]).all((1, 2))
     by_triangle = values if chosen.triangle_mean else values[corners].mean(1)

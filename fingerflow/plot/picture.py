@@ -14,7 +14,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.preparation.inputs import Inputs, open_inputs
-from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
+from fingerflow.plot.axes_style import RED, YELLOW, given_or_new
 from fingerflow.plot.captions import describe
 from fingerflow.plot.outlines import Values, contact_outline, matrix_of_view, stuck_outline, to_pixels
 from fingerflow.plot.wording import frame_text
@@ -22,7 +22,7 @@ from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.schema.scene import Scene
 
-MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"
+MASK, TOUCHING, AWAY, STUCK = "#2f9be0", "#57e07a", "#8fd3ff", "#ff00c8"
 _BAR_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _BAR_SHARE = 0.25  # largest length of a scale bar as a share of the width
 _MASK_SHARE = 0.45  # opacity of the colour over pixels in contact
@@ -72,7 +72,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     shown = np.repeat(np.clip((grey - low) / max(high - low, 1e-9), 0, 1)[..., None], 3, axis=2)
     if mask is not None and mask.any():
         shown[mask] = (1 - _MASK_SHARE) * shown[mask] + _MASK_SHARE * np.array(to_rgb(MASK))
-        axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
+        axes.plot([], [], "s", color=shown[mask].mean(0), markersize=3.5, label="touches")
     axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
     data, matrix = result.isel(frame=frame), matrix_of_view(result, name)
     outlines: tuple[tuple[Values | None, dict[str, Any]], ...] = (
@@ -94,7 +94,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
     describe(axes, text)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
-            frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, handletextpad=0.3, markerscale=3,
+            frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2, handletextpad=0.3, markerscale=2,
         )  # fmt: skip
     return axes
 
@@ -141,13 +141,14 @@ def _points(axes: Axes, result: xr.Dataset, frame: int, matrix: Values) -> None:
     lost = ~tracked & np.isfinite(first).all(-1)
     touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else tracked
     for shown, colour, said_of in (
-        (tracked & touched, GREEN, "points in contact" if "in_contact" in result else "points"),
+        (tracked & touched, TOUCHING, "points in contact" if "in_contact" in result else "points"),
         (tracked & ~touched, AWAY, "points not in contact"),
     ):
         if shown.any():
             axes.plot(
-                *to_pixels(now[shown], matrix).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of
-            )
+                *to_pixels(now[shown], matrix).T, "o", color=colour, markersize=2.2, markeredgewidth=0.3,
+                markeredgecolor="black", label=said_of,
+            )  # fmt: skip
     if lost.any():
         axes.plot(
             *to_pixels(first[lost], matrix).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label="points lost"

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -75,6 +76,7 @@ class _Figures:
     folder: Path
     files: FigureFiles | None
     overwrite: bool
+    brief: bool
 
     @property
     def wide_mm(self) -> float:
@@ -94,23 +96,26 @@ class _Figures:
             self.files.save(figure, self.folder, name)
         return Drawn(name, svg, caption_of(figure))
 
-    def curves(self, title: str, drawings: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
+    def curves(
+        self, title: str, drawings: Sequence[tuple[Draw, str]], notes: Sequence[str] = (), before: Sequence[Drawn] = ()
+    ) -> Section | None:
         """Return a section of the page with one curve for each pair (drawing function, variable) in `drawings` whose
-        variable has values in the result; None if none has.
+        variable has values in the result, after the figures `before`; None if there are neither.
 
-        If the normal force varies, a second panel is against the other of force and time.
+        If the normal force varies, a second panel is against the other of force and time, but for a brief page.
         """
         there = [(draw, variable) for draw, variable in drawings if _has_values(self.result, variable)]
         if not there:
-            return None
+            return Section(title, [Panel("", list(before))]) if before else None
         first = plot.abscissa(self.result).name
         axes = [first]
-        if varies(self.result, "normal_force"):
+        if varies(self.result, "normal_force") and not self.brief:
             axes.append("time" if first == "normal_force" else "normal_force")
         panels = [
             Panel(f"against {plot.abscissa(self.result, against).label}", self.each(there, against=against))
             for against in axes
         ]
+        panels[0].figures[:0] = before
         return Section(title, panels, notes)
 
     def each(self, drawings: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
@@ -131,7 +136,7 @@ def write_report(
     scene: Scene | None,
     folder: Path,
     comparison: Sequence[Any] = (),
-    video: bool = True,
+    brief: bool = False,
     overwrite: bool = False,
     figure_files: FigureFiles | None = None,
 ) -> Path:
@@ -144,7 +149,8 @@ def write_report(
         scene: scene of the result; None leaves out pictures and video, as for a stream whose frames are gone.
         folder: folder to write into.
         comparison: rows with quantity, unit, measured, truth and error, of a synthetic recording.
-        video: write overlay.mp4 too, which takes longer than all the rest.
+        brief: write no overlay.mp4, which takes longer than all the rest, pictures and maps of the largest load alone,
+            and each curve once: the page of a trial of a study, in a third of the time.
         overwrite: replace files that no report has written.
         figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
 
@@ -155,10 +161,10 @@ def write_report(
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
         keep_others(folder / output, is_marked, overwrite)
-    if scene is not None and video:
+    if scene is not None and not brief:
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = key_frames(result)
-    make = _Figures(result, folder / "figures", figure_files, overwrite)
+    make = _Figures(result, folder / "figures", figure_files, overwrite, brief)
     with figure_style((figure_files and figure_files.width_mm) or ONE_COLUMN_MM):
         sections = _sections(make, scene, frames)
     seconds = json.loads(result.attrs["stage_seconds"])
@@ -177,7 +183,7 @@ def write_report(
         .render(
             mark=MARK,
             attrs=result.attrs,
-            heading=result.attrs["title"],
+            heading="/".join(re.split(r"[\\/]", str(result.attrs["frames"]))[-2:]),
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
@@ -209,6 +215,8 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     result = make.result
     sections: list[Section | None] = []
     most = next((k for k, frame in enumerate(frames) if frame.why.startswith("largest")), len(frames) - 1)
+    if make.brief:
+        frames, most = frames[most : most + 1], 0
     if scene is not None:
         pictured = frames or [ReportFrame(0, "first frame")]
         panels = [
@@ -230,11 +238,8 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
     loads = [(draw, name) for draw, name in time_only if name in result]
     loads = [(draw, name) for draw, name in loads if name == "normal_force" or varies(result, name)]
-    if loads:
-        sections.append(Section("Loading", [Panel("", make.each(loads))]))
-    sections.append(
-        make.curves("Contact", [(plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")])
-    )
+    contact = (plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")
+    sections.append(make.curves("Contact and load", contact, before=make.each(loads)))
     deformation: list[tuple[Draw, str]] = [
         (plot.median_divergence, "median_divergence"),
         (plot.median_strain, "median_strain"),

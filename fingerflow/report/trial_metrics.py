@@ -178,10 +178,14 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 
 
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
-    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R²."""
+    """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R².
+
+    Without an interval, as of fewer than three participants, a line would say more than the trials do: none is drawn.
+    """
     x, y = _draw_by_participant(axes, trials, first, second)
     correlation = pearson(x, y, trials.participant)
-    if np.isfinite(correlation.value):
+    axes.set_title(f"no line: {correlation.reason}")
+    if np.isfinite(correlation.interval).all():
         both = np.isfinite(x) & np.isfinite(y)
         line = stats.linregress(x[both], y[both])
         ends = np.array([x[both].min(), x[both].max()])

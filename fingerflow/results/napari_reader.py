@@ -20,6 +20,8 @@ from fingerflow.schema.variables import VARIABLES
 from fingerflow.schema.views import View
 
 Layer = tuple[Any, dict[str, Any], str]  # data, settings and kind of a layer, as napari's `Viewer.add_layer` takes them
+#: Colour map of signed quantities, by its name in matplotlib and napari: spread (positive) is red.
+DIVERGING = "RdBu_r"
 _COLOURED = 0.98  # quantile of the absolute values that limits the colour scale
 
 
@@ -68,7 +70,12 @@ def layers_of_result(path: str) -> list[Layer]:
         valid = np.isfinite(features[heading])
         rows, features = rows[valid], {name: values[valid] for name, values in features.items()}
         end = float(np.quantile(np.abs(features[heading]), _COLOURED)) if valid.any() else 1.0
-        points |= {"name": heading, "face_color": heading, "face_colormap": "RdBu", "face_contrast_limits": (-end, end)}
+        points |= {
+            "name": heading,
+            "face_color": heading,
+            "face_colormap": DIVERGING,
+            "face_contrast_limits": (-end, end),
+        }
     layers.append((rows[:, 1:4], {**points, "features": features}, "points"))
     return layers
 

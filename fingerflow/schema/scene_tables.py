@@ -253,6 +253,7 @@ class RigSettings:
     floor, for the report.
     """
 
+    participant: str | None = key("pseudonym of the person whose finger it is, the subject of NWB files", sample="P01")
     camera: str | None = key("maker and model", sample="maker, model")
     lens: str | None = key("maker, focal length or magnification", sample="maker, 100 mm macro")
     aperture: float | None = key("f-number that the lens was set to", type=POSITIVE, sample=8.0)

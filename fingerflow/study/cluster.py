@@ -141,7 +141,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
         from distributed import Client, LocalCluster, Security
     except ImportError as error:
         raise FingerflowError(
-            f"a study runs on Dask, which is not installed ({error}): pip install 'fingerflow-engine[study]'"
+            f"a study runs on Dask, which is not installed ({error}): pip install 'dask[distributed]' cryptography"
         ) from error
     logging.getLogger("distributed").setLevel(logging.ERROR)
     environment: dict[str, int | str] = {

@@ -69,7 +69,8 @@ class Manifest:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
         FingerflowError with row, key, value and remedy if it is invalid.
         """
-        return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.origin}: [scene] of {self.path}")
+        shared = _merged({"rig": {"participant": entry.participant}}, self.shared)
+        return scene_from(_merged(shared, entry.settings), self.path, f"{entry.origin}: [scene] of {self.path}")
 
 
 def load_manifest(path: str | Path) -> Manifest:

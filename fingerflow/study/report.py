@@ -104,7 +104,7 @@ def write_page(manifest: Manifest) -> str:
         return ""
     try:
         scene = manifest.build_scene(entry)
-        write_report(load_result(folder / stored.result), scene, folder, video=False)
+        write_report(load_result(folder / stored.result), scene, folder, brief=True)
         _write_thumbnail(folder / stored.result, scene, folder / "thumbnail.jpg")
     except FingerflowError as error:
         return f"{entry.name}: {error}"

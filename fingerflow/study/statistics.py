@@ -12,6 +12,7 @@ from fingerflow.models import observer
 from fingerflow.report.trial_metrics import METRICS, participant_dots, participant_medians
 from fingerflow.schema.json_value import json_value
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
+from fingerflow.study.manifest import REFERENCE
 from fingerflow.study.trial_files import MEASURED
 
 _FIRST = "divergence"  # the metric with which the others are compared
@@ -62,7 +63,12 @@ def read_sample(frame: Any) -> Sample:
     rules = [(f"{name}, so nothing was measured", int((frame["status"] == name).sum()))
              for name in dict.fromkeys(frame["status"]) if name != MEASURED]  # fmt: skip
     if any_answer:
-        rules.append(("no answer in the manifest", int((measured & ~answered).sum())))
+        # A reference press is no question: its numbers count in the differences of the presses compared with it.
+        named = set(zip(frame["participant"], frame[REFERENCE], strict=True)) if REFERENCE in frame else set()
+        reference = np.array([pair in named for pair in zip(frame["participant"], frame["trial"], strict=True)])
+        silent = measured & ~answered
+        rules.append(("no answer in the manifest", int((silent & ~reference).sum())))
+        rules.append(("reference presses, which count in differences from them", int((silent & reference).sum())))
     return Sample(
         observer.read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum()))
     )

@@ -48,7 +48,7 @@ def write_tables(manifest: Manifest) -> Tables:
         from pyarrow import parquet
     except ImportError as error:
         raise FingerflowError(
-            f"the table of trials needs pandas and pyarrow ({error}): pip install 'fingerflow-engine[study]'"
+            f"the table of trials needs pandas and pyarrow ({error}): pip install pandas pyarrow statsmodels"
         ) from error
     stored = [(entry, read_row(manifest.results / entry.name)) for entry in manifest.trials]
     frame = pd.DataFrame(table_rows(manifest, stored))

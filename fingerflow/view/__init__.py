@@ -8,7 +8,7 @@ except ModuleNotFoundError as error:
     if error.name not in ("starlette", "uvicorn", "tomlkit"):
         raise
     raise FingerflowError(
-        f"the page needs {error.name}, which is not installed: pip install 'fingerflow-engine[view]'"
+        f"the page needs {error.name}, which is not installed: pip install starlette uvicorn tomlkit"
     ) from None
 
 __all__ = ["serve"]

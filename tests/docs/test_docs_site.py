@@ -45,7 +45,7 @@ class Page(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the built site; another test runs the scripts of the gallery."""
     for module in ("sphinx", "furo", "myst_parser", "sphinx_gallery"):
-        pytest.importorskip(module, reason="the site is not built: pip install 'fingerflow-engine[docs]'")
+        pytest.importorskip(module, reason="the site is not built: pip install '.[docs]'")
     folder = tmp_path_factory.mktemp("docs") / "site"
     command = [
         sys.executable,

@@ -308,8 +308,9 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
         "real_contact_area (mm²),gross_contact_area (mm²),ellipse_center_x (mm),ellipse_center_y (mm),"
         "ellipse_semi_axes_major (mm),ellipse_semi_axes_minor (mm),ellipse_angle (°),illumination_gain,"
         "median_divergence (µm/mm),median_divergence_std (µm/mm),median_curl (µm/mm),median_curl_std (µm/mm),"
-        "median_strain_exx (%),median_strain_eyy (%),median_strain_exy (%),"
-        "median_strain_std_exx (%),median_strain_std_eyy (%),median_strain_std_exy (%),slip_residual (µm),slip_flag"
+        "median_strain_exx (µm/mm),median_strain_eyy (µm/mm),median_strain_exy (µm/mm),"
+        "median_strain_std_exx (µm/mm),median_strain_std_eyy (µm/mm),median_strain_std_exy (µm/mm),"
+        "slip_residual (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(FingerflowError, match="exists"):

@@ -41,7 +41,7 @@ CURVES: list[tuple[Callable[..., Axes], str, Callable[[xr.Dataset], Any]]] = [
     (plot.contact_axes, "semi-minor", lambda one: one["ellipse_semi_axes"][:, 1]),
     (plot.median_divergence, "divergence", lambda one: 1000 * one["median_divergence"]),
     (plot.median_divergence, "curl", lambda one: 1000 * one["median_curl"]),
-    (plot.median_strain, "eyy", lambda one: 100 * one["median_strain"][:, 1]),
+    (plot.median_strain, "eyy", lambda one: 1e3 * one["median_strain"][:, 1]),
     (plot.displacement, "median displacement", lambda one: 1000 * one["global_displacement"]),
     (plot.strain_energy, "strain energy", lambda one: one["strain_energy"]),
 ]

@@ -205,7 +205,7 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
 @pytest.mark.long
 def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Trial, tmp_path: Path) -> None:
     scene, result = trial
-    text = told(write_report(result, scene, tmp_path, video=False, figure_files=FigureFiles(("svg",), 120.0)))
+    text = told(write_report(result, scene, tmp_path, figure_files=FigureFiles(("svg",), 120.0)))
     folder = tmp_path / "figures"
     names = {path.stem for path in folder.glob("*.svg")}
     assert {"gross_contact_area-time", "map-divergence-15", "picture-contact-15", "position_std_px"} <= names
@@ -218,4 +218,4 @@ def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Tri
     assert f"n = {known} frames.</figcaption>" in text
     (folder / "normal_force.svg").write_text("years of work")
     with pytest.raises(FingerflowError, match=r"normal_force\.svg exists and was not written"):
-        write_report(result, scene, tmp_path, video=False, figure_files=FigureFiles(("svg",)))
+        write_report(result, scene, tmp_path, figure_files=FigureFiles(("svg",)))

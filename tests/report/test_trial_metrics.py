@@ -10,6 +10,14 @@ from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, read_trials, repeated_anova
 from fingerflow.report import trial_metrics as metrics
 
+FOUR = {
+    "participant": ["p"] * 4,
+    "trial": [1, 2, 3, 4],
+    "condition": [0] * 4,
+    "answer": [True] * 4,
+    "curl": [1e-3, 2e-3, 3e-3, 4.1e-3],
+    "strain": [1e-3, 2e-3, 3e-3, 4e-3],
+}
 AMPLITUDES = (0.0, 1.0, 2.0)
 
 
@@ -26,7 +34,7 @@ def table(rows: int = 20) -> Trials:
                 force = 5 + draw.standard_normal()
                 area = 10 * who * (1 - 0.1 * amplitude)
                 divergence = 0.01 + 0.005 * amplitude + 0.001 * draw.standard_normal()
-                strain = 0.4 * divergence + 0.001
+                strain = 0.4 * divergence + 0.001 + 1e-6 * draw.standard_normal()
                 cells.append((f"p{who}", trial, amplitude, right == 1, force, area, 0.1, divergence, strain))
     names = ("participant", "trial", "condition", "answer")
     measured = ("max_force", "real_contact_area", "force_angle", "divergence", "strain")
@@ -105,11 +113,20 @@ def test_shares_against_the_median_metric(axes: Axes, trials: Trials) -> None:
 def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
     metrics.draw_correlation(axes, trials, "divergence", "strain")
     x, y = axes.lines[-1].get_data()
-    assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.04, rel=1e-3)  # % per um/mm
-    assert axes.get_title().startswith("slope 0.0400000")
+    assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.4, rel=1e-3)
+    assert axes.get_title().startswith("slope 0.4000")
     assert axes.get_title().endswith("R² = 1.00")
     assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4
     assert len({line.get_marker() for line in axes.lines[:-1]}) == 4
+
+
+def test_few_trials_have_no_line(axes: Axes) -> None:
+    """Four dots of one participant lie on a line by chance: no slope and no R² is stated."""
+    metrics.draw_correlation(
+        axes, read_trials({name: np.array(values) for name, values in FOUR.items()}), "curl", "strain"
+    )
+    assert axes.get_title() == "no line: no interval from 1 participants: 3 are needed"
+    assert len(axes.lines) == 1
 
 
 def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:

@@ -2,26 +2,30 @@
 
 import importlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.results.result import load_result, save_result
 from fingerflow.results.tables import export_table
+from fingerflow.schema.scene_tables import RigSettings
 from tests.small_trials import TINY_PRESS, write_small
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    return process(load_scene(write_small(tmp_path_factory.mktemp("archive") / "press", TINY_PRESS)))
+    scene = load_scene(write_small(tmp_path_factory.mktemp("archive") / "press", TINY_PRESS))
+    return process(replace(scene, rig=RigSettings(participant="P07")))
 
 
 def needs(package: str) -> object:
-    return pytest.importorskip(package, reason=f"{package} is not installed: pip install 'fingerflow-engine[nwb,zarr]'")
+    return pytest.importorskip(package, reason=f"{package} is not installed: pip install '.[nwb,zarr]'")
 
 
 def test_nwb_holds_every_variable_with_its_unit(result: xr.Dataset, tmp_path: Path) -> None:
@@ -29,7 +33,8 @@ def test_nwb_holds_every_variable_with_its_unit(result: xr.Dataset, tmp_path: Pa
     export_table(result, tmp_path / "trial.nwb")
     assert not pynwb.validate(path=str(tmp_path / "trial.nwb"))  # type: ignore[attr-defined]
     with pynwb.NWBHDF5IO(str(tmp_path / "trial.nwb"), "r") as io:  # type: ignore[attr-defined]
-        module = io.read().processing["fingerflow"]
+        file = io.read()
+        module = file.processing["fingerflow"]
         for name, values in result.data_vars.items():
             if values.dims[0] == "frame":
                 series = module[str(name)]
@@ -39,12 +44,29 @@ def test_nwb_holds_every_variable_with_its_unit(result: xr.Dataset, tmp_path: Pa
             else:
                 column = module[str(values.dims[0])][str(name)]
                 np.testing.assert_array_equal(column.data[:], values.values)
+        assert (file.subject.subject_id, file.subject.species) == ("P07", "Homo sapiens")
         assert "components [['x', 'y']]" in module["position"].comments
         assert module["status"].comments.startswith("values 0, 1, 2 ... mean tracked not_finite")
     export_table(result, tmp_path / "trial.nwb")  # replaces its own file
     (tmp_path / "other.nwb").write_bytes(b"of another program")
     with pytest.raises(FingerflowError, match="was not written by this command"):
         export_table(result, tmp_path / "other.nwb")
+
+
+def test_matlab_has_what_every_number_means(result: xr.Dataset, tmp_path: Path) -> None:
+    export_table(result, tmp_path / "trial.mat")
+    found = scipy.io.loadmat(tmp_path / "trial.mat", simplify_cells=True)
+    assert {"frame_status", "status", "entry"} == set(found["meanings"])
+    for name, values in {**result.data_vars, **result.coords}.items():
+        assert found["meanings"].get(name) == values.attrs.get("flag_meanings")
+        if values.ndim > 1 and values.dims[-1] in result.coords:
+            assert list(found["components"][name]) == list(result[values.dims[-1]].values)
+        if "units" in values.attrs:
+            assert (found["units"][name], found["definitions"][name]) == (
+                values.attrs["units"],
+                values.attrs["long_name"],
+            )
+    assert found["attributes"]["mm_per_px"] == result.attrs["mm_per_px"]
 
 
 def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: Callable[..., int]) -> None:
@@ -57,7 +79,7 @@ def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: 
     again = load_result(tmp_path / "trial.zarr")
     xr.testing.assert_identical(again, load_result(tmp_path / "result.h5"))
     assert again.sel(time=again["time"].values[3]).equals(again.isel(frame=3))
-    with xr.open_zarr(tmp_path / "trial.zarr", consolidated=False) as plain:
+    with xr.open_zarr(tmp_path / "trial.zarr", consolidated=True) as plain:
         np.testing.assert_array_equal(plain["displacement"], result["displacement"])
     assert command("export-table", tmp_path / "trial.zarr", tmp_path / "table.csv", "--rows", "point") == 0
     export_table(result.isel(frame=slice(0, 4)), tmp_path / "trial.zarr")  # replaces its own
@@ -74,6 +96,6 @@ def test_what_is_not_installed_is_named(
     suffix: str, package: str, result: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(importlib.import_module("sys").modules, package, None)  # type: ignore[arg-type]
-    with pytest.raises(FingerflowError, match=rf"need the package \S+; install it with pip install .*\[{suffix}\]"):
+    with pytest.raises(FingerflowError, match=rf"need the package \S+; install it with pip install {package}"):
         export_table(result, tmp_path / f"trial.{suffix}")
     assert not list(tmp_path.iterdir())

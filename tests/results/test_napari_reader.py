@@ -1,5 +1,6 @@
 """Tests of napari's reader plug-in: layers against the arrays of recording and result, and in napari if installed."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +8,11 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 
 from fingerflow import process
+from fingerflow.plot import field_map
 from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.napari_reader import get_reader
 from fingerflow.results.result import save_result
@@ -55,6 +59,22 @@ def test_a_result_is_views_tracks_and_points(trial: tuple[Path, xr.Dataset]) -> 
     assert len(values) == len(np.unique(frame))
     expected = np.sort(1e3 * result["divergence"].values[frame, point].astype(float))
     np.testing.assert_allclose(np.sort(settings["features"]["divergence (µm/mm)"]), expected, rtol=1e-6)
+
+
+def test_spread_has_one_colour_everywhere(trial: tuple[Path, xr.Dataset]) -> None:
+    """napari, the report's maps, the page and the live page show spread in red and compression in blue."""
+    folder, result = trial
+    name = layers(folder / "result.h5")["divergence (µm/mm)"][1]["face_colormap"]
+    drawn = field_map(result, "divergence", 7).collections[0].get_cmap()
+    assert drawn is not None
+    assert drawn.name == name
+    table = (MANIFEST.parent / "view" / "page" / "colours.js").read_text(encoding="utf-8")
+    page = [to_rgb(colour) for colour in re.findall("#[0-9a-f]{6}", table.partition("DIVERGING")[2])[:7]]
+    live = (MANIFEST.parent / "player" / "page" / "page.js").read_text(encoding="utf-8")
+    ends = re.findall(r"\[(\d+), (\d+), (\d+)\]", live.partition("function colour")[2])[:2]
+    for colours in (colormaps[name]([0.0, 1.0]), page, np.array(ends, float)):
+        assert colours[0][0] < colours[0][2]
+        assert colours[-1][0] > colours[-1][2]
 
 
 def test_the_contact_view_lies_on_the_topography(trial: tuple[Path, xr.Dataset]) -> None:

@@ -130,8 +130,11 @@ def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_pat
     assert found["triangles"].max() == POINTS
     np.testing.assert_array_equal(found["triangles"] - 1, result["triangles"])
     assert found["onset_frame"][3] == 0
-    # As MATLAB indexes, position(onset_frame(1), 1, :).
-    np.testing.assert_array_equal(found["position"][found["onset_frame"][0] - 1, 0], result["position"][1, 0])
+    np.testing.assert_array_equal(found["frame"], result["frame"] + 1)
+    at_onset = found["frame"] == found["onset_frame"][0]  # position(frame == onset_frame(1), 1, :)
+    np.testing.assert_array_equal(found["position"][at_onset, 0], result["position"][1:2, 0])
+    assert list(found["components"]["position"]) == ["x", "y"]
+    assert found["attributes"] == {"fingerflow_version": "0"}
     assert found["settings"]["fields"]["gauge_length_mm"] == 1.6
     assert found["settings"]["forces"].size == 0
     assert list(found["warnings"]) == ["one", "two"]

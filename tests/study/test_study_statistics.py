@@ -64,8 +64,16 @@ def test_what_is_left_out_is_counted() -> None:
     frame.loc[3:9, "answer"] = None
     sample = read_sample(frame)
     assert sample.counted.trials == 84
-    assert dict(sample.counted.rules) == {"failed, so nothing was measured": 5, "no answer in the manifest": 5}
+    assert dict(sample.counted.rules) == {
+        "failed, so nothing was measured": 5,
+        "no answer in the manifest": 5,
+        "reference presses, which count in differences from them": 0,
+    }
     assert sample.counted.used == len(sample.trials.answer) == 74
+    frame["reference"] = ""
+    frame["trial"] = [str(number) for number in range(84)]
+    frame.loc[10, "reference"] = "5"
+    assert [count for _, count in read_sample(frame).counted.rules] == [5, 4, 1]
     frame["answer"] = None
     without = read_sample(frame)
     assert not without.answered

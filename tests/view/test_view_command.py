@@ -35,5 +35,5 @@ def test_what_is_not_installed_is_named() -> None:
     code += "from fingerflow.cli import main; main()"
     ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert ended.returncode == 2
-    assert "the page needs tomlkit, which is not installed: pip install 'fingerflow-engine[view]'" in ended.stderr
+    assert "the page needs tomlkit, which is not installed: pip install starlette uvicorn tomlkit" in ended.stderr
     assert "Traceback" not in ended.stderr

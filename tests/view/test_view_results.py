@@ -83,12 +83,12 @@ def test_colours_lie_about_zero_where_values_do(results: Results) -> None:
 
 def test_tables_are_what_is_shown(results: Results, stored: xr.Dataset) -> None:
     lines = results.table_of_courses(["normal_force", "median_strain:exy"], [4], "divergence").splitlines()
-    assert lines[0] == "frame,time (s),normal_force (N),median_strain:exy (%),divergence of point 4 (µm/mm)"
+    assert lines[0] == "frame,time (s),normal_force (N),median_strain:exy (µm/mm),divergence of point 4 (µm/mm)"
     rows = np.genfromtxt(lines, delimiter=",", skip_header=1)
     np.testing.assert_allclose(rows[:, 2], stored["normal_force"].values, rtol=1e-8)
     np.testing.assert_allclose(rows[:, 4], 1e3 * stored["divergence"].values[:, 4], rtol=1e-6)
     rows = np.genfromtxt(results.table_of_frame(8, "curl").splitlines(), delimiter=",", skip_header=1)
     np.testing.assert_allclose(rows[:, 4], 1e3 * stored["curl"].values[8], rtol=1e-6)
     header, *lines = results.table_of_frame(8, "strain:exx").splitlines()
-    assert header == "triangle,x (mm),y (mm),strain:exx (%)"
+    assert header == "triangle,x (mm),y (mm),strain:exx (µm/mm)"
     assert len(lines) == stored.sizes["triangle"]

@@ -23,9 +23,7 @@ def read_table(path: Path) -> ForceTable:
     try:
         import pymatreader  # noqa: F401  imported by another process
     except ImportError:
-        raise FingerflowError(
-            f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
-        ) from None
+        raise FingerflowError(f"{path}: MATLAB files need the package pymatreader: pip install pymatreader") from None
     table = ForceTable(path, {})
     with reading(path, "a MATLAB file"):
         _take(table, read_matlab_in_child_process(path), "")

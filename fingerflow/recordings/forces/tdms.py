@@ -20,9 +20,7 @@ def read_table(path: Path) -> ForceTable:
     try:
         from nptdms import TdmsFile
     except ImportError:
-        raise FingerflowError(
-            f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
-        ) from None
+        raise FingerflowError(f"{path}: TDMS files need the package nptdms: pip install nptdms") from None
     check_in_child_process(path, "TDMS")
     # Open the file without reading the data: the stated sizes are compared with the file's size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:

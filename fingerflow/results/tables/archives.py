@@ -21,19 +21,22 @@ def save_nwb(result: xr.Dataset, path: Path) -> None:
 
     Values keep the units of the data set. What has no frames, such as `reference_position`, is a table of its first
     dimension, `point` or `triangle`. Times count from the trigger; as a recording states no date, `session_start_time`
-    is the time of processing.
+    is the time of processing. The subject is `[rig] participant` of the scene.
 
     Raises FingerflowError where pynwb is not installed, or the file cannot be written.
     """
     try:
         from hdmf.common import DynamicTable, VectorData
         from pynwb import NWBHDF5IO, NWBFile, TimeSeries
+        from pynwb.file import Subject
     except ImportError as error:
         raise FingerflowError(
-            f"{path}: NWB files need the package {error.name}; install it with pip install 'fingerflow-engine[nwb]'"
+            f"{path}: NWB files need the package {error.name}; install it with pip install pynwb"
         ) from error
     created = datetime.fromisoformat(str(result.attrs["created"]))
+    rig = json.loads(result.attrs.get("settings", "{}")).get("rig") or {}
     file = NWBFile(
+        subject=Subject(subject_id=rig.get("participant") or "not stated", species="Homo sapiens", sex="U"),
         session_description=f"{result.attrs['title']}: {result.attrs['frames']}; session_start_time is the time of "
         "processing, times of the series count from the trigger",
         identifier=str(result.attrs.get("recording", result.attrs["frames"])),
@@ -80,13 +83,11 @@ def save_zarr(result: xr.Dataset, path: Path) -> None:
     part = unfinished(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        result.drop_encoding().to_zarr(part, mode="w", consolidated=False, zarr_format=2)
+        result.drop_encoding().to_zarr(part, mode="w", consolidated=True, zarr_format=2)
         remove(path)
         finish(part, path)
     except ImportError as error:
-        raise FingerflowError(
-            f"{path}: Zarr stores need the package zarr; install it with pip install 'fingerflow-engine[zarr]'"
-        ) from error
+        raise FingerflowError(f"{path}: Zarr stores need the package zarr; install it with pip install zarr") from error
     except OSError as error:
         raise FingerflowError(f"{path} cannot be written ({error.strerror or error}); name another place") from error
     finally:

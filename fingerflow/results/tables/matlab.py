@@ -11,25 +11,33 @@ import xarray as xr
 from fingerflow.results.atomic_write import write_atomically
 
 _ABOUT = (
-    "Numbers of points in `triangles`, and of rows of frames in `onset_frame`, count from 1 (0 for a point that never "
-    "touches): position(onset_frame(k), k, :). `frame` has the frames' numbers in the file of the recording, from 0."
+    "Points in `triangles`, and frames in `frame` and `onset_frame` (0 for a point that never touches), count from 1, "
+    "frames from the first in the file of the recording: position(frame == onset_frame(k), k, :). `meanings` has "
+    "those of the values 0, 1, 2 ... of a status: strsplit(meanings.status); `components` the names along the last "
+    "dimension."
 )
+_COUNTED = ("frame", "onset_frame", "triangles")  # indices from 0 in a data set
 
 
 def save_matlab(result: xr.Dataset, path: Path) -> None:
-    """Write a result to a .mat file: all variables, and structs of units, definitions, settings and warnings."""
-    content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
-    content["time"], content["frame"] = result["time"].values, result["frame"].values
-    if "triangles" in content:
-        content["triangles"] = content["triangles"] + 1
-    if "onset_frame" in content:
-        onset, first = content["onset_frame"], result["frame"].values[0]
-        content["onset_frame"] = np.where(onset < 0, 0, onset - first + 1).astype(onset.dtype)
-    content["units"] = {str(name): values.attrs["units"] for name, values in result.data_vars.items()}
-    content["definitions"] = {str(name): values.attrs["long_name"] for name, values in result.data_vars.items()}
-    content["settings"] = _for_matlab(json.loads(result.attrs.get("settings", "{}")))
-    content["warnings"] = np.array(json.loads(result.attrs.get("warnings", "[]")), dtype=object)
-    content["about"] = _ABOUT
+    """Write a result to a .mat file: all variables, and structs of units, definitions, meanings of statuses, names of
+    components, attributes, settings and warnings.
+    """
+    variables = {str(name): values for name, values in {**result.data_vars, **result.coords}.items()}
+    content: dict[str, Any] = {
+        name: values.values + (name in _COUNTED) for name, values in variables.items() if values.dtype.kind in "iufb"
+    }
+    for name, attribute in (("units", "units"), ("definitions", "long_name"), ("meanings", "flag_meanings")):
+        content[name] = {key: values.attrs[attribute] for key, values in variables.items() if attribute in values.attrs}
+    content["components"] = {
+        name: variables[str(values.dims[-1])].values.astype(object)
+        for name, values in variables.items()
+        if values.ndim > 1 and str(values.dims[-1]) in variables
+    }
+    attributes = dict(result.attrs)
+    content["settings"] = _for_matlab(json.loads(attributes.pop("settings", "{}")))
+    content["warnings"] = np.array(json.loads(attributes.pop("warnings", "[]")), dtype=object)
+    content["attributes"], content["about"] = attributes, _ABOUT
 
     def write(part: Path) -> None:
         with part.open("wb") as file:

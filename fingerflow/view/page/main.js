@@ -64,7 +64,9 @@ class App {
     $("tab-results").className = tab === this.results ? "on" : "";
     $("about").textContent = tab === this.results ? tab.facts.path : tab.facts.recording?.path || tab.facts.draft || "";
     await this.measure();
-    const start = tab === this.results && (number === null || !this.seen) ? tab.facts.frame_of_largest_load : (number ?? 0) - tab.first;
+    const unseen = number === null || tab === this.results && !this.seen;
+    // A recording opens in its middle: the first frame shows empty glass.
+    const start = !unseen ? number - tab.first : tab === this.results ? tab.facts.frame_of_largest_load : tab.frames >> 1;
     this.seen ||= tab === this.results;  // from then on both tabs show the same frame
     this.frame = Math.max(0, Math.min(tab.frames - 1, start));
     const first = this.show();
