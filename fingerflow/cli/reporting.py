@@ -93,8 +93,8 @@ def slip(
     trials, failed = [], 0
     for path in scenes:
         try:
-            result = load_result(path) if is_result(path) else {}
-            if "stuck_ratio" not in result:
+            result = load_result(path) if is_result(path) else None
+            if result is None or "stuck_ratio" not in result:
                 names = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"]
                 result = process_scene(scene_in(path), names, quiet=True)
         except FingerflowError as error:
