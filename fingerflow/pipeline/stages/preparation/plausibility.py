@@ -33,7 +33,7 @@ _STARTS, _GROWS = 0.02, 1.1
 # neighbouring frames on either side.
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
 _CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is given
-_ALL_CHANGED = 0.5  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
+_ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
 _BRIGHTER_SHARE = 0.005
 Series = NDArray[np.float64]
