@@ -5,6 +5,7 @@ without the dark level, 0 where it is not lit; `share` is the share of that ligh
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -79,7 +80,7 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
     `outside` is as `outside_region` returns it. Ridges are merged over `radius_px`; the largest part counts.
     """
     touching = outside.astype(np.uint8)
-    merged = touching
+    merged: NDArray[Any] = touching
     for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
         merged = cv2.morphologyEx(merged, operation, _disc(radius_px))
     _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
