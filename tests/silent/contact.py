@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -115,6 +116,22 @@ def _zero_rows(pictures: Pictures, press: Press) -> Pictures:
     return result
 
 
+def _second(scale: float, right: int, down: int) -> Change:
+    """Return a change that adds a second contact, the first in another size, moved by px to the right and down."""
+
+    def change(pictures: Pictures, press: Press) -> Pictures:
+        rows, columns = pictures.shape[1:]
+        matrix = np.array([[scale, 0, columns / 2 * (1 - scale) + right], [0, scale, rows / 2 * (1 - scale) + down]])
+        second = np.stack([cv2.warpAffine(one, matrix, (columns, rows), borderValue=1.0) for one in pictures])
+        return np.where(second < 0.85, np.minimum(pictures, second), pictures)
+
+    return change
+
+
+def _exposed(factor: float) -> Change:
+    return lambda pictures, press: factor * pictures
+
+
 def _same(pictures: Pictures, press: Press) -> Pictures:
     return pictures
 
@@ -129,6 +146,15 @@ FAULTS = (
     Fault("30 rows of the background are zero", "lines of the background", _same, _zero_rows),
     Fault("camera bumped by 5 px", "has moved", _same, moved_px=5),
     Fault("light falls by 15 % across the view", "falls", _gradient),
+    Fault("second contact of a third of the size", "second contact", _second(0.35, -165, 90)),
+    Fault("second contact that merges with the first", "second contact", _second(0.4, -125, 0)),
+    Fault("second contact of half the size", "second contact", _second(0.5, 135, 0)),
+    Fault("second finger of the same size", "second contact", _second(1, 178, 0)),
+    Fault("contact view saturated", "saturated", _exposed(2), _exposed(2)),
+    Fault("empty glass at 0.3 of the exposure", "another exposure", _same, _exposed(0.3)),
+    Fault("empty glass at 0.7 of the exposure", "another exposure", _same, _exposed(0.7)),
+    Fault("empty glass at twice the exposure", "another exposure", _same, _exposed(2)),
+    Fault("empty glass at four times the exposure", "another exposure", _same, _exposed(4)),
 )
 
 

@@ -23,6 +23,18 @@ Frames = np.ndarray[Any, Any]
 LOST = 27  # frames
 
 
+def _topography(change: Callable[[Frames], Frames]) -> Callable[[Frames], dict[str, Frames]]:
+    """Return what replaces the frames of the press by frames whose topography view is changed."""
+
+    def arrays(frames: Frames) -> dict[str, Frames]:
+        changed = frames.copy()
+        view = Press().views["topography"].crop(changed)
+        view[:] = change(view.copy())
+        return {"frames": changed}
+
+    return arrays
+
+
 class Mistake(NamedTuple):
     """A mistake: texts of the scene that are replaced, the variable that the mistake changes, and words of the warning.
 
@@ -75,6 +87,14 @@ MISTAKES = (
         "Check recording.frame_rate"),
     Mistake("frame rate 66.7 for 300", {"frame_rate = 300.0": "frame_rate = 66.7"}, "median_divergence_rate",
         "recording.frame_rate"),
+    Mistake("topography mirrored left to right", {}, "median_curl", "view is mirrored",
+        _topography(lambda view: view[:, :, ::-1])),
+    Mistake("topography mirrored top to bottom", {}, "median_curl", "view is mirrored",
+        _topography(lambda view: view[:, ::-1])),
+    Mistake("topography turned by half a turn", {}, "median_curl", "view is mirrored",
+        _topography(lambda view: view[:, ::-1, ::-1])),
+    Mistake("topography saturated", {}, "median_curl", "topography view is saturated",
+        _topography(lambda view: (view * 2.2).clip(0, 255).astype(view.dtype))),
 )  # fmt: skip
 
 

@@ -23,6 +23,11 @@ def test_what_is_plausible_says_nothing() -> None:
     messages = [plausibility.check_areas(areas, 2 * areas, 100.0, 8, 0), plausibility.check_growth(force, force**0.1)]
     messages += [plausibility.check_areas(nothing, nothing, 100.0, 8, 0), plausibility.check_onset(force, nothing, 0)]
     messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
+    messages += [plausibility.check_exposure(0.1, 0.88, 0), plausibility.check_mirrored("")]
+    # A bright spot, an even picture below full scale, and dark pictures are not saturated.
+    spot, even = np.arange(1000) % 254, np.full(1000, 200)
+    spot[:9] = 255
+    messages += [plausibility.check_clipped("contact", counts) for counts in (spot, even, 0 * even, even % 1)]
     for normal in (force, force + 0.02, 0.1 * force, nothing):
         messages += [plausibility.check_force(normal), plausibility.check_pressure(normal, gross)]
         messages += [plausibility.check_onset(normal, gross, 0), plausibility.check_growth(normal, gross)]
@@ -35,6 +40,9 @@ def test_sentences_name_the_frames_and_the_numbers() -> None:
     (more,) = plausibility.check_areas(real, gross, 100.0, 1, 10)
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more
+    for level in (255, 1023, 4095, 65535):
+        (saturated,) = plausibility.check_clipped("topography", np.minimum(np.arange(1000) * level // 950, level))
+        assert f"5% of the topography view is saturated: its grey level is {level}" in saturated
     # An unusable frame between two frames does not hide a jump.
     (jump,) = plausibility.check_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
     assert "jumps from 3 to 60 mm² between frames 0 and 2" in jump

@@ -44,7 +44,13 @@ def test_period_and_offset(texture: Skin) -> None:
         middle = np.array([240, 192, 1.0])
         off = np.linalg.norm((matrix - wrong) @ middle)
         assert ridges.offset_px(skin, topography, wrong) == pytest.approx(off, rel=0.5)
+        assert ridges.mirroring(skin, topography, wrong) == ""
+    mirrored = {"left to right": topography[:, ::-1], "top to bottom": topography[::-1], "": topography}
+    mirrored["both ways"] = topography[::-1, ::-1]
+    for turn, view in mirrored.items():
+        assert ridges.mirroring(skin, view, matrix) == turn
     # Views of different skin, or without skin, give no offset.
     noise = np.random.default_rng(0).normal(size=topography.shape)
     assert ridges.offset_px(skin, noise, matrix) == 0
+    assert ridges.mirroring(skin, noise, matrix) == ""
     assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0

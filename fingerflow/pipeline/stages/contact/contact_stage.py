@@ -72,6 +72,8 @@ class ContactStage(Stage):
             if variable.name != "gross_contact_region" and variable.formula is None
         }
         self._gain = np.full(frames, np.nan)  # illumination gain
+        self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
+        self._several_parts = False  # whether the view shows a contact beside the gross contact region
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
     def begin(self) -> None:
@@ -85,12 +87,14 @@ class ContactStage(Stage):
         self._light = contact_view.glass_light(glass, black, region_mask(self.inputs.scene, "contact"))
         first = int(np.argmax(self._usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
-        self.warnings.extend(plausibility.check_background(self._changed(first)[0], first + first_frame))
+        at_first = self._changed(first)
+        faults = plausibility.check_exposure(*at_first, first + first_frame)
+        self.warnings.extend(faults or plausibility.check_background(at_first[0], first + first_frame))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         changed = self._changed(self.reference_frame)
-        reversed_contrast = plausibility.check_contrast(*changed, appears, self.largest_load())
-        self.warnings.extend(reversed_contrast)
-        self._threshold = self._fixed_threshold(reversed_contrast)
+        faults = faults or plausibility.check_contrast(*changed, appears, self.largest_load())
+        self.warnings.extend(fault for fault in faults if fault not in self.warnings)
+        self._threshold = self._fixed_threshold(faults)
         self._largest = self._gross_region(self.reference_frame)
         skin = self._counts(self.reference_frame)[0] - self._black
         self.skin = ridges.skin_patch(skin, self._glass, self._largest[0, 0].numpy())
@@ -117,6 +121,7 @@ class ContactStage(Stage):
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
+        self._leave_out_parts(contact, indices)
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
@@ -124,6 +129,8 @@ class ContactStage(Stage):
     def finish(self) -> None:
         """Store contact areas and ellipses of all frames; warn if the illumination changed by an unknown factor."""
         first_frame = self.inputs.scene.recording.first_frame
+        if self._several_parts:
+            self.series["real_contact_area"] -= self._outside
         for values in (*self.series.values(), self._gain):
             values[~self._usable] = np.nan
         self._blind &= self._usable
@@ -140,7 +147,7 @@ class ContactStage(Stage):
         radius = self.inputs.scene.contact.gross_radius_px
         self.warnings.extend(plausibility.check_areas(real, gross, area, radius, first_frame))
         normal = self.trial.stage(LoadingStage).normal
-        if self.inputs.scene.kind != "slip":
+        if self.inputs.scene.kind != "slip" and not self._several_parts:
             self.warnings.extend(plausibility.check_missing_frames(gross, normal, first_frame))
         self.warnings.extend(view_faults.check_strip(self.series["ellipse_semi_axes"], gross, first_frame))
         if normal is not None:
@@ -197,9 +204,11 @@ class ContactStage(Stage):
         sweat), and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0].cpu().numpy()
+        frame = read_frames(self.inputs.recording[[self.reference_frame]])
+        self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
         self.warnings.extend(view_faults.check_background_lines(light))
         if region.any():
-            contact = self._contact(read_frames(self.inputs.recording[[self.reference_frame]]))
+            contact = self._contact(frame)
             period = self._period_px
             radius_px = self.inputs.scene.contact.gross_radius_px
             self.warnings.extend(view_faults.check_unlit_glass(region, light, radius_px))
@@ -217,6 +226,22 @@ class ContactStage(Stage):
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, region))
+
+    def _leave_out_parts(self, contact: FrameContact, indices: NDArray[np.intp]) -> None:
+        """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
+        if contact.real_contact_mask is None:
+            return
+        radius_px, size = self.inputs.scene.contact.gross_radius_px, self.inputs.mm_per_px
+        least = view_faults.SECOND_CONTACT * float(self._largest.sum())
+        for index, mask, margin in zip(indices, contact.real_contact_mask, contact.density_margin, strict=True):
+            outside = view_faults.outside_region(mask[0], margin[0] > 0, self.cell_px, radius_px)
+            count = int(outside.sum())
+            self._outside[index] = count * size**2
+            if self._usable[index] and not self._several_parts and 0 < least < count / view_faults.DENSITY:
+                frame = index + self.inputs.scene.recording.first_frame
+                several = view_faults.check_second_contact(outside, least, radius_px, size, frame)
+                self._several_parts = bool(several)
+                self.warnings.extend(several)
 
     def _gross_region(self, frame: int) -> Tensor:
         contact = self._contact(read_frames(self.inputs.recording[[frame]]))
@@ -276,11 +301,11 @@ class ContactStage(Stage):
         gain = float(self._engine.contact(self._engine.images(counts), self._light, unknown).illumination_gain[0])
         return gain if np.isfinite(gain) else 1
 
-    def _fixed_threshold(self, reversed_contrast: list[str]) -> float | None:
+    def _fixed_threshold(self, faults: list[str]) -> float | None:
         """Return the contact threshold (relative intensity loss) for all frames; None if it differs by frame.
 
-        Raises FingerflowError if there is no contact; it says what to check first, and contains the warning of a
-        reversed contrast, if there is one.
+        Raises FingerflowError if there is no contact; it says what to check first, and contains the first of the
+        `faults` of the contrast, if there are some.
         """
         setting = self.inputs.scene.contact.threshold
         if setting == "per_frame":
@@ -291,8 +316,8 @@ class ContactStage(Stage):
         threshold = float(self._engine.contact(self._engine.images(frame), self._light).threshold[0])
         if not np.isfinite(threshold):
             path = self.inputs.recording.path
-            if reversed_contrast:
-                raise FingerflowError(f"{path}: no contact: {reversed_contrast[0]}")
+            if faults:
+                raise FingerflowError(f"{path}: no contact: {faults[0]}")
             light, black = (image[0, 0].cpu().numpy() for image in self._glass_light)
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""

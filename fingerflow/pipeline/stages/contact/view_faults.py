@@ -5,6 +5,7 @@ without the dark level, 0 where it is not lit; `share` is the share of that ligh
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on un
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
 _SOLID = 0.12  # largest share of the real contact in patches wider than a ridge; merging ridges make up to 0.08
 _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, and no warning is given
+# Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
+SECOND_CONTACT, DENSITY = 0.03, 0.2
 _SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
 _STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
@@ -58,6 +61,40 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[st
         f"a dark strip lies in the view, {2 * major[frame]:.2g} mm long and {np.pi / 2 * minor[frame]:.2g} mm wide in "
         f"frame {frame + first_frame}, and counts as contact: a cable or hair between glass and camera that the "
         f"background does not show. Remove it, leave it out by views.contact.region, or record the empty glass again"
+    ]
+
+
+def outside_region(touching: Mask, region: Mask, cell_px: int, radius_px: int) -> Mask:
+    """Return the part of the real contact mask `touching` that is further than `radius_px` from the gross contact
+    `region`, a mask of cells of `cell_px` px.
+    """
+    near = cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))).astype(bool)
+    rows, columns = touching.shape
+    return np.asarray(touching & ~near.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
+
+
+def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> list[str]:
+    """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
+    knuckle.
+
+    `outside` is as `outside_region` returns it. Ridges are merged over `radius_px`; the largest part counts.
+    """
+    touching = outside.astype(np.uint8)
+    merged: NDArray[Any] = touching
+    for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
+        merged = cv2.morphologyEx(merged, operation, _disc(radius_px))
+    _, labels, parts, _ = cv2.connectedComponentsWithStats(merged, connectivity=8)
+    areas = parts[1:, cv2.CC_STAT_AREA]
+    if not len(areas) or areas.max() <= least_px:
+        return []
+    area, real = float(areas.max()), float(touching[labels == 1 + areas.argmax()].sum())
+    if real < DENSITY * area:
+        return []
+    return [
+        f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
+        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse and medians are of the densest "
+        f"part alone where the two are apart, and of both where they have merged. Leave the other out by "
+        f"views.contact.region, or press with one finger"
     ]
 
 

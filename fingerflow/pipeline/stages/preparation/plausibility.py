@@ -32,6 +32,8 @@ _STARTS, _GROWS = 0.02, 1.1
 # Least step of the area in multiples of the neighbouring steps and as a share of the largest area; number of
 # neighbouring frames on either side.
 _MISSING, _LEAST_STEP, _BESIDE = 6.0, 0.02, 4
+_CLIPPED = 0.01  # share of saturated pixels in a view above which a warning is given
+_ALL_CHANGED = 0.95  # share of brighter, or of darker, pixels above which the light differs, not what lies on the glass
 # Share of the lit view in which a frame is brighter than the background, above which the background is wrong.
 _BRIGHTER_SHARE = 0.005
 Series = NDArray[np.float64]
@@ -73,6 +75,31 @@ def check_views(offset_px: float, mm_per_px: float) -> list[str]:
     ]
 
 
+def check_mirrored(mirroring: str) -> list[str]:
+    """Return a warning if the topography view shows the ridges of the contact view only when turned over by
+    `mirroring`, as `ridges.mirroring` returns it.
+    """
+    if not mirroring:
+        return []
+    return [
+        f"the topography view is mirrored: it shows the ridges of the contact view only if turned over {mirroring}, "
+        f"and calibration.topography_to_contact does not. Onsets are those of skin elsewhere, displacement has the "
+        f"wrong sign, and so has curl unless both axes are turned; calibrate the views again"
+    ]
+
+
+def check_clipped(view: str, counts: NDArray[np.number]) -> list[str]:
+    """Return a warning if many pixels of a picture of `view` have the largest grey level of 8 or more bits."""
+    level = int(counts.max())
+    share = float((counts == level).mean())
+    if share <= _CLIPPED or level < 255 or level & (level + 1):
+        return []
+    return [
+        f"{share:.0%} of the {view} view is saturated: its grey level is {level}, the largest there is. Texture and "
+        f"loss of light are not seen there, and points and areas are wrong. Lower exposure, gain or light"
+    ]
+
+
 def check_contrast(brighter: float, darker: float, appears: str, moment: str) -> list[str]:
     """Return a warning if contact `appears` dark by the settings and bright in the frame with most contact, or the
     other way round.
@@ -87,6 +114,18 @@ def check_contrast(brighter: float, darker: float, appears: str, moment: str) ->
         f"at {moment} {brighter:.0%} of the contact view is {lighter} than the empty glass and {darker:.0%} changed as "
         f'contact does, with contact.appears = "{appears}": check [views.contact] and background.frames, or set '
         f'contact.appears = "{opposite}" if the finger is there'
+    ]
+
+
+def check_exposure(brighter: float, darker: float, frame: int) -> list[str]:
+    """Return a warning if most pixels of the first usable frame are brighter, or darker, than the empty glass."""
+    if max(brighter, darker) <= _ALL_CHANGED:
+        return []
+    share, change = max((brighter, "brighter"), (darker, "darker"))
+    return [
+        f"frame {frame} is {change} than background.frames in {share:.0%} of the contact view: the empty glass was "
+        f"recorded at another exposure, gain or light, or the recording begins in full contact. Contact and areas are "
+        f"wrong; record the empty glass again with the camera settings of the recording"
     ]
 
 

@@ -69,9 +69,33 @@ def period_px(skin: SkinPatch) -> float:
 def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
     """Return the distance, px of the contact view, between the skin ridges in the topography view, mapped by the
     calibration, and the same ridges in the contact view; 0 if small or unknown.
+    """
+    correlation, reach = _correlation(skin, topography, topography_to_contact)
+    down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
+    best = correlation[down, across]
+    if not best >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * best:
+        return 0.0
+    return float(np.hypot(down - reach, across - reach)) / skin.scale
 
-    A ridge is dark in the contact view and bright in the topography view, or dark in both: only the size of the
-    correlation counts.
+
+def mirroring(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> str:
+    """Return how the topography view must be turned over to show the ridges of the contact view: "left to right", "top
+    to bottom" or "both ways"; "" if it shows them as it is, or where neither does.
+    """
+    pictures = {"": topography, "left to right": topography[:, ::-1], "top to bottom": topography[::-1]}
+    pictures["both ways"] = topography[::-1, ::-1]
+    best = {name: _correlation(skin, turned, topography_to_contact)[0].max() for name, turned in pictures.items()}
+    name = max(best, key=lambda turned: best[turned])
+    return name if best[name] >= _LEAST_CORRELATION and best[""] < _WEAKER * best[name] else ""
+
+
+def _correlation(
+    skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]
+) -> tuple[Picture, int]:
+    """Return the size of the correlation of the ridges in both views for shifts of up to `reach` px of the patch along
+    y and x, and `reach`.
+
+    A ridge is dark in the contact view and bright in the topography view, or dark in both: the sign does not count.
     """
     rows, columns = skin.box
     matrix = topography_to_contact - [[0, 0, columns.start], [0, 0, rows.start]]
@@ -83,12 +107,7 @@ def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_con
     reach = min(_REACH_PX, *(side // 4 for side in pattern.shape))
     correlation = np.roll(np.fft.irfft2(product, pattern.shape), (reach, reach), (0, 1))
     norm = max(np.linalg.norm(skin.ridges) * np.linalg.norm(pattern[skin.inside]), 1e-30)
-    correlation = np.abs(correlation[: 2 * reach + 1, : 2 * reach + 1]) / norm
-    down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
-    best = correlation[down, across]
-    if not best >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * best:
-        return 0.0
-    return float(np.hypot(down - reach, across - reach)) / skin.scale
+    return np.abs(correlation[: 2 * reach + 1, : 2 * reach + 1]) / norm, reach
 
 
 def _reduced(picture: Picture, scale: float) -> Picture:

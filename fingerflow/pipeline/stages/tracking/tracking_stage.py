@@ -101,10 +101,15 @@ class TrackingStage(Stage):
                 f"trigger, then the views"
             )
             self._create(0)
-        if contact.skin is not None and self._view != self.inputs.scene.views.contact:
-            frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
-            offset = ridges.offset_px(contact.skin, frame, self.inputs.topography_to_contact)
-            self.warnings.extend(plausibility.check_views(offset, self.inputs.mm_per_px))
+        if self._view == self.inputs.scene.views.contact:
+            return
+        frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
+        self.warnings.extend(plausibility.check_clipped("topography", frame))
+        if contact.skin is not None:
+            pair = contact.skin, frame, self.inputs.topography_to_contact
+            mirrored = plausibility.check_mirrored(ridges.mirroring(*pair))
+            views = mirrored or plausibility.check_views(ridges.offset_px(*pair), self.inputs.mm_per_px)
+            self.warnings.extend(views)
 
     def step(self, batch: Batch) -> Any:
         """Track all points through the frames of a batch, in order; unusable frames are skipped."""
