@@ -10,7 +10,7 @@ import torch
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
+from bench.papers.friction_epochs import FrictionEpochs, friction_epochs
 from fingerflow.plot.axes_style import GREEN, GREY, INK, YELLOW, finished, line_styles
 from fingerflow.plot.captions import describe
 

@@ -92,29 +92,26 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
         )
     try:
         from fingerflow.engines.providers import installed_providers
-        from fingerflow.engines.sessions import CAPTURING
     except ModuleNotFoundError as error:
         raise FingerflowError(
             f"no engine serves here: native does not ({why}), and onnxruntime cannot be loaded ({error}); install it: "
             f"pip install onnxruntime"
         ) from None
     names = [provider] if provider else list(installed_providers())
-    ways = [(one, captured) for one in names for captured in (True, False) if one in CAPTURING or not captured]
-    for one, captured in ways:
+    for short in names:
         try:
-            engine = open_onnx(bundle, one, threads, captured)
+            engine = open_onnx(bundle, short, threads)
             check_engine(engine, bundle.expected)
             break
         except FingerflowError as error:
-            if (one, captured) == ways[-1]:
+            if short == names[-1]:
                 raise
-            of_graphs = " with captured graphs" if captured else ""
-            log.warning("provider %s does not serve here%s and the next is taken: %s", one, of_graphs, error)
+            log.warning("provider %s does not serve here and the next is taken: %s", short, error)
     log.info("engine: %s, as %s", engine.described, why)
     return engine
 
 
-def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1, captured: bool = False) -> OnnxEngine:
+def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1) -> OnnxEngine:
     """Open the graphs of a bundle with an execution provider; arguments and errors are those of
     `sessions.open_sessions`.
     """
@@ -122,9 +119,8 @@ def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1, captured:
     from fingerflow.engines.providers import provider_named
     from fingerflow.engines.sessions import open_sessions
 
-    sessions = open_sessions(bundle.files, provider, threads, captured)
-    described = f"onnx ({provider_named(provider)}{', captured' if captured else ''})"
-    return OnnxEngine(sessions, bundle.engine_settings, bundle.points, described)
+    sessions = open_sessions(bundle.files, provider, threads)
+    return OnnxEngine(sessions, bundle.engine_settings, bundle.points, f"onnx ({provider_named(provider)})")
 
 
 def _why_not_native(bundle: Bundle) -> str:

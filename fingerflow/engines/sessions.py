@@ -19,8 +19,6 @@ from fingerflow.errors import FingerflowError, first_line
 Array = NDArray[Any]
 
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
-#: Providers that can capture a graph as one CUDA graph, with the option that enables it.
-CAPTURING = {"cuda": "enable_cuda_graph", "tensorrt": "trt_cuda_graph_enable"}
 _NUMPY = {
     "tensor(float)": np.float32,
     "tensor(uint8)": np.uint8,
@@ -46,7 +44,7 @@ class GraphSession:
 
     Args:
         device: in whose memory inputs are kept, "cpu" or "cuda".
-        bound: bind inputs and outputs to fixed addresses of the device, as a captured graph needs them.
+        bound: bind inputs and outputs to fixed addresses of the device.
 
     Attributes:
         inputs: by name.
@@ -123,9 +121,7 @@ class _BoundSession:
             return [np.array(value.numpy()) for value in self._found.values()]
 
 
-def open_sessions(
-    files: Mapping[str, Path], provider: str = CPU, threads: int = 1, captured: bool = False
-) -> dict[str, GraphSession]:
+def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> dict[str, GraphSession]:
     """Open the sessions of all graphs of a bundle with one execution provider.
 
     Args:
@@ -133,7 +129,6 @@ def open_sessions(
         provider: short name, of `providers.installed_providers`.
         threads: inside an operator. One is fastest: an operator of these graphs takes some microseconds, and threads
             wait for each other at each of them.
-        captured: a provider of `CAPTURING` captures each graph that it computes without another provider.
 
     Raises:
         FingerflowError: the provider is not installed or does not run here, or a file is not what its name says.
@@ -141,13 +136,7 @@ def open_sessions(
     full, on_gpu = provider_named(provider), provider in _ON_GPU
     sessions = {}
     for name, path in files.items():
-        session = None
-        if captured and provider in CAPTURING:
-            try:
-                session = _open_session(path, provider, full, threads, captured=True)
-            except FingerflowError as error:
-                log.warning("%s is not captured as a graph: %s", path.name, error)
-        session = session or _open_session(path, provider, full, threads)
+        session = _open_session(path, provider, full, threads)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
@@ -156,7 +145,7 @@ def open_sessions(
     return sessions
 
 
-def _open_session(path: Path, provider: str, full: str, threads: int, captured: bool = False) -> ort.InferenceSession:
+def _open_session(path: Path, provider: str, full: str, threads: int) -> ort.InferenceSession:
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
@@ -165,9 +154,9 @@ def _open_session(path: Path, provider: str, full: str, threads: int, captured: 
     if provider == CPU:
         _share_memory()
         options.add_session_config_entry("session.use_env_allocators", "1")
-    of_provider: dict[str, Any] = {CAPTURING[provider]: "1"} if captured else {}
+    of_provider: dict[str, Any] = {}
     if provider == "tensorrt":
-        of_provider |= {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
+        of_provider = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
     chosen: list[Any] = [(full, of_provider)]
     if full != provider_named(CPU):
         chosen.append(provider_named(CPU))
@@ -188,11 +177,7 @@ def _open_session(path: Path, provider: str, full: str, threads: int, captured: 
 
 @cache
 def _share_memory() -> None:
-    """Let all sessions on the CPU take memory from one pool: a bundle then needs half the memory, at the same speed.
-
-    Sessions of a GPU keep a pool each: a captured graph computes at the addresses at which it was recorded, where no
-    other session may store anything.
-    """
+    """Let all sessions on the CPU take memory from one pool: a bundle then needs half the memory, at the same speed."""
     kinds = ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT
     ort.create_and_register_allocator(ort.OrtMemoryInfo("Cpu", *kinds), None)
 

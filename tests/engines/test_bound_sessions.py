@@ -2,8 +2,6 @@
 memory, and of the nodes of the graphs, which a GPU must all compute itself.
 """
 
-import logging
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,7 @@ from fingerflow.engines import choice, sessions
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.sessions import GraphSession
-from fingerflow.errors import FingerflowError
-from fingerflow.schema.recipe import GRAPHS, GraphName
+from fingerflow.schema.recipe import GraphName
 
 Array = np.ndarray[Any, Any]
 
@@ -78,56 +75,10 @@ def test_kept_values_are_copied_when_they_change(bundle: Bundle) -> None:
         assert found == plain({"topography_view": frames[number]})["noise"]
 
 
-@pytest.fixture
-def all_bound(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """Bind the sessions of the processor as those of a GPU; return a list that gets, for each session, whether it was
-    to be captured. Capturing fails for the graphs `contact` and `threshold`.
-    """
-    asked: list[bool] = []
-    open_session = sessions._open_session
-
-    def session(path: Path, *given: Any, captured: bool = False) -> Any:
-        asked.append(captured)
-        if captured and path.stem in ("contact", "threshold"):
-            raise FingerflowError("nodes have been left to the processor")
-        return open_session(path, *given)
-
-    monkeypatch.setattr(sessions, "_open_session", session)
+def test_an_engine_of_bound_sessions(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An engine of sessions that are bound as those of a GPU gives the numbers of the bundle."""
     monkeypatch.setattr(sessions, "GraphSession", lambda of, path, _device, bound: GraphSession(of, path, "cpu", True))
-    monkeypatch.setitem(sessions.CAPTURING, "cpu", "captured")
-    return asked
-
-
-def test_an_engine_of_bound_sessions(bundle: Bundle, all_bound: list[bool], caplog: pytest.LogCaptureFixture) -> None:
-    """An engine of bound sessions gives the numbers of the bundle; a graph that cannot be captured is named in a
-    warning and opened without capture.
-    """
-    with caplog.at_level(logging.WARNING):
-        engine = choice.open_onnx(bundle, captured=True)
-    assert engine.described == "onnx (CPUExecutionProvider, captured)"
-    assert Counter(all_bound) == {True: len(GRAPHS), False: 2}
-    assert [message.split(":")[0] for message in caplog.messages] == [
-        f"{name}.onnx is not captured as a graph" for name in GRAPHS if name in ("contact", "threshold")
-    ]
-    check_engine(engine, bundle.expected)
-
-
-def test_a_provider_that_captures_wrongly_is_taken_without(
-    bundle: Bundle, all_bound: list[bool], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A provider whose captured graphs always return their first results is used without capture."""
-    right = sessions._BoundSession.__call__
-    first: dict[int, list[Array]] = {}
-
-    def for_ever(self: Any, feed: Any) -> list[Array]:
-        return first.setdefault(id(self), right(self, feed)) if all_bound[-1] else right(self, feed)
-
-    monkeypatch.setattr(sessions._BoundSession, "__call__", for_ever)
-    with caplog.at_level(logging.WARNING):
-        engine = choice.engine_of_stream(bundle, "onnx", "cpu")
-    assert engine.described == "onnx (CPUExecutionProvider)"
-    assert "provider cpu does not serve here with captured graphs" in caplog.text
-    assert "are not the expected ones" in caplog.text
+    check_engine(choice.open_onnx(bundle), bundle.expected)
 
 
 # Element types of the operators that ONNX Runtime computes by CUDA at opset 18 (its docs/OperatorKernels.md): of the

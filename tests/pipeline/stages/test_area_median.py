@@ -33,25 +33,19 @@ def test_an_odd_field_has_the_value_at_the_centre_however_points_crowd() -> None
 
 
 def test_the_deviation_covers_the_error() -> None:
-    """Borders off by 0.06 mm, points anywhere, noise of 10 um: 68 % of errors within a deviation, to the chance of 150
-    draws and a border's error that is stated for the worst side of the median.
+    """Odd fields, borders off by 0.06 mm, points anywhere, noise of 10 um: 68 % of errors within a deviation, to the
+    chance of 150 draws.
     """
     draw, z = np.random.default_rng(2), []
     for _ in range(150):
         position = crowded(int(draw.integers(300, 600)), draw)[None]
-        kind = draw.integers(3)
         off = position[0] - [3.0, -2.0]
-        field = [off[:, 0] * 0.01, 0.1 * np.exp(-(off**2).sum(1) / 20), np.tanh(off[:, 1]) * 0.03][kind]
-        true = [0.0, None, 0.0][kind]
-        if true is None:
-            fine = np.random.default_rng(0).uniform(-8, 8, (100_000, 2))
-            fine = fine[contact().inside(fine[None] + [3.0, -2.0])[0] > 0]
-            true = float(np.median(0.1 * np.exp(-(fine**2).sum(1) / 20)))
+        field = off[:, 0] * 0.01 if draw.integers(2) else np.tanh(off[:, 1]) * 0.03
         displacement = np.stack((field, field), axis=-1)[None] + 0.01 * draw.standard_normal((1, len(off), 2))
         size = 0.06 * draw.standard_normal()
         seen = contact(first=7 + size, second=5 + size)
         median, deviation = median_over_area(position, displacement, np.full((1, len(off)), 1e-4), seen, REACH)
-        z.append((median[0] - true) / deviation[0])
+        z.append(median[0] / deviation[0])
     assert 0.6 < np.sqrt(np.square(z).mean()) < 1.2
     assert 0.62 < (np.abs(z) < 1).mean() < 0.9
 

@@ -64,20 +64,22 @@ def check_strip(semi_axes: Picture, gross: Picture, first_frame: int) -> list[st
     ]
 
 
-def outside_region(touching: Mask, region: Mask, cell_px: int, radius_px: int) -> Mask:
-    """Return the part of the real contact mask `touching` that is further than `radius_px` from the gross contact
-    `region`, a mask of cells of `cell_px` px.
-    """
-    near = cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))).astype(bool)
+def outside_region(region: Mask, cell_px: int, radius_px: int) -> Mask:
+    """Return the cells, of `cell_px` px, that are further than `radius_px` from those of the gross contact `region`."""
+    return np.asarray(cv2.dilate(region.astype(np.uint8), _disc(-(-radius_px // cell_px))) == 0)
+
+
+def in_cells(touching: Mask, cells: Mask, cell_px: int) -> Mask:
+    """Return the part of the real contact mask `touching` that lies in these `cells` of `cell_px` px."""
     rows, columns = touching.shape
-    return np.asarray(touching & ~near.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
+    return np.asarray(touching & cells.repeat(cell_px, 0)[:rows].repeat(cell_px, 1)[:, :columns])
 
 
 def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_px: float, frame: int) -> list[str]:
     """Return a warning if a contact of `least_px` px lies outside the gross contact region, as of a second finger or a
     knuckle.
 
-    `outside` is as `outside_region` returns it. Ridges are merged over `radius_px`; the largest part counts.
+    `outside` is the real contact mask outside that region. Ridges are merged over `radius_px`; the largest part counts.
     """
     touching = outside.astype(np.uint8)
     merged: NDArray[Any] = touching
