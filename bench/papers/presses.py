@@ -38,7 +38,7 @@ _BIN_N, _FEWEST_PRESSES = 0.5, 3  # N, width of the force bins for mean rates; l
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(participants=16, trials=2)
-_QUICK = Design(participants=4, trials=1)
+_QUICK = Design(participants=4, trials=1, amplitudes=(0.0, 1.5, 3.0))
 _RESAMPLES = {False: 2000, True: 400}
 
 

@@ -1,7 +1,6 @@
-"""Tests of both papers: rows and verdicts on tables with the printed effects, the page, a quick run from pictures."""
+"""Tests of both papers: rows and verdicts on tables with the printed effects, and the page."""
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bench.__main__ import main
 from bench.papers import method_rows, press_figures, press_rows, slide_figures, slide_rows
 from bench.papers.page import TITLES, read_results, write_page, write_results
 from bench.papers.presses import PressStudy
@@ -154,33 +152,3 @@ def test_the_committed_results_are_whole_and_explained() -> None:
             assert bool(row["because"]) == (row["verdict"] in (DIFFERS, NOT_HAD)), row["id"]
         files = {figure["file"] for figure in paper["figures"] if figure["file"]}
         assert files == {path.name for path in (folder / paper["paper"]).iterdir()}
-
-
-@pytest.mark.long
-def test_a_quick_run_from_pictures_to_the_page(tmp_path: Path) -> None:
-    """Slides agree with print, and of the small study of presses what few presses can; every figure but photographs is
-    drawn; a second run measures nothing again.
-    """
-    main(["papers", "--quick", "--folder", str(tmp_path)])
-    found = {one["paper"]: one for one in read_results(tmp_path / "page")}
-    rows = {paper: {row["id"]: row for row in one["rows"]} for paper, one in found.items()}
-    agreeing = {name for own in rows.values() for name, row in own.items() if row["verdict"] == AGREES}
-    assert agreeing >= {f"A{k}" for k in (*range(1, 6), *range(12, 18), 20, 21, 22)}
-    settings = {1, 3, *range(15, 19), *range(21, 27), 30, 33, 56, *range(58, 64)}
-    assert agreeing >= {f"B{k}" for k in settings | {5, 6, 8, 34, 35, 36, 43, 44}}
-    assert not [name for own in rows.values() for name, row in own.items() if row["because"] == UNEXPLAINED]
-    assert not [name for own in rows.values() for name, row in own.items() if "nan" in row["obtained"]]
-    error = re.search(r"RMS error ([\d.]+)", rows["slip"]["A9"]["obtained"])
-    assert error is not None
-    assert float(error[1]) < 0.03
-    for paper, one in found.items():
-        files = [tmp_path / "page" / paper / figure["file"] for figure in one["figures"] if figure["file"]]
-        files += [tmp_path / "page" / "movies" / figure["movie"] for figure in one["figures"] if figure["movie"]]
-        assert len(files) == (18 if paper == "press" else 5)
-        assert all(path.stat().st_size > 5000 for path in files)
-    measured = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("row.json")}
-    assert len(measured) > 60
-    main(["papers", "slip", "--folder", str(tmp_path)])
-    assert {path: path.stat().st_mtime_ns for path in measured} == measured
-    again = json.loads((tmp_path / "page" / "slip.json").read_text(encoding="utf-8"))
-    assert again["rows"] == found["slip"]["rows"]

@@ -1,8 +1,10 @@
-"""Tests of simulated trials: distributions against printed values, and rendered trials against their truth.
+"""Tests of simulated trials: distributions against printed values, and both papers by few trials, from pictures on.
 
 B5 etc. are printed values of Willemet et al. 2021, supplement.
 """
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from bench.__main__ import main
+from bench.papers.page import read_results
+from bench.papers.printed import AGREES, UNEXPLAINED
 from fingerflow.models.observer import participant_groups
-from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
-from fingerflow.study.run_study import run_study
 from fingerflow.study.simulated import write_recordings
 from fingerflow.study.simulated_trials import (
     Design,
@@ -134,17 +137,51 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
         assert truth.medians(press.n_frames - 1).displacement_x == pytest.approx(presses.shift[number, 0], abs=1e-9)
 
 
-def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
-    """A study of six pairs by its commands returns the numbers that were drawn and finds the pairs; an interrupted call
-    continues.
+@pytest.fixture(scope="module")
+def papers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a quick run of both papers."""
+    folder = tmp_path_factory.mktemp("papers")
+    main(["papers", "--quick", "--folder", str(folder)])
+    return folder
+
+
+def test_a_quick_run_goes_from_pictures_to_the_page(papers: Path) -> None:
+    """Slides agree with print, and of the small study of presses what few presses can; every figure but photographs is
+    drawn; a second run measures nothing again.
     """
-    design = Design(participants=2, trials=1, amplitudes=(0.0, 1.0, 3.0), force_range=(2.0, 9.0), view_px=418)
-    write_recordings(tmp_path, design)
-    write_recordings(tmp_path, design)
-    init_study(tmp_path, tmp_path / "answers.csv")
-    study = load_manifest(tmp_path)
+    found = {one["paper"]: one for one in read_results(papers / "page")}
+    rows = {paper: {row["id"]: row for row in one["rows"]} for paper, one in found.items()}
+    agreeing = {name for own in rows.values() for name, row in own.items() if row["verdict"] == AGREES}
+    assert agreeing >= {f"A{k}" for k in (*range(1, 6), *range(12, 18), 20, 21, 22)}
+    settings = {1, 3, *range(15, 19), *range(21, 27), 30, 33, 56, *range(58, 64)}
+    assert agreeing >= {f"B{k}" for k in settings | {5, 6, 8, 34, 35, 36, 43, 44}}
+    assert not [name for own in rows.values() for name, row in own.items() if row["because"] == UNEXPLAINED]
+    assert not [name for own in rows.values() for name, row in own.items() if "nan" in row["obtained"]]
+    error = re.search(r"RMS error ([\d.]+)", rows["slip"]["A9"]["obtained"])
+    assert error is not None
+    assert float(error[1]) < 0.03
+    for paper, one in found.items():
+        files = [papers / "page" / paper / figure["file"] for figure in one["figures"] if figure["file"]]
+        files += [papers / "page" / "movies" / figure["movie"] for figure in one["figures"] if figure["movie"]]
+        assert len(files) == (18 if paper == "press" else 5)
+        assert all(path.stat().st_size > 5000 for path in files)
+    measured = {path: path.stat().st_mtime_ns for path in papers.rglob("row.json")}
+    assert len(measured) == 10 + 24
+    main(["papers", "slip", "--folder", str(papers)])
+    assert {path: path.stat().st_mtime_ns for path in measured} == measured
+    again = json.loads((papers / "page" / "slip.json").read_text(encoding="utf-8"))
+    assert again["rows"] == found["slip"]["rows"]
+
+
+def test_rendered_presses_are_measured_as_drawn(papers: Path) -> None:
+    """Twelve pairs have the numbers that were drawn and are found; rendering again keeps what is there."""
+    folder = papers / "press-quick" / "recordings"
+    design = Design(**json.loads((folder / "truth.json").read_text(encoding="utf-8")))
+    rendered = {path: path.stat().st_mtime_ns for path in folder.rglob("frames.npy")}
+    write_recordings(folder, design)
+    assert {path: path.stat().st_mtime_ns for path in rendered} == rendered
+    study = load_manifest(folder)
     assert study.design == "forced choice"
-    run_study(study, workers=1, progress=False)
     table = pd.read_csv(write_tables(study).csv)
     assert (table["status"] == "measured").all()
     drawn = draw_presses(design)
@@ -159,7 +196,7 @@ def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
     assert 1e3 * np.abs(table["divergence"] - table["true_divergence"]).max() < 5.0
     assert np.corrcoef(table["divergence"], table["true_divergence"])[0, 1] > 0.9
     compared = table["reference"].notna()
-    assert compared.sum() == 6
+    assert compared.sum() == 12
     assert table["answer"].notna().equals(compared)
     for name in ("divergence", "max_force"):
         own = table.set_index(["participant", "trial"])[name]
