@@ -35,6 +35,7 @@ from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build_graphs
+from fingerflow.export.portable import Portable
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.tracking.corners import detect_corners
@@ -126,7 +127,8 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     if "points" in tensors:
         key = {**tensors, "topography_view": tensors["topography_before"]}
         for graph in (graphs["noise"], graphs["prepare"]):
-            key |= graph.run(key)
+            with torch.inference_mode(), Portable():
+                key |= dict(zip(graph.outputs, graph.module(*(key[one] for one in graph.inputs)), strict=True))
         tensors = {**key, "topography_view": tensors["topography_view"], "prediction": tensors["points"]}
     with tempfile.TemporaryDirectory() as folder:
         write_graph(recipe, name, graphs[name], tuple(tensors[one] for one in graphs[name].inputs), Path(folder))

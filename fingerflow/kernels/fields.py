@@ -22,8 +22,7 @@ def local_gradients(
     noise: Array | None,
     *,
     radius: float,
-    least_spread: float,
-    minimum_points: int,
+    minimum_points: int = limits.MINIMUM_POINTS,
 ) -> LocalFit:
     """Fit a plane, by weighted least squares, to the values (B, N, C) of the points within `radius` of each query
     position (B, Q, 2), and return value and gradient there, as `ops.fields.local_fit` up to rounding.
@@ -34,7 +33,7 @@ def local_gradients(
     batches = [
         array.shape[0] for array in (points, values, queries, noise) if array is not None and array.shape[0] != 1
     ]
-    value, gradient, covariance, counts, offset = compiled("local_gradients")(
+    fit = compiled("local_gradients")(
         points=points,
         values=values,
         queries=queries,
@@ -42,9 +41,9 @@ def local_gradients(
         batch=batches[0] if batches else 1,
         minimum_points=minimum_points,
         radius=radius,
-        least_spread=least_spread,
+        least_spread=limits.MINIMUM_SPREAD * radius,
     )
-    return LocalFit(value, gradient, covariance, counts, offset)
+    return LocalFit(*fit)
 
 
 def area_medians(

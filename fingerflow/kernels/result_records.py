@@ -109,6 +109,30 @@ class EnteredPoints(NamedTuple):
     covariance: Values | None
 
 
+class FrameFields(NamedTuple):
+    """Divergence, curl, strain and shear at N points in K frames, and medians over the contact.
+
+    Attributes:
+        divergence, curl: (K, N), curl in rad; NaN where the displacement of the point itself is not known.
+        strain: (K, N, 3) as (exx, eyy, exy).
+        shear: (K, N, 2) along the axes and along the diagonals.
+        divergence_std, curl_std: (K, N); None without covariances.
+        median: (K, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without an ellipse.
+        median_std: (K, 5); None without covariances or an ellipse.
+        known_share: (K,) share of the ellipse in which the fields are known; None without an ellipse.
+    """
+
+    divergence: Values
+    curl: Values
+    strain: Values
+    shear: Values
+    divergence_std: Values | None
+    curl_std: Values | None
+    median: Values
+    median_std: Values | None
+    known_share: Values
+
+
 class LocalFit(NamedTuple):
     """Linear fits to values of C components around Q query positions; NaN where the points do not determine a fit."""
 

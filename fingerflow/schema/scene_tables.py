@@ -201,6 +201,18 @@ class FieldSettings(GaugeSettings):
     rate_window_s: float = key("over which rates are fitted", 0.05, POSITIVE, label="time window of rates")
 
 
+STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
+
+
+@dataclass(frozen=True)
+class EngineSettings(ContactCells, PointSettings, GaugeSettings):
+    """Settings of an engine: those of a scene file that a recipe of a bundle may state too, by the same names, the
+    cells of the contact, and the strain measure.
+    """
+
+    strain: str = FieldSettings.strain
+
+
 @dataclass(frozen=True)
 class SlipSettings:
     """Settings in the table [slip] of a scene file: how stick and slip are distinguished in a trial of tangential

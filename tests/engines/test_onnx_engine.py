@@ -18,13 +18,13 @@ import onnxruntime as ort
 import pytest
 import torch
 
-from fingerflow.engines import choice, providers
+from fingerflow.engines import choice, providers, sessions
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import noise_of
-from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
 from fingerflow.engines.torch import TorchEngine
@@ -217,7 +217,7 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
     engine = choice.open_onnx(bundle)
     of_array = GraphSession.kept
     monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
-    engine._sessions["track"].shares_memory = False
+    monkeypatch.setattr(sessions, "CPU", "the processor has no part in it")
     templates = keyed(engine, points)
     image = engine.images(view("topography", FRAME))
     before = engine.track(templates, image, points, np.zeros_like(points)).found.points
@@ -336,7 +336,7 @@ def test_a_provider_with_other_numbers_is_passed_over(
     )
     wrong = [True, False, True]
 
-    def check(engine: OnnxEngine, expected: Any) -> None:
+    def check(engine: GraphEngine, expected: Any) -> None:
         if wrong.pop(0):
             raise FingerflowError("its numbers are not those of the bundle")
 
@@ -372,7 +372,7 @@ def test_the_provider_of_a_plugin_package_is_found(
 
 
 def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Path) -> None:
-    def opened(**files: Path) -> OnnxEngine:
+    def opened(**files: Path) -> GraphEngine:
         return choice.open_onnx(dataclasses.replace(bundle, files={**bundle.files, **files}))
 
     with pytest.raises(FingerflowError, match=r"contact\.onnx: holds 'contact' where the graph 'track' is expected"):

@@ -58,7 +58,7 @@ def kernel_calls() -> dict[str, Call]:
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
     templates = list(twin("prepare_templates")(first, points, None, one, 11, 1, 0.0))
-    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
+    fits = {"radius": 30.0, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
 

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.fields.scattered import check_scattered
-from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
-from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
+from fingerflow.ops.fields.strain import green_lagrange
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
 
@@ -89,8 +89,7 @@ def area_medians(
         TypeError, ValueError: a dtype, shape or setting is invalid.
     """
     _check(reference, displacement, center, semi_axes, angle, gauge_length, covariance)
-    if measure not in STRAIN_MEASURES:
-        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    check_measure(measure)
     kind = displacement.dtype
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
     if apart is not None:
@@ -106,7 +105,7 @@ def area_medians(
                 among,
                 fields,
                 std,
-                measure=STRAIN_MEASURES.index(measure),
+                measure=limits.STRAIN_MEASURES.index(measure),
                 radius=gauge_length / 2,
             )
         )
@@ -317,7 +316,7 @@ def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share:
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
     """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to displacement gradients."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
-    parts = sensitivity_parts(xx, xy, yx, yy, measure)
+    parts = sensitivity_parts(xx, xy, yx, yy, measure, torch.zeros_like(xx), torch.ones_like(xx))
     return torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
 
 

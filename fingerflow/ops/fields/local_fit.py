@@ -70,22 +70,9 @@ def local_gradients(
     if variance is not None:
         noise = variance.to(dtype).flatten(2) if variance.dim() == 4 else variance.to(dtype)[..., None]
     if kernels.serve(positions, measured, wanted, noise):
-        fitted = kernels.local_gradients(
-            positions,
-            measured,
-            wanted,
-            noise,
-            radius=radius,
-            least_spread=MINIMUM_SPREAD * radius,
-            minimum_points=minimum_points,
-        )
-        dtype_out = result_dtype(*inputs)
+        fit = kernels.local_gradients(positions, measured, wanted, noise, radius=radius, minimum_points=minimum_points)
         return LocalFit(
-            fitted.value.to(dtype_out),
-            fitted.gradient.to(dtype_out),
-            None if fitted.covariance is None else fitted.covariance.to(dtype_out),
-            fitted.point_count,
-            fitted.centroid_offset.to(dtype_out),
+            *(part if part is None or not part.is_floating_point() else part.to(result_dtype(*inputs)) for part in fit)
         )
 
     # NaN becomes 0 with a weight of 0, rather than being masked at the end, so that derivatives stay finite.

@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
+from fingerflow.kernels.strain_formulas import strain_parts as strain_parts
 from fingerflow.ops.tensors import half_angle, hypotenuse
 
 
@@ -75,19 +75,6 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
         border: none, each element stands alone.
     """
     return torch.stack(strain_parts(*_parts(gradient), measure), dim=-1)
-
-
-def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the strain components exx, eyy and exy as separate tensors, given du/dx, du/dy, dv/dx and dv/dy."""
-    if measure not in STRAIN_MEASURES:
-        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
-    exx, eyy, exy = ux, vy, (uy + vx) / 2
-    if measure != "infinitesimal":
-        exx = exx + (ux * ux + vx * vx) / 2
-        eyy = eyy + (uy * uy + vy * vy) / 2
-    if measure == "green_lagrange":
-        exy = exy + (ux * uy + vx * vy) / 2
-    return exx, eyy, exy
 
 
 def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:

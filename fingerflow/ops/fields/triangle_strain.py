@@ -6,7 +6,9 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.fields.strain import STRAIN_MEASURES, energy_form, stiffness, strain_parts, stress_parts
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.strain_formulas import strain_parts
+from fingerflow.ops.fields.strain import energy_form, stiffness, stress_parts
 from fingerflow.ops.fields.strain_uncertainty import strain_covariance_parts
 from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
