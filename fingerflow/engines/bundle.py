@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,6 +21,7 @@ from fingerflow.schema.recipe import GRAPHS as GRAPHS  # `choice` may not import
 from fingerflow.schema.recipe import parse_recipe
 
 _AGAIN = "export the bundle again, or copy its folder again"
+_MOST_FACTS = 1 << 26  # bytes of bundle.json, which has some 100 kB for 700 points
 _FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system
 
 
@@ -60,7 +62,7 @@ def load_bundle(folder: Path) -> Bundle:
     """
     path = folder / "bundle.json"
     try:
-        facts = json.loads(_content(path))
+        facts = json.loads(_content(path, _MOST_FACTS))
     except OSError as error:
         raise PlayerError(
             f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
@@ -115,9 +117,11 @@ def _check_file(folder: Path, name: str, digest: str) -> None:
         )
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, most: float = math.inf) -> bytes:
     if path.exists() and not path.is_file():  # a pipe or a device, which is never read to its end
         raise OSError(0, "it is no file")
+    if (size := path.stat().st_size) > most:
+        raise OSError(0, f"it has {size} bytes")
     return path.read_bytes()
 
 

@@ -120,7 +120,11 @@ class GraphEngine:
         return points[np.isfinite(points).all(1)]
 
     def prepare(self, key: Images | _GraphTemplates, points: Array, warp: Array | None = None) -> _GraphTemplates:
-        frame = key.key if isinstance(key, _GraphTemplates) else self._key_frame(key)
+        if isinstance(key, _GraphTemplates):
+            frame = key.key
+        else:
+            image = key.copy() if isinstance(key, np.ndarray) else key.clone()
+            frame = _KeyFrame(image, float(self._sessions["noise"]({"topography_view": image})["noise"][0]))
         track, noise = self._sessions["track"], np.array([frame.noise], np.float32)
         if not len(points):
             return _GraphTemplates({}, frame, track)
@@ -133,10 +137,6 @@ class GraphEngine:
             frame.spline = self._sessions["renew"].kept("spline", spline)
         of_points, shared = {"points": points[None], "warp": warp[None]}, {"spline": frame.spline, "noise": noise}
         return _GraphTemplates(self._in_pieces("renew", of_points, shared), frame, track)
-
-    def _key_frame(self, image: Images) -> _KeyFrame:
-        view = image.copy() if isinstance(image, np.ndarray) else image.clone()
-        return _KeyFrame(view, float(self._sessions["noise"]({"topography_view": view})["noise"][0]))
 
     def track(
         self, templates: _GraphTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None

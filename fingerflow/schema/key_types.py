@@ -66,11 +66,12 @@ class NumberType(KeyType):
             expected = "a whole number" if self.whole else "a number"
             raise WrongValue(f"it should be {expected}{', without quotes' if quoted else ''}")
         try:
-            number = value if self.whole else float(value)
+            finite = math.isfinite(value)
         except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
+            finite = False
+        if not finite:
             raise WrongValue("it should be a finite number")
+        number = value if self.whole else float(value)
         for words, limit, is_beyond in (
             *(("above", self.above, operator.le), ("at least", self.least, operator.lt)),
             *(("at most", self.most, operator.gt), ("below", self.below, operator.ge)),

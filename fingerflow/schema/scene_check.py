@@ -76,7 +76,7 @@ class TableCheck:
             elif isinstance(value, dict):
                 values[name] = self.table(keys, key, value)
             else:
-                self.refuse(keys, f"is {value!r}: it should be a table")
+                self.refuse(keys, f"{_shown(value)}: it should be a table")
         for name in written:
             if name not in table.keys:
                 self._unknown((*prefix, name), table, besides)
@@ -288,8 +288,11 @@ def _name(key: str) -> str:
     return key.rpartition(".")[2]
 
 
+_MOST_SHOWN = 300  # characters of a wrong value
+
+
 def _shown(value: Any) -> str:
-    return "is a table" if isinstance(value, dict) else f"is {value!r}"
+    return "is a table" if isinstance(value, dict) else f"is {value!r}"[:_MOST_SHOWN]
 
 
 def _ranges(view: tuple[Pixels, Pixels] | None) -> str:

@@ -14,6 +14,7 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
+from fingerflow.errors import PlayerError
 from fingerflow.results.stream_folder import read_results
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
@@ -150,6 +151,32 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     assert "its format is '1', this player reads 10; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
+
+
+def test_hostile_bundles_end_in_a_sentence(stream: Stream) -> None:
+    path = stream.bundle / "bundle.json"
+    facts = json.loads(path.read_text())
+    texts = ["", "[" * 100_000, "NaN", "[]", "null", "1" * 5000, '{"format": 10}', json.dumps(facts) * 2]
+    values = (None, True, -1, 10**400, float("nan"), 1e308, "x" * 5000, "\ud800", [[]] * 99, {"a": {}})
+    tables = (facts["recipe"], *(table for table in facts["recipe"].values() if table), facts)
+    for table in tables:
+        for name, value in list(table.items()):
+            for table[name] in values:
+                texts.append(json.dumps(facts))
+            table[name] = value
+    messages = []
+    for text in texts:
+        path.write_text(text)
+        try:
+            load_bundle(stream.bundle)
+        except PlayerError as error:
+            messages.append(str(error))
+    assert max(map(len, messages)) < 2000
+    assert len(messages) > 0.9 * len(texts) > 200  # a few values are right
+    path.write_bytes(b"{")
+    os.truncate(path, 1 << 32)
+    with pytest.raises(PlayerError, match="it has 4294967296 bytes"):
+        load_bundle(stream.bundle)
 
 
 def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,6 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.declarations import FRAME_KINDS
-from fingerflow.recordings.forces.forces import Forces
 from fingerflow.schema.pixel_types import COMPUTED_TYPES
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_rows import read_rows
@@ -201,10 +200,3 @@ def test_dropped_frames_in_a_video_are_not_missing_at_its_end(drop: tuple[int, .
     assert not any("missing" in warning or "interlaced" in warning for warning in recording.warnings)
     assert recording.times is not None
     assert recording.times[-1] == pytest.approx(0.09, abs=0.002)
-
-
-@pytest.mark.parametrize("scale", [1000.0, 1e6, 50.0])
-def test_a_wrong_unit_of_the_times_is_named(scale: float) -> None:
-    forces = Forces(Path("a.csv"), np.arange(200) * scale / 100, {"f": FORCES}, {"f": "N"})
-    with pytest.raises(FingerflowError, match=r"samples of the forces, which last .*'time \(ms\)'"):
-        forces.resample(np.arange(300) / 300)

@@ -58,7 +58,9 @@ class SmoothingErrors:
         share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
         square = share**2 * (difference**2 - deviation.astype(np.float64) ** 2)
         finite = np.isfinite(square)
-        total, weight = (values @ self._weights for values in (np.where(finite, square, 0.0), finite.astype(float)))
+        # One product of matrices; with an axis of frames NumPy computes one a frame, each of which reads all weights.
+        rows = np.concatenate((np.where(finite, square, 0.0), finite)).reshape(-1, square.shape[2])
+        total, weight = (rows @ self._weights).reshape(2, *square.shape)
         return np.maximum(total, 0) / np.maximum(weight, 1e-12)
 
 
