@@ -174,14 +174,11 @@ class GraphEngine:
         if whole or (self.fixed and 2 * len(rows) > points):
             near = np.full((1, points, 2), np.nan, np.float32)
             near[0, rows] = guess
-            outputs = self._sessions["track"](
-                {**templates.inputs(points), "topography_view": images, "prediction": near}
-            )
+            inputs = {**templates.inputs(points), "topography_view": images, "prediction": near}
+            outputs = self._sessions["track"](inputs)
             return select(TrackedPoints(**outputs), slice(None), slice(0, len(rows)) if whole else rows)
-        arrays = {name: array[:, rows] for name, array in templates.arrays.items()}
-        return TrackedPoints(
-            **self._in_pieces("track_few", {**arrays, "prediction": guess[None]}, {"topography_view": images})
-        )
+        arrays = {name: array[:, rows] for name, array in templates.arrays.items()} | {"prediction": guess[None]}
+        return TrackedPoints(**self._in_pieces("track_few", arrays, {"topography_view": images}))
 
     def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
@@ -224,14 +221,10 @@ class GraphEngine:
     def windows(self, images: Images, number: Array, places: Array, warp: Array) -> Array:
         frames = np.unique(number) if len(number) else np.zeros(1, int)
         parts = [np.flatnonzero(number == frame) for frame in frames]
-        samples = [
-            self._in_pieces(
-                "windows",
-                {"points": places[None, part], "warp": warp[None, part]},
-                {"topography_view": images[frame : frame + 1]},
-            )["samples"][0]
-            for frame, part in zip(frames, parts, strict=True)
-        ]
+        samples = []
+        for frame, part in zip(frames, parts, strict=True):
+            of_points, image = {"points": places[None, part], "warp": warp[None, part]}, images[frame : frame + 1]
+            samples.append(self._in_pieces("windows", of_points, {"topography_view": image})["samples"][0])
         return np.concatenate(samples)[np.concatenate(parts).argsort()]
 
     def fit(

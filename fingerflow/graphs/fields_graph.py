@@ -4,10 +4,10 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.ops.fields.area_medians import Apart, area_medians
+from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.fields.strain import curl, divergence, green_lagrange, shear
-from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
+from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std
 from fingerflow.ops.full_precision import without_autocast
 from fingerflow.ops.tensors import finite, sum_rows
 
@@ -58,11 +58,11 @@ class FieldsGraph(nn.Module):
             median, median_std, known_share = area_medians(
                 reference,
                 displacement,
-                *ellipse,
+                ellipse,
                 gauge_length=self.gauge_length,
                 measure=self.measure,
                 covariance=covariance,
-                apart=None if entered is None else _apart(entered, self.measure),
+                entered=entered,
             )
         return FrameFields(
             divergence(gradient),
@@ -75,13 +75,3 @@ class FieldsGraph(nn.Module):
             median_std,
             known_share,
         )
-
-
-def _apart(entered: EnteredPoints, measure: str) -> Apart:
-    """Return the entered points with their divergence, curl and strain (of the given `measure`), computed from
-    displacement gradients, for medians that do not fit these points again.
-    """
-    first = torch.stack((divergence(entered.gradient), curl(entered.gradient)), dim=-1)
-    fields = torch.cat((first, green_lagrange(entered.gradient, measure)), dim=-1)
-    std = None if entered.covariance is None else field_std(entered.gradient, entered.covariance, measure)
-    return Apart(entered.among, fields, std)

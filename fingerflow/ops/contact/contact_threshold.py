@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import contact
-from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.otsu import histogram, otsu_classes
@@ -16,6 +15,7 @@ from fingerflow.ops.filters.illumination import LEVELS_PER_UNIT, LOWEST_SIGNAL
 from fingerflow.ops.filters.strided_median import strided_median
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
+_compiled: Twin[Tensor] = twin("contact_threshold")
 # Contact reduces the light by at least a twentieth. The two classes must be separated by at least _NOISE_RATIO standard
 # deviations of the lower class, as the halves of a noise distribution are closer together.
 _LEAST_INTENSITY_LOSS = 0.05
@@ -61,15 +61,10 @@ def contact_threshold(
     Returns:
         (B,) in the dtype of `light`, between 0.05 and 1. NaN without contact: where no two classes are separated.
     """
-    dtype = light.dtype
-    if (
-        frames.dtype in kernels.FRAME_KINDS
-        and dtype == black.dtype == torch.float32
-        and (gain is None or gain.dtype == torch.float32)
-        and median_px <= contact.LARGEST_MAJORITY
-        and kernels.serve(frames, light, black, gain)
-    ):
-        return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
+    if _compiled.serves(frames, light, black, gain) and median_px <= contact.LARGEST_MAJORITY:
+        table, gains = contact.table_of(median_px), light.new_ones(len(frames)) if gain is None else gain
+        sizes = median_px, None if table is None else torch.from_numpy(table), radius, cell_of(radius), stride_px
+        return _compiled(frames, light, black, gains, *sizes)
     compute = partial(_threshold, median_px, radius, stride_px)
     return in_pieces(compute, frames_at_once(frames), frames, light, black, gain)
 
@@ -107,15 +102,6 @@ def _threshold(
     level = torch.where(steepness > (_LEAST_STEEPNESS * contrast) ** 3, edges, middle)
     threshold = share(level)
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
-
-
-@torch_op(shapes=lambda frames, light, *_: light.new_empty(len(frames)))
-def compiled_threshold(
-    frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
-) -> Tensor:
-    """Compute `contact_threshold` in one call of the compiled library."""
-    sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
-    return contact.contact_threshold(frames, light, black, gain, **sizes)
 
 
 def _edge_level(levels: Tensor, inside: Tensor, lit: Tensor, step: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:

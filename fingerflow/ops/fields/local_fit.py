@@ -1,14 +1,18 @@
 """Value and gradient of a field known at scattered points, from a weighted linear fit around each query position."""
 
-import math
-
 import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.result_records import LocalFit as LocalFit
-from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
+from fingerflow.ops.fields.scattered import (
+    check_batches,
+    check_gauge_length,
+    check_scattered,
+    result_dtype,
+    working_dtype,
+)
 from fingerflow.ops.fields.weighted_moments import weighted_moments
 from fingerflow.ops.tensors import hypotenuse
 
@@ -132,8 +136,7 @@ def _check(
     if not queries.is_floating_point() or queries.dim() != 3 or queries.shape[-1] != 2:
         raise ValueError(f"queries must be floating (B, Q, 2), found {queries.dtype} {tuple(queries.shape)}")
     check_batches(points=points, values=values, queries=queries)
-    if not (math.isfinite(gauge_length) and gauge_length > 0):
-        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    check_gauge_length(gauge_length)
     if minimum_points < 3:
         raise ValueError(f"minimum_points must be at least 3, which a plane needs, found {minimum_points}")
     if variance is not None:

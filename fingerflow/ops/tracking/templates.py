@@ -18,7 +18,6 @@ directions differ by the sum of D grad D. Over a window this is half the differe
 A step has a fixed cost and no data-dependent branch, so this portable form is the one that is exported.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -221,17 +220,8 @@ def find_templates(
     def step(part: Templates, near: Tensor) -> TrackedPoints:
         return _step(part, current, near, variance, *settings)
 
-    # More than one step depends on data and cannot be exported.
-    return further_rounds(step, templates, step(templates, guess), rounds - 1)
-
-
-def further_rounds(
-    step: Callable[[Templates, Tensor], TrackedPoints], templates: Templates, tracks: TrackedPoints, rounds: int
-) -> TrackedPoints:
-    """Repeat a registration step for those points of `tracks` that have not converged, each from the position where the
-    previous step ended, at most `rounds` times.
-    """
-    for _ in range(rounds):
+    tracks = step(templates, guess)
+    for _ in range(rounds - 1):  # depends on data, and cannot be exported
         lost = tracks.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.area_medians import AreaMedians, area_medians
 from fingerflow.ops.fields.strain import green_lagrange
 
@@ -32,8 +33,8 @@ def medians(
     **settings: Any,
 ) -> AreaMedians:
     """Return the medians of one frame."""
-    ellipse = (torch.tensor([center]), torch.tensor([semi_axes]), torch.tensor([angle]))
-    return area_medians(places[None].to(kind), displacement[None].to(kind), *ellipse, gauge_length=GAUGE, **settings)
+    ellipse = FrameEllipse(torch.tensor([center]), torch.tensor([semi_axes]), torch.tensor([angle]))
+    return area_medians(places[None].to(kind), displacement[None].to(kind), ellipse, gauge_length=GAUGE, **settings)
 
 
 @pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
@@ -138,7 +139,7 @@ def test_the_stated_deviation_is_that_of_noisy_copies(curvature: float, noise: f
     found = area_medians(
         places[None].float(),
         noisy.float(),
-        *ellipse,
+        FrameEllipse(*ellipse),
         gauge_length=GAUGE,
         covariance=covariance.float().expand(copies, len(places), 2, 2),
     )
