@@ -33,6 +33,5 @@ UNITS = {
 
 def build_graphs(recipe: Recipe) -> dict[GraphName, Graph]:
     """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported."""
-    settings = bundle_settings(asdict(recipe))
-    graphs = engine_graphs(settings, recipe.tracking.points, recipe.contact.real_contact_mask)
+    graphs = engine_graphs(bundle_settings(asdict(recipe)), recipe.tracking.points)
     return {name: graphs[name] for name in GRAPHS}

@@ -20,7 +20,6 @@ from fingerflow.kernels.result_records import (
     TrackedPoints,
 )
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import query_gradients
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
@@ -56,17 +55,16 @@ class _Call(nn.Module):
         return self.function(*tensors)
 
 
-def engine_graphs(settings: EngineSettings, points: int, real_contact_mask: bool = True) -> dict[str, Graph]:
+def engine_graphs(settings: EngineSettings, points: int) -> dict[str, Graph]:
     """Return all graphs of an engine with these settings, by name.
 
     Args:
         settings: of the engine.
         points: number that `detect` finds.
-        real_contact_mask: whether `contact` returns the mask.
     """
     detect = DetectGraph(points, settings.min_distance_px, settings.window_px)
     described = {
-        **_contact_graphs(settings, real_contact_mask),
+        **_contact_graphs(settings),
         "detect": (detect, ("topography_view", "mask"), ("points", "response")),
         **_point_graphs(settings),
         **_field_graphs(settings),
@@ -77,13 +75,13 @@ def engine_graphs(settings: EngineSettings, points: int, real_contact_mask: bool
 _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]
 
 
-def _contact_graphs(settings: EngineSettings, real_contact_mask: bool) -> _Described:
+def _contact_graphs(settings: EngineSettings) -> _Described:
     """Return, by graph name, the function and the input and output names of each graph of the contact view."""
     graph = ContactGraph(settings.median_px, settings.gross_radius_px, settings.cell_px, settings.stride_px)
     shown = tuple(
         name
         for name in FrameContact._fields
-        if (name != "real_contact_mask" or real_contact_mask) and name != "threshold"
+        if (name != "real_contact_mask" or settings.real_contact_mask) and name != "threshold"
     )
 
     def contact(view: Tensor, light: Tensor, black: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
@@ -116,7 +114,7 @@ def _point_graphs(settings: EngineSettings) -> _Described:
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
         numbers, inverse_warp, outer, outer_within, inner, inner_within = rest
         # Compiled kernels need no precomputed supports.
-        supports = None if outer is None else (Support(outer, outer_within), Support(inner, inner_within))
+        supports = None if outer is None else ((outer, outer_within), (inner, inner_within))
         inputs = start, points, covariance, numbers, inverse_warp, settings.window_px, WARP_GAUGE_PX
         return tuple(correct_points(*inputs, supports))
 
