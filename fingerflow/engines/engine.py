@@ -25,17 +25,10 @@ ROWS = 64
 # As integers: NumPy compares an array with a member of an enumeration by calls of Python.
 TRACKED = int(TrackStatus.TRACKED)
 _UNCERTAIN, _OFF_NEIGHBOURS = int(TrackStatus.UNCERTAIN), int(TrackStatus.OFF_NEIGHBOURS)
+# Light of the empty glass above the black level, 0 where the glass is not lit, and this level, the count without light:
+# (1, 1, H, W) float32 each, by `contact_view.glass_light`.
+GlassLight = tuple[Array, Array]
 Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a length and can be sliced by frame
-
-
-class GlassLight(NamedTuple):
-    """Light of the empty glass and black level per pixel (1, 1, H, W), float32, by `contact_view.glass_light`.
-
-    `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
-    """
-
-    light: Array
-    black: Array
 
 
 class TemplateBuffers(Protocol):

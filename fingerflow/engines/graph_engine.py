@@ -111,7 +111,7 @@ class GraphEngine:
 
     def _light_inputs(self, light: GlassLight) -> dict[str, Any]:
         contact = self._sessions["contact"]
-        return {name: contact.kept(name, array) for name, array in light._asdict().items()}
+        return {name: contact.kept(name, array) for name, array in zip(("light", "black"), light, strict=True)}
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
         if count != self._points:

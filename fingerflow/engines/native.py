@@ -80,11 +80,11 @@ class NativeEngine:
             unknown = np.full(len(images), np.nan, np.float32)
             gains = self.contact(images, light, unknown).illumination_gain
             sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
-            threshold = contact_threshold(images, light.light, light.black, gains, **sizes)
+            threshold = contact_threshold(images, *light, gains, **sizes)
         mask, density_margin, numbers, gains = compiled("contact_of_frames")(
             frames=images,
-            light=light.light,
-            black=light.black,
+            light=light[0],
+            black=light[1],
             limits=(1 - threshold).astype(np.float32),
             size=self.settings.median_px,
             block=block_of(radius),

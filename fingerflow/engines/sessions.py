@@ -12,7 +12,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from fingerflow.engines.providers import CPU, plugin_devices, provider_named
+from fingerflow.engines.providers import CPU, provider_named
 from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
@@ -111,11 +111,8 @@ def _open_session(path: Path, provider: str, full: str, threads: int) -> ort.Inf
     chosen: list[Any] = [(full, of_provider)]
     if full != provider_named(CPU):
         chosen.append(provider_named(CPU))
-    devices = plugin_devices(full)
-    if devices:
-        options.add_provider_for_devices(devices[:1], {})
     try:
-        session = ort.InferenceSession(path, options, providers=None if devices else chosen)
+        session = ort.InferenceSession(path, options, providers=chosen)
     except Exception as error:
         what = "export it again" if provider == CPU else f"provider {provider!r} fails: choose another"
         raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None

@@ -6,7 +6,6 @@ import dataclasses
 import logging
 import subprocess
 import sys
-import types
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 import pytest
 import torch
 
@@ -346,29 +344,6 @@ def test_a_provider_with_other_numbers_is_passed_over(
     assert [message.split(" does not serve")[0] for message in caplog.messages] == ["provider broken", "provider odd"]
     with pytest.raises(FingerflowError, match="its numbers are not"):
         choice.engine_of_stream(bundle, "onnx", "odd")
-
-
-def test_the_provider_of_a_plugin_package_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The provider of a plugin package is found; a plugin package that cannot be loaded is named, and the other
-    providers serve.
-    """
-    (tmp_path / "onnxruntime_ep_other.py").write_text("def get_library_path():\n    return 'other.so'\n")
-    (tmp_path / "onnxruntime_ep_torn.py").write_text("import nothing_of_this_name\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(providers, "_registered", set())
-    device = types.SimpleNamespace(ep_name="OtherExecutionProvider")
-    plugged: list[str] = []
-    monkeypatch.setattr(ort, "register_execution_provider_library", lambda name, path: plugged.append(path))
-    monkeypatch.setattr(ort, "get_ep_devices", lambda: [device] * len(plugged))
-    for _ in range(2):
-        names = installed_providers()
-        assert list(names.items())[-2:] == [("other", device.ep_name), ("cpu", "CPUExecutionProvider")]
-    assert plugged == ["other.so"]
-    assert [message for message in caplog.messages if "onnxruntime_ep_torn" in message]
-    assert providers.plugin_devices(device.ep_name) == [device]
-    assert providers.plugin_devices("CPUExecutionProvider") == []
 
 
 def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Path) -> None:
