@@ -75,25 +75,16 @@ def area_medians(
     """
     if apart is not None and (apart_fields is None or (apart_std is None) != (covariance is None)):
         raise ValueError("points apart have fields, and deviations where there is a covariance")
+    points = {"reference": reference, "displacement": displacement, "ellipses": ellipses, "covariance": covariance}
+    entered = {"apart": apart, "apart_fields": apart_fields, "apart_deviations": apart_std}
+    fits = {"radius": radius, "minimum_points": limits.MINIMUM_POINTS, "least_spread": limits.MINIMUM_SPREAD}
+    limited = {"farthest": 2 * limits.FARTHEST_CENTROID, "least_ratio": limits.LEAST_RATIO}
+    spread = {"reach": limits.REACH, "even": limits.EVEN, "same_place": limits.SAME_PLACE}
     return compiled("medians_over_area")(
-        reference=reference,
-        displacement=displacement,
-        ellipses=ellipses,
-        covariance=covariance,
+        **{**points, **entered, **fits, **limited, **spread},
         lattice=_LATTICE,
-        apart=apart,
-        apart_fields=apart_fields,
-        apart_deviations=apart_std,
         measure=measure,
-        minimum_points=limits.MINIMUM_POINTS,
-        radius=radius,
-        least_spread=limits.MINIMUM_SPREAD,
-        farthest=2 * limits.FARTHEST_CENTROID,
-        least_ratio=limits.LEAST_RATIO,
         least_share=limits.LEAST_SHARE,
-        reach=limits.REACH,
-        even=limits.EVEN,
-        same_place=limits.SAME_PLACE,
     )
 
 
@@ -121,18 +112,10 @@ def triangle_strain(
     `displacement` (B, N, 2), `covariance` (B, N, 2, 2). `measure` is 0 to 2; `stiffness` has the factors of
     exx^2 + eyy^2, exx eyy and exy^2.
     """
-    direct, between, shear = stiffness
     return compiled("strain_of_triangles")(
-        displacement=displacement,
-        covariance=covariance,
-        in_contact=in_contact,
+        **{"displacement": displacement, "covariance": covariance, "in_contact": in_contact},
+        **{"products": products, "areas": areas, "flat": flat, "measure": measure},
+        **dict(zip(("direct", "between", "shear"), stiffness, strict=True)),
         corners=with_axes_reversed(triangles, "int32"),
         slopes=with_axes_reversed(slopes, "float32"),
-        products=products,
-        areas=areas,
-        flat=flat,
-        measure=measure,
-        direct=direct,
-        between=between,
-        shear=shear,
     )

@@ -128,7 +128,11 @@ class Kernel:
             try:
                 packed = self._pack(*self._in_order(values))
             except (struct.error, OverflowError, TypeError):
-                self._refuse_values(values)
+                for number in self._numbers:
+                    try:
+                        struct.pack(number.code, values[number.name])
+                    except (struct.error, OverflowError, TypeError):
+                        self._refuse_number(number, values[number.name])
                 raise
             outcome = self._enter(packed)
             if outcome:
@@ -177,12 +181,6 @@ class Kernel:
             if field.name in arrays and not _here.shapes_only:
                 self._check_indices(field, arrays[field.name], values)
         return arrays, like
-
-    def _refuse_values(self, values: dict[str, Any]) -> None:
-        """Raise the error for a number that does not fit its format, if there is one."""
-        for number in self._numbers:
-            if not _fits_format(number.code, values[number.name]):
-                self._refuse_number(number, values[number.name])
 
     def _raise_failure(self, outcome: int) -> NoReturn:
         """Raise the error that the library reports by an error code."""
@@ -236,15 +234,6 @@ def _shape(sizes: Sequence[str]) -> list[int | str] | CodeType:
     if all(size.isidentifier() or size.isdecimal() for size in sizes):
         return [int(size) if size.isdecimal() else size for size in sizes]
     return compile(f"({', '.join(sizes)},)", "shape", "eval")
-
-
-def _fits_format(code: str, value: Any) -> bool:
-    """Return whether a value fits a format code of `struct`."""
-    try:
-        struct.pack(code, value)
-    except (struct.error, OverflowError, TypeError):
-        return False
-    return True
 
 
 @contextmanager

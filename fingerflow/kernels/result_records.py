@@ -19,7 +19,8 @@ class FrameContact(NamedTuple):
         real_area_px, gross_area_px: (K,) px, areas of the real and of the apparent (gross) contact.
         center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
         density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `engines.contact_view.covers`.
-        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible.
+        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible, None if it
+            is not measured.
         threshold: (K,) relative intensity loss above which a pixel touches, NaN without contact; None if not stated.
     """
 
@@ -30,7 +31,7 @@ class FrameContact(NamedTuple):
     semi_axes: Values
     angle: Values
     density_margin: Values
-    illumination_gain: Values
+    illumination_gain: Values = None
     threshold: Values = None
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import EngineSettings, GlassLight
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking
@@ -117,7 +117,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     frame, everywhere = frames[:1], np.ones((1, 1, *frames.shape[2:]), np.bool_)
     grey = random.normal(100, 20, (6, 200, 81)).astype(np.float32)
     engine = NativeEngine(EngineSettings(median_px=3, gross_radius_px=8, cell_px=4, window_px=9, search_px=3))
-    lit = (frames, GlassLight(glass, black))
+    lit = (frames, (glass, black))
     windows = {"then": grey[0], "around": grey[2:], "now": grey[1]}
     return {
         "contact_of_frames": call(engine.contact, *lit, np.full(2, 0.5, np.float32)),

@@ -22,7 +22,6 @@ from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.ops.fields.strain_uncertainty import field_std
-from fingerflow.ops.filters.morphology import dilate, erode
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.quantile import frame_quantile
 from fingerflow.ops.tracking.contrast import subtract_background, unsharp_mask
@@ -350,8 +349,6 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.median_filter, {"frames": IMAGE[0, 0]}, r"\(9, 9\).*\(B, 1, H, W\)"),
     (ops.median_filter, {"frames": torch.zeros(1, 3, 9, 9)}, r"\(1, 3, 9, 9\)"),
     (ops.median_filter, {"frames": IMAGE, "size": 4}, "4 x 4.*odd"),
-    (erode, {"mask": MASK, "radius": -1}, "radius is -1"),
-    (dilate, {"mask": MASK, "radius": 1, "shape": "square"}, "square"),
     (frame_quantile, {"frames": IMAGE, "fraction": 1.5}, r"1\.5"),
     (apparent_contact, {"mask": MASK.byte(), "radius": 3}, "uint8"),
     (apparent_contact, {"mask": MASK[0], "radius": 3}, "shape"),

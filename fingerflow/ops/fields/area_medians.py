@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,12 +28,8 @@ _PAIRS = 1 << 20  # pairs of a point and a position in the frames computed at on
 _LATTICE = torch.from_numpy(limits.lattice())
 
 
-class AreaMedians(NamedTuple):
-    """Medians of divergence, curl (rad) and strain (exx, eyy, exy) over the ellipses of B frames; NaN if unknown."""
-
-    median: Tensor  # (B, 5)
-    std: Tensor | None  # (B, 5), standard deviation due to the points' covariance
-    known: Tensor  # (B,), share of the ellipse where the fields are known; NaN where there is no ellipse
+# Medians of divergence, curl and strain (B, 5), their standard deviations, and the share of each ellipse that is known.
+_Medians = tuple[Tensor, Tensor | None, Tensor]
 
 
 def area_medians(
@@ -45,9 +41,12 @@ def area_medians(
     measure: str = "green_lagrange",
     covariance: Tensor | None = None,
     entered: EnteredPoints | None = None,
-) -> AreaMedians:
-    """Compute the medians of divergence, curl and strain over the ellipse of each current (deformed) frame, from local
-    plane fits to the displacements of scattered points.
+) -> _Medians:
+    """Compute the medians (B, 5) of divergence, curl (rad) and strain (exx, eyy, exy) over the ellipse of each current
+    (deformed) frame, from local plane fits to the displacements of scattered points.
+
+    Their standard deviations (B, 5) are returned too, None without a covariance, and the share (B,) of the ellipse in
+    which the fields are known, NaN where there is no ellipse.
 
     The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
     fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
@@ -89,18 +88,13 @@ def area_medians(
         center, semi_axes, angle = frame
         ellipses = torch.cat((center, semi_axes, angle.cos()[:, None], angle.sin()[:, None]), dim=1)
         noise = None if covariance is None else covariance.to(dtype)
-        return AreaMedians(
-            *kernels.area_medians(
-                *(reference, displacement, ellipses, noise, among, fields, std),
-                measure=limits.STRAIN_MEASURES.index(measure),
-                radius=gauge_length / 2,
-            )
-        )
+        settings = {"measure": limits.STRAIN_MEASURES.index(measure), "radius": gauge_length / 2}
+        return kernels.area_medians(reference, displacement, ellipses, noise, among, fields, std, **settings)
     compute = partial(_medians_of_known, gauge_length / 2, measure)
     return in_pieces(compute, _FRAMES, *frame, reference, displacement, covariance, among, fields, std)
 
 
-def _medians_of_known(radius: float, measure: str, *tensors: Any) -> AreaMedians:
+def _medians_of_known(radius: float, measure: str, *tensors: Any) -> _Medians:
     """Leave out points that are unknown in every frame, then compute the medians of divergence, curl and strain over
     the ellipses by `_medians`, from local fits of the given `radius`.
 
@@ -130,7 +124,7 @@ def _medians(
     among: Tensor | None,
     fields_entered: Tensor | None,
     std_entered: Tensor | None,
-) -> AreaMedians:
+) -> _Medians:
     """Compute the medians of divergence, curl and strain over the ellipse of each frame, from plane fits within
     `radius` to point displacements, by matrix products that can be exported to ONNX.
 
@@ -184,7 +178,7 @@ def _medians(
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
-        return AreaMedians(median, None, known_share)
+        return median, None, known_share
     share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * clear
     joint = torch.zeros_like(median)
     if nearest is not None and std is not None:
@@ -198,7 +192,7 @@ def _medians(
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
-    return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
+    return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share
 
 
 def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:

@@ -93,22 +93,22 @@ def local_gradients(
     level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
     measured = torch.where(usable[..., None], measured - level, 0)
 
-    sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
-    count = torch.where(valid, sums.point_count, 0)
+    count, mass, first, second, data, noise_sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
+    count = torch.where(valid, count, 0)
     determined = count >= minimum_points
 
     # Moments about the weighted centroid; the fit there separates into a mean and a 2 x 2 system.
-    safe_mass = torch.where(determined, sums.mass, 1)
-    centre = sums.first / safe_mass[..., None]
+    safe_mass = torch.where(determined, mass, 1)
+    centre = first / safe_mass[..., None]
     centre_x, centre_y = centre.unbind(-1)
-    xx, xy, yy = (sums.second / safe_mass[..., None]).unbind(-1)
+    xx, xy, yy = (second / safe_mass[..., None]).unbind(-1)
     xx, xy, yy = xx - centre_x * centre_x, xy - centre_x * centre_y, yy - centre_y * centre_y
     narrowest = (xx + yy) / 2 - hypotenuse((xx - yy) / 2, xy)  # the smaller eigenvalue
     determined = determined & (narrowest >= (MINIMUM_SPREAD * radius) ** 2)
     determinant = torch.where(determined, xx * yy - xy * xy, 1)
     inverse = _matrix(yy, -xy, -xy, xx) / determinant[..., None, None]
 
-    mean, moment_x, moment_y = (sums.data / safe_mass[..., None, None]).unbind(-2)
+    mean, moment_x, moment_y = (data / safe_mass[..., None, None]).unbind(-2)
     moments = torch.stack((moment_x, moment_y), dim=-1) - mean[..., None] * centre[..., None, :]
     gradient = moments @ inverse
     value = mean - (gradient * centre[..., None, :]).sum(-1) + level
@@ -118,8 +118,8 @@ def local_gradients(
         return torch.where(valid_fit, tensor, torch.nan).to(result_dtype(*inputs))
 
     covariance = None
-    if sums.noise is not None:
-        covariance = or_nan(_gradient_covariance(sums.noise, centre, safe_mass, inverse, components))
+    if noise_sums is not None:
+        covariance = or_nan(_gradient_covariance(noise_sums, centre, safe_mass, inverse, components))
     offset = hypotenuse(centre_x, centre_y).detach()
     return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
 

@@ -28,23 +28,6 @@ def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagran
     return _root((rows * covariance[..., None, :, :, :, :] * columns).sum((-4, -3, -2, -1)))
 
 
-def strain_covariance_parts(
-    xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the variances of exx, eyy and exy, and the covariance of exx and eyy, that the displacement error at one
-    corner of a triangle causes in the triangle's strain.
-
-    The displacement (u, v) of a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Skin
-    that is already stretched by some per cent makes this wrong by about as much, for all measures.
-
-    Args:
-        xx, xy, yy: products of the components of the corner's slope (`triangle_slopes`).
-        uu, uv, vv: covariance of the corner's displacement, independent of the other corners; the sum over corners is
-            the covariance of the strain.
-    """
-    return xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
-
-
 def _root(variance: Tensor) -> Tensor:
     """Return the square roots of variances; variances that rounding made negative count as 0."""
     return variance.clamp(min=0).sqrt()

@@ -80,23 +80,18 @@ def _network_median(frames: Tensor, size: int) -> Tensor:
 
 @kernels.constant_to_compiler
 def _planned(size: int) -> Any:
-    return plain(median_program(size))
-
-
-def plain(program: Any) -> Any:
-    """Convert the program of a median network, a nested named tuple, to plain nested tuples, which the torch compiler
-    accepts as a constant.
+    """Return the program of a median network as plain nested tuples, which the torch compiler accepts as a constant.
 
     The compiler must not trace the making of a program.
     """
-    return tuple(map(plain, program)) if isinstance(program, tuple) else program
+
+    def plain(part: Any) -> Any:
+        return tuple(map(plain, part)) if isinstance(part, tuple) else part
+
+    return plain(median_program(size))
 
 
-def _alike(frames: Tensor, size: int) -> Tensor:
-    return torch.empty_like(frames, memory_format=torch.contiguous_format)
-
-
-@torch_op(shapes=_alike)
+@torch_op(shapes=lambda frames, _: torch.empty_like(frames, memory_format=torch.contiguous_format))
 def large_median(frames: Tensor, size: int) -> Tensor:
     """Compute the median filter with a large window, as a torch op that the torch compiler does not trace.
 
