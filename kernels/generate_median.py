@@ -58,9 +58,9 @@ class Placement(RowOrder):
         last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
         for step in self.steps:
             for plane, _, _ in self.operands(step):
-                own = plane not in self.ring_slots and plane not in self.inputs
-                if own and self.passes[step.result] > self.passes[plane]:
-                    last_pass[plane] = max(last_pass.get(plane, 0), self.passes[step.result])
+                later = self.passes[step.result]
+                if later > self.passes[plane] and plane not in (*self.ring_slots, *self.inputs):
+                    last_pass[plane] = max(last_pass.get(plane, 0), later)
         free: list[int] = []
         busy: list[tuple[int, int]] = []  # (last pass, slot)
         slots: dict[int, int] = {}
@@ -68,11 +68,8 @@ class Placement(RowOrder):
         for plane in sorted(last_pass, key=lambda plane: (self.passes[plane], plane)):
             free += sorted(slot for last, slot in busy if last < self.passes[plane])
             busy = [(last, slot) for last, slot in busy if last >= self.passes[plane]]
-            if free:
-                slot = free.pop()
-            else:
-                slot, count = count, count + 1
-            slots[plane] = slot
+            slot = slots[plane] = free.pop() if free else count
+            count = max(count, slot + 1)
             busy.append((last_pass[plane], slot))
         return slots, count
 

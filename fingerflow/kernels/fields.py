@@ -1,6 +1,6 @@
 """Kernels of fields at tracked points: local fits, medians over the contact area, strain of triangles.
 
-What does not fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+What does not fit the declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 from collections.abc import Sequence

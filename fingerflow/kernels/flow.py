@@ -1,6 +1,6 @@
 """Kernels of dense optical flow on float32 arrays.
 
-What does not fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+What does not fit the declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 from collections.abc import Sequence

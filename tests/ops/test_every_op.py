@@ -6,7 +6,9 @@ A new op needs an entry in `OF_NAN` and `REFUSED`. Its own tests show axes, sign
 
 import inspect
 import math
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -77,8 +79,11 @@ def block_of(name: str) -> dict[str, str]:
 
 
 @EVERY_OP
-def test_every_op_states_its_convention(name: str) -> None:
+def test_every_op_states_its_convention_and_source(name: str) -> None:
     assert list(block_of(name)) == ENTRIES
+    assert "Source: " in getattr(ops, name).__doc__
+    twins = re.findall(r"`(kernels/\w+\.cpp)`", getattr(ops, name).__doc__)
+    assert all((Path(__file__).parents[2] / path).is_file() for path in twins)
     assert name in OF_NAN, "a new op takes a line of it"
 
 

@@ -56,6 +56,8 @@ def local_gradients(
     Raises:
         TypeError, ValueError: a dtype, shape or setting is invalid.
 
+    Source: moving least squares, Lancaster & Salkauskas, Math. Comp. 37, 1981. Compiled twin: `kernels/local_fit.cpp`.
+
     Convention:
         axes: the last axis of points is (x, y); gradient[..., i, j] = d value_i / d x_j.
         sign: positive where the value grows along the axis.

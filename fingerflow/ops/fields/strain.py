@@ -17,6 +17,8 @@ from fingerflow.ops.tensors import half_angle, hypotenuse
 def divergence(gradient: Tensor) -> Tensor:
     """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order.
 
+    Source: Willemet et al. 2021, figure S6.
+
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
         sign: positive where area grows.
@@ -31,6 +33,8 @@ def divergence(gradient: Tensor) -> Tensor:
 
 def curl(gradient: Tensor) -> Tensor:
     """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y.
+
+    Source: Willemet et al. 2021, figure S6.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
@@ -65,6 +69,8 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
 
     Raises:
         ValueError: another measure, or a wrong dtype or shape.
+
+    Source: Willemet et al. 2021, equation 1, and (F'F - I) / 2 of continuum mechanics.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down; the result is (..., 3), exx, eyy, exy.
@@ -105,6 +111,8 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
 
     Raises:
         ValueError: not young_modulus_mpa > 0 or not -1 < poisson_ratio < 0.5: outside, the energy is not positive.
+
+    Source: Willemet et al. 2021, strain energy.
 
     Convention:
         axes: strain (..., 3) is exx, eyy, exy, x to the right, y down.

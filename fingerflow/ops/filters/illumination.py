@@ -55,6 +55,8 @@ def normalize_illumination(
     Raises:
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
 
+    Source: Willemet et al. 2021, figure S3 A. Compiled twin: `kernels/illumination.cpp`.
+
     Convention:
         axes: rows are y down, columns x to the right; each pixel stands alone but for the full light.
         sign: 1 is the empty glass, less is darker.

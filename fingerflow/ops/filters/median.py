@@ -48,6 +48,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
         ValueError: `frames` is not (B, 1, H, W), or `size` is even or under 1.
 
+    Source: Adams 2021 and Batcher's merges (`kernels.median_network`). Compiled twin: `kernels/median.cpp`.
+
     Convention:
         axes: rows are y down, columns x to the right.
         sign: that of the frames.

@@ -150,6 +150,9 @@ def dense_flow(
     Raises:
         ValueError: shapes do not match, or a setting is out of range.
 
+    Source: Bruhn, Weickert, Schnoerr, IJCV 61(3), 2005; the module states the equation and what differs.
+    Compiled twins: `kernels/flow_cells.cpp`, `kernels/flow_multigrid.cpp`.
+
     Convention:
         axes: channels are (u, v) px, u along x to the right, v along y down.
         sign: the skin at x in `first` is at x + w in `current`.

@@ -80,6 +80,8 @@ def detect_corners(
     Raises:
         ValueError: a shape or a number is out of range; the message gives its value.
 
+    Source: Shi & Tomasi, CVPR 1994. No compiled twin.
+
     Convention:
         axes: points are (x, y) px, x to the right, y down.
         sign: the response is positive at a corner, bright or dark.

@@ -100,6 +100,9 @@ def track_points(
     Raises:
         ValueError: shapes do not match, the window is even or too small, or `passes` is not 1 or 2.
 
+    Source: Lucas & Kanade 1981; Baker & Matthews, IJCV 2004 (`ops.tracking.templates`). Compiled twin:
+    `kernels/templates.cpp`.
+
     Convention:
         axes: points are (x, y) px, x to the right, y down.
         sign: skin that moves to the right and down gets larger x and y.
