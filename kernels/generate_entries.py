@@ -19,4 +19,4 @@ def source() -> str:
     for name, text in texts.items():
         literals = "\n".join(f'R"~({line} )~"' for line in text.splitlines())  # compilers limit the length of each
         lines.append(f"FINGERFLOW_EXPORT const char* fingerflow_{name}() {{ return {literals}; }}")
-    return "\n".join([*lines, ""])
+    return "\n".join(lines) + "\n"
