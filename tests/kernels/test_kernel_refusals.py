@@ -1,4 +1,4 @@
-"""Tests that kernels refuse arguments that do not fit their declarations in interface.h, and name the wrong one."""
+"""Tests that kernels refuse arguments that do not fit their declarations, and name the wrong one."""
 
 import inspect
 import re
@@ -13,8 +13,8 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import flow, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.declarations import ArrayField, NumberField, declared
-from fingerflow.kernels.library import compiled
+from fingerflow.kernels.declarations import ArrayField, NumberField
+from fingerflow.kernels.library import compiled, declared
 from tests.kernels.kernel_calls import kernel_calls, reached
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

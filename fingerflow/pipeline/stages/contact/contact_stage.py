@@ -14,7 +14,6 @@ from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
-from fingerflow.ops.filters.morphology import dilate
 from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -198,7 +197,9 @@ class ContactStage(Stage):
         border.
         """
         first = int(np.argmax(self._usable))
-        return dilate(self._gross_region(first) | self._largest, margin_px)
+        beyond = ~(self._gross_region(first) | self._largest)
+        away = cv2.distanceTransform(np.uint8(beyond[0, 0].cpu().numpy()), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
 
     def _check_view(self) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
