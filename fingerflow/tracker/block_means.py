@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import kind
+from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
 
@@ -35,7 +35,7 @@ def block_means(frames: Array) -> tuple[Array, Array]:
     if frames.ndim != 3 or 0 in frames.shape[1:]:
         raise ValueError(f"frames have shape {frames.shape}: give (n, H, W)")
     (down, along), (rows, columns) = _grid(*frames.shape[1:])
-    if is_present() and kind(frames) in FRAME_KINDS:
+    if is_present() and KINDS[frames.dtype] in FRAME_KINDS:
         grid = {"down": down, "along": along, "rows": rows, "columns": columns}
         blocks, lines = compiled("block_means")(frames=frames[:, None], **grid)
         return blocks, lines

@@ -182,7 +182,7 @@ def test_rendered_presses_are_measured_as_drawn(papers: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in rendered} == rendered
     study = load_manifest(folder)
     assert study.design == "forced choice"
-    table = pd.read_csv(write_tables(study).csv)
+    table = pd.read_csv(write_tables(study)[0].with_suffix(".csv"))
     assert (table["status"] == "measured").all()
     drawn = draw_presses(design)
     assert np.abs(table["max_force"] / table["true_force"] - 1).max() < 0.03
