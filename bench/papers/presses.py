@@ -37,8 +37,8 @@ _PEAKS = 200  # largest number of trials whose rates are followed in time
 _BIN_N, _FEWEST_PRESSES = 0.5, 3  # N, width of the force bins for mean rates; least number of presses in a bin
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
-_FULL = Design(participants=16, trials=2)
-_QUICK = Design(participants=4, trials=1, amplitudes=(0.0, 1.5, 3.0))
+_FULL = Design(trials=2)
+_QUICK = Design(4, 1, (0.0, 1.5, 3.0))  # participants, trials, amplitudes
 _RESAMPLES = {False: 2000, True: 400}
 
 
