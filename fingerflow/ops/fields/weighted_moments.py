@@ -63,4 +63,4 @@ def _summed(kernel: Tensor, data: Tensor) -> Tensor:
 
     Weights that serve all frames enter one matrix product, with the frames as columns.
     """
-    return torch.einsum("qn,bnf->bqf", kernel[0], data) if len(kernel) == 1 else kernel @ data
+    return torch.einsum("qn,bnf->bqf", kernel[0], data) if kernel.shape[0] == 1 else kernel @ data
