@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.key_frames import ReportFrame
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 
 _WINDOW = 11  # number of frames of the parabola fit

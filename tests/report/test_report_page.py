@@ -12,12 +12,12 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import FigureFiles
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
 from fingerflow.report.key_numbers import key_numbers, scatter
 from fingerflow.results.result import save_result
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
