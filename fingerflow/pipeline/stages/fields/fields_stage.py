@@ -117,11 +117,13 @@ class FieldsStage(Stage):
         self.results.put("median_divergence", divergence, self._gauge)
         self.results.put("median_divergence_std", median_std[:, 0])
         self.results.put("median_divergence_rate", rate(divergence, times, window))
+        self.results.put("median_divergence_rate_std", rate(median_std[:, 0], times, window, of_std=True))
         self.results.put("median_curl", curl, self._gauge)
         self.results.put("median_curl_std", median_std[:, 1])
         self.results.put("median_strain", strain, self._gauge | {"measure": self._settings.strain})
         self.results.put("median_strain_std", median_std[:, 2:])
         self.results.put("median_strain_rate", rate(strain, times, window))
+        self.results.put("median_strain_rate_std", rate(median_std[:, 2:], times, window, of_std=True))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
