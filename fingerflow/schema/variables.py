@@ -78,7 +78,7 @@ def _real_area_std(real_area: Any) -> Any:
 
     The edges of ridges are blurred, and the median takes their corners: measured on presses through real prints.
     """
-    return 0.022 * real_area ** (2 / 3)
+    return (0.025**2 * real_area ** (4 / 3) + 0.01**2) ** 0.5
 
 
 def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
@@ -132,7 +132,7 @@ CONTACT = (
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
         equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
     Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
-        equation="0.022 mm² (real_contact_area / mm²)^(2/3): of the place of the edges of ridges",
+        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges",
         formula=_real_area_std, of=("real_contact_area",)),
     Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
@@ -237,8 +237,8 @@ DISPLACEMENT = (
         equation="first frame of the first three in a row that the gross contact covers the point",
         label="frame of onset"),
     Variable("onset_frame_std", POINT, "1", "standard deviation of onset_frame, in frames",
-        equation="σ² = (e v)²/(1 + d) + d³/(d + 1.4), d = b v, v frames in which the border passes 1 mm of skin, "
-        "b = 0.06 mm its deviation, e = 0.035 mm that of the ellipse"),
+        equation="σ² = 0.12 + 2.1 ((e v)²/(1 + d) + d³/(d + 1.4)), d = b v, v frames in which the border passes 1 mm "
+        "of skin, b = 0.06 mm its deviation, e = 0.035 mm that of the ellipse; the factors are measured"),
     Variable("entry", POINT, "1",
         "how skin came into contact: the growing contact covered it, or it moved in over a border at rest. Fields of "
         "skin that moved in count since its own entry, F(t) F(entry)^-1 - I, those of a triangle since the last of its "
