@@ -99,9 +99,9 @@ class StrainStage(Stage):
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = steady_border(FrameEllipse.from_series(series), self.inputs.times)
+        self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
-        self._grown = _growth(np.sqrt(FrameEllipse.from_series(series).semi_axes.prod(1)))
+        self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -176,7 +176,8 @@ class StrainStage(Stage):
         triangles between points, and that of all skin in contact.
         """
         frames, border = batch.indices, self._border.select(batch.indices)
-        position = self.results["position"][frames]
+        steady = self.trial.stage(DisplacementStage).steady_position
+        position = steady(frames)
         border_energy = border_density(
             *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),
             reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
@@ -195,7 +196,7 @@ class StrainStage(Stage):
 
         def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
-            then = np.concatenate([self.results["position"][slice(k, k + 1)] for k in grown.tolist()])
+            then = np.concatenate([steady(np.array([k])) for k in grown.tolist()])
             return position[rows] - then[number]
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
