@@ -16,7 +16,7 @@ SHAKEN = 0.3 * PX * np.stack((np.sin(np.arange(FRAMES) * np.pi / 3), np.cos(np.a
 
 
 @pytest.mark.parametrize(
-    "which", ["camera", "camera, one frame lost", "finger", "finger in contact", "slip", "jump", "none"]
+    "which", ["camera", "camera, a frame lost", "finger", "skin in contact", "slip", "jump", "none"]
 )
 def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> None:
     """A camera's vibration is found to a tenth while the skin beside the contact moves inwards and the contact grows; a
@@ -26,7 +26,7 @@ def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> Non
     inside = np.sort(draw.uniform(0, 1, POINTS))[None] < time[:, None] / FRAMES
     inwards = 2e-5 * np.square(time)[:, None] * ~inside
     position = draw.uniform(0, 5, (POINTS, 2)) + inwards[..., None] + draw.normal(0, 0.01 * PX, (FRAMES, POINTS, 2))
-    moves = {"finger": ~inside, "finger in contact": inside, "none": inside & ~inside}.get(which, inside | ~inside)
+    moves = {"finger": ~inside, "skin in contact": inside, "none": inside & ~inside}.get(which, inside | ~inside)
     if which in ("slip", "jump"):
         position[50:] += 0.5 * (inside | (which == "jump"))[50:, :, None]
     else:
