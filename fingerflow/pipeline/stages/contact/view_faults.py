@@ -94,9 +94,9 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
         return []
     return [
         f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
-        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse and medians are of the densest "
-        f"part alone where the two are apart, and of both where they have merged. Leave the other out by "
-        f"views.contact.region, or press with one finger"
+        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
+        f"of the densest part alone (at ellipse_center) where the two are apart, of both where they merge. Leave the "
+        f"other out by views.contact.region, or press with one finger"
     ]
 
 
