@@ -66,7 +66,7 @@ def triangle_strain(
     joint = slopes
     if shared is not None:
         after = shared.corners.to(slopes.dtype)[..., None]  # correlation with the next corner
-        joint = slopes + slopes.roll(-1, 1) * after + slopes.roll(1, 1) * after.roll(1, 1)
+        joint = slopes + (slopes.roll(-1, 1) * after + slopes.roll(1, 1) * after.roll(1, 1))
     xx, yy = (slopes * joint).unbind(-1)
     xy = (slopes * joint.flip(-1)).mean(-1)
     products = torch.stack((xx, xy, yy)).mT  # (3, 3, M)
