@@ -314,7 +314,7 @@ def _with_derivative(
 
     def sampled(image: Tensor, position: Tensor, deformed: Tensor | None) -> tuple[Tensor, Tensor]:
         places = image_index, torch.where(valid, position, 0.0)
-        values, slopes = sample_windows(spline_coefficients(image), *places, window, 3, deformed)
+        values, slopes = sample_windows(spline_coefficients(image), *places, window, deformed)
         return values.flatten(1), slopes.flatten(2)
 
     (template, gradient), (value, slope) = sampled(images[0], start, inverse), sampled(images[1], flat, None)
