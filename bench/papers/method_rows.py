@@ -25,7 +25,7 @@ from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.plot.rounding import format_uncertainty
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 

@@ -17,8 +17,8 @@ from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
 from bench.papers.printed import Interval, Obtained, Row, exactly, likely, rounded, within
 from fingerflow.models.observer import Estimate, auc, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.supplement import OBSERVED
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.statistics import correlate_with_answers
 
