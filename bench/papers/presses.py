@@ -255,8 +255,8 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)
     run_study(manifest)
-    tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    trials_path, curves_path = write_tables(manifest)
+    frame, curves = pd.read_parquet(trials_path), pd.read_csv(curves_path)
     for column in [name for name in frame if name.startswith("true_")]:
         frame[column] = frame[column].astype(float)
     sample = read_sample(frame)
