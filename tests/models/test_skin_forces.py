@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chains import bent, chain_of, energy, nodes_of
-
 from scipy.integrate import quad
 
 from fingerflow.models.skin_forces import elastic_forces, tissue_slopes
