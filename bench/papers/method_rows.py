@@ -175,8 +175,8 @@ def _energy_density(study: PressStudy) -> Obtained:
 
 
 def _membrane(_: PressStudy) -> Obtained:
-    own, fitted = float(_PAPER.membrane_stiffness), float(PARAMETERS["fitted"].membrane_stiffness)
-    return Obtained(f"{own / 1000:g} kN/m; {fitted / 1000:.2g} kN/m where the area is fitted", exactly(own / 1000))
+    own = float(PARAMETERS["fitted"].membrane_stiffness) / 1000
+    return Obtained(f"{own:g} kN/m, also where the tissue is fitted to the area", exactly(own))
 
 
 def _tissue(_: PressStudy) -> Obtained:

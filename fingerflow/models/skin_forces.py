@@ -58,14 +58,14 @@ def elastic_forces(chain: Chain, nodes: Array) -> Array:
     """
     moved, column = nodes[:-1] - chain.reference, _Columns(chain, nodes)
     pull = chain.membrane * np.diff(moved, axis=0)
-    held = column.shear[:, None] * column.sheared - column.push[:, None] * column.line
-    held[[0, -1]] += chain.nail * column.sheared[[0, -1]]
+    held = column.shear * column.sheared - column.push * column.line
+    held[:, [0, -1]] += chain.nail * column.sheared[:, [0, -1]]
     forces = np.empty_like(nodes)
-    forces[:-1] = -held
+    forces[:-1] = -held.T
     forces[:-1, 1] += chain.contact * np.maximum(-nodes[:-1, 1], 0)
     forces[:-2] += pull
     forces[1:-1] -= pull
-    forces[-1] = held.sum(0)
+    forces[-1] = held.sum(1)
     return forces
 
 
@@ -74,7 +74,7 @@ def tissue_slopes(chain: Chain, nodes: Array) -> tuple[Array, Array, Array]:
     positions `nodes` (N + 1, 2), m: the entries xx, xz and zz, (N,) each, of a symmetric 2 x 2 matrix.
     """
     column = _Columns(chain, nodes)
-    (along_x, along_z), (shear_x, shear_z) = column.line.T, column.sheared.T
+    (along_x, along_z), (shear_x, shear_z) = column.line, column.sheared
     turned, twice = column.slope + column.push / column.length, column.shear * column.stiffening
     plain = column.shear - column.push / column.length
     plain[[0, -1]] += chain.nail
@@ -93,15 +93,16 @@ class _Columns:
     """
 
     def __init__(self, chain: Chain, nodes: Array) -> None:
-        lines = nodes[:-1] - nodes[-1] - (0.0, chain.radius)
-        self.sheared = nodes[:-1] - chain.reference - nodes[-1]  # (N, 2) m, d
-        self.length = np.hypot(*lines.T)  # (N,) m, |X - P|
-        self.line = lines / self.length[:, None]  # (N, 2), e
+        (x, z), (first_x, first_z), (bone_x, bone_z) = nodes[:-1].T, chain.reference.T, nodes[-1]
+        across, down = x - bone_x, z - (chain.radius + bone_z)
+        self.sheared = np.stack((across - first_x, z - first_z - bone_z))  # (2, N) m, d
+        self.length = np.hypot(across, down)  # (N,) m, |X - P|
+        self.line = np.stack((across / self.length, down / self.length))  # (2, N), e
         compression = chain.radius - self.length
         self.stiffening = np.where(compression > 0, chain.stiffening, 0.0)  # (N,) 1/m; a stretched column is linear
         grown = np.exp(self.stiffening * compression)
         self.shear = chain.shear * grown  # (N,) N/m, k
-        bulge = self.shear * self.stiffening * np.square(self.sheared).sum(1) / 2
+        bulge = self.shear * self.stiffening * (self.sheared[0] ** 2 + self.sheared[1] ** 2) / 2
         # exprel(x) = (exp(x) - 1) / x is 1 at 0: without stiffening W' = (k_t - k_s) c.
         self.push = chain.tissue * compression * exprel(self.stiffening * compression) + bulge  # (N,) N
         self.slope = chain.tissue * grown + self.stiffening * bulge  # (N,) N/m, -d push / d length

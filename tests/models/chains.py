@@ -58,7 +58,7 @@ def energy(chain: Chain, nodes: Array) -> float:
 def runge_kutta(chain: Chain, mu: Array, load: Array, duration: float) -> tuple[Array, Array]:
     """Return positions (N, 2) in m and friction (N,) in N of a chain after ``duration`` s under a load (2,) in N.
 
-    Equation 5 has the forces of `skin_forces`; equation 7 is Dahl's friction without its stray factor.
+    Equation 5 has the forces of `skin_forces`; equation 7 is Dahl's friction.
     """
     count = len(mu)
 
