@@ -4,6 +4,7 @@
 A new op or module needs inputs in tests/embedded.py.
 """
 
+import functools
 import shutil
 import subprocess
 import sys
@@ -344,16 +345,17 @@ class Step(NamedTuple):
     inputs: Callable[[], tuple[Any, ...]]
 
 
-def steps() -> dict[str, Step]:
-    """Return all modules by name: those of the table and of the shipped recipes."""
-    found = {
-        name: Step(case.call, lambda case=case: case.inputs)
-        for name, case in CASES.items()
-        if isinstance(case.call, nn.Module)
-    }
-    for recipe, path in RECIPES.items():
-        found |= {f"{recipe} {name}": step for name, step in of_recipe(small(load_recipe(path)))}
-    return found
+def step_of(name: str) -> Step:
+    """Return a module of the table, or of a shipped recipe, by its name in `STEPS`."""
+    if name in MODULES:
+        return Step(MODULES[name].call, lambda: MODULES[name].inputs)
+    recipe, _, graph = name.partition(" ")
+    return steps_of(recipe)[graph]
+
+
+@functools.cache
+def steps_of(recipe: str) -> dict[str, Step]:
+    return dict(of_recipe(small(load_recipe(RECIPES[recipe]))))
 
 
 def small(recipe: Recipe) -> Recipe:
@@ -393,10 +395,12 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         known = {**computed, **known}
 
 
-STEPS = steps()
+MODULES = {name: case for name, case in CASES.items() if isinstance(case.call, nn.Module)}
+STEPS = (*MODULES, *(f"{recipe} {graph}" for recipe in RECIPES for graph in GRAPHS))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_the_host_never_waits(name: str) -> None:
-    run_without_values(STEPS[name].module, STEPS[name].inputs())
+    step = step_of(name)
+    run_without_values(step.module, step.inputs())

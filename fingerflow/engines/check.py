@@ -309,13 +309,13 @@ def _field_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     known, gauge = np.isfinite(frame.points[:, 0]), engine.settings.gauge_length_mm
     fitted = reference[known], moved[:, known], reference[known] + unit
     covariance = unit**2 * _covariance(frame)
-    fit = engine.fit(*fitted, gauge, covariance[:, known, 0, 0])
+    _, fit_covariance = engine.fit(*fitted, gauge, covariance[:, known, 0, 0])
     found = engine.fields(reference, moved, ellipse, covariance)
     return results | {
-        "fit": engine.fit(*fitted, gauge).gradient[0],
+        "fit": engine.fit(*fitted, gauge)[0][0],
         "fields_std": np.stack([_known(values)[0] for values in (found.divergence_std, found.curl_std)]),
         "median_std": _known(found.median_std)[0],
-        "fit_std": np.sqrt(np.einsum("qijij->qij", _known(fit.covariance)[0])),
+        "fit_std": np.sqrt(np.einsum("qijij->qij", _known(fit_covariance)[0])),
     }
 
 

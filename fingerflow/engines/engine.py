@@ -93,17 +93,6 @@ class Corrected(NamedTuple):
     expected: Array
 
 
-class Fit(NamedTuple):
-    """Gradients (K, Q, C, 2) of C quantities in x and y, fitted at Q query points in K frames, and the covariance (K,
-    Q, C, 2, C, 2) of the gradients.
-
-    The covariance is None where no variances were given.
-    """
-
-    gradient: Array
-    covariance: Array | None
-
-
 class FrameFields(NamedTuple):
     """Divergence, curl, strain and shear at N points in K frames, and medians over the contact, as `graphs.Fields`."""
 
@@ -198,11 +187,14 @@ class Engine(Protocol):
         """
         ...
 
-    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
-        """Fit the gradients in x and y of values (K, N, C), known at points (N, 2), at query positions (Q, 2) within
-        the gauge length `gauge`, in float64, as `ops.local_gradients` does.
+    def fit(
+        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
+    ) -> tuple[Array, Array | None]:
+        """Return the gradients (K, Q, C, 2) in x and y, fitted to values (K, N, C), known at points (N, 2), at query
+        positions (Q, 2) within the gauge length `gauge`, in float64, as `ops.local_gradients` does, and their
+        covariance (K, Q, C, 2, C, 2).
 
-        `variance` (K, N) is that of a component of a value.
+        `variance` (K, N) is that of a component of a value. Without it the covariance is None.
         """
         ...
 

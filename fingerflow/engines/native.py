@@ -13,7 +13,6 @@ from fingerflow.engines.engine import (
     Corrected,
     EngineSettings,
     EnteredPoints,
-    Fit,
     Followed,
     FrameContact,
     FrameEllipse,
@@ -152,7 +151,9 @@ class NativeEngine:
         grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
         return compiled("sample_windows")(images=images, image_index=number, **grid)
 
-    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+    def fit(
+        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
+    ) -> tuple[Array, Array | None]:
         arrays = [np.ascontiguousarray(array, np.float64) for array in (points[None], values, queries[None])]
         noise = None if variance is None else variance.astype(np.float64)[..., None]
         radius = gauge / 2
@@ -162,7 +163,7 @@ class NativeEngine:
             least_spread=MINIMUM_SPREAD * radius,
             minimum_points=MINIMUM_POINTS,
         )
-        return Fit(found.gradient, found.covariance)
+        return found.gradient, found.covariance
 
     def fields(
         self,

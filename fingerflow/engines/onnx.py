@@ -15,7 +15,6 @@ from fingerflow.engines.engine import (
     Corrected,
     EngineSettings,
     EnteredPoints,
-    Fit,
     Followed,
     FrameContact,
     FrameEllipse,
@@ -241,12 +240,14 @@ class OnnxEngine:
             result[some] = self._in_pieces("windows", given, image)["samples"][0]
         return result
 
-    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+    def fit(
+        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
+    ) -> tuple[Array, Array | None]:
         noise = np.zeros(values.shape[:2], np.float32) if variance is None else variance
         inputs = self._pad_points(reference=points[None], displacement=values, variance=noise, queries=queries[None])
         outputs = self._sessions["fit"]({**inputs, "gauge_length": np.array([gauge], np.float32)})
         gradient, covariance = (outputs[name][:, : len(queries)] for name in ("gradient", "covariance"))
-        return Fit(gradient, None if variance is None else covariance)
+        return gradient, None if variance is None else covariance
 
     def fields(
         self,

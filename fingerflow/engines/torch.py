@@ -146,13 +146,13 @@ class TorchEngine:
 
     def fit(
         self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
-    ) -> arrays.Fit:
+    ) -> tuple[Array, Array | None]:
         wide = partial(self._tensor, dtype=torch.float64)
         noise = None if variance is None else wide(variance)
         found = local_gradients(
             wide(points)[None], wide(values), wide(queries)[None], gauge_length=gauge, variance=noise
         )
-        return arrays.Fit(_array(found.gradient), None if found.covariance is None else _array(found.covariance))
+        return _array(found.gradient), None if found.covariance is None else _array(found.covariance)
 
     def fields(
         self,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from fingerflow.engines.engine import Array, EngineSettings, Fit, Images
+from fingerflow.engines.engine import Array, EngineSettings, Images
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.export.build import Graph, build
@@ -48,7 +48,9 @@ class RecordingEngine(OnnxEngine):
     def detect(self, image: Images, mask: Array, count: int) -> Array:
         return self._torch.detect(self._torch.images(image[:, 0]), mask, count)
 
-    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+    def fit(
+        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
+    ) -> tuple[Array, Array | None]:
         return self._torch.fit(points, values, queries, gauge, variance)
 
 

@@ -1,6 +1,12 @@
 """Records of what kernels, ops and engines return: of NumPy arrays, or of torch tensors."""
 
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 Values = Any  # NumPy array, or torch tensor
 
@@ -53,12 +59,37 @@ class TrackedPoints(NamedTuple):
 
 class FrameEllipse(NamedTuple):
     """Ellipses of the apparent contact of K frames, in the length unit of the points: center (K, 2), semi_axes (K, 2),
-    angle (K,) rad from x towards y.
+    angle (K,) rad from x towards y; NaN in frames without contact.
     """
 
     center: Values
     semi_axes: Values
     angle: Values
+
+    @classmethod
+    def from_series(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
+        """Create the border ellipses from results named `ellipse_center`, `ellipse_semi_axes` and `ellipse_angle`."""
+        return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
+
+    def select(self, frames: slice | NDArray[np.intp]) -> FrameEllipse:
+        """Return the border ellipses of the given frames, a slice or indices."""
+        return FrameEllipse(self.center[frames], self.semi_axes[frames], self.angle[frames])
+
+    def inside(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the distance (frames, P), mm, of positions (frames, P, 2) from the border ellipse of their frame,
+        positive inside the ellipse and negative outside.
+
+        It is accurate to first order, and exact on the border.
+        """
+        # Compute each component separately: NumPy takes several times as long for sums over an axis of two.
+        (center_x, center_y), (first, second) = self.center.T[..., None], self.semi_axes.T[..., None]
+        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+        right, down = positions[..., 0] - center_x, positions[..., 1] - center_y
+        along, across = (right * cosine + down * sine) / first, (down * cosine - right * sine) / second
+        radius = np.sqrt(along * along + across * across)
+        along, across = along / first, across / second
+        slope = np.sqrt(along * along + across * across)
+        return (1 - radius) * radius / np.maximum(slope, 1e-12)
 
 
 class EnteredPoints(NamedTuple):

@@ -410,7 +410,7 @@ class Player:
         stored; return False if the stream has failed.
         """
         results = self._tracker.compute_results(outcome)
-        slot, index, fields = outcome.work.frame, self.processed % len(self._room), self._fields
+        slot, index, fields = outcome.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
         self.tracked = outcome.tracked
         if results is None:
@@ -447,7 +447,7 @@ class Player:
             self._free.put(slot)
             return self._records.put((index, None, None))
         self._drawing = True
-        mask = None if outcome.work.contact is None else outcome.work.contact.real_contact_mask
+        mask = None if outcome.contact is None else outcome.contact.real_contact_mask
         return self._records.put((index, slot, None if mask is None else mask[0, 0].copy()))
 
     # Storing thread: from records to the disk and the page.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,9 @@ _BLOCK_PX, _BLOCKS = 24, 16
 _SAMPLES = (128, 160)  # least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read
 
 
-class BlockMeans(NamedTuple):
-    """Means of n frames, float32: over the rectangular blocks of a grid (n, rows, columns), and over sampled lines of
-    pixels (n, lines).
-    """
-
-    blocks: Array
-    lines: Array
-
-
-def block_means(frames: Array) -> BlockMeans:
-    """Compute the means of frames (n, H, W) over blocks of 24 x 24 px or more, and over lines of pixels.
+def block_means(frames: Array) -> tuple[Array, Array]:
+    """Return the means of frames (n, H, W), float32: over the rectangular blocks of a grid (n, rows, columns), of 24 x
+    24 px or more, and over sampled lines of pixels (n, lines).
 
     There are up to 16 x 16 blocks. Some 20,000 pixels of a frame are read, every fourth of every fourth line of 512 x
     640 px. Sums are exact for integers of up to 32 bit, so that equal frames have equal means; a pixel that is NaN
@@ -45,13 +37,14 @@ def block_means(frames: Array) -> BlockMeans:
     (down, along), (rows, columns) = _grid(*frames.shape[1:])
     if is_present() and kind(frames) in FRAME_KINDS:
         grid = {"down": down, "along": along, "rows": rows, "columns": columns}
-        return BlockMeans(*compiled("block_means")(frames=frames[:, None], **grid))
+        blocks, lines = compiled("block_means")(frames=frames[:, None], **grid)
+        return blocks, lines
     sums = frames[:, down // 2 :: down, along // 2 :: along].astype(np.float64)
     lines = sums.mean(2)
     sums, lines_each = _sums(sums, 1, rows)
     sums, pixels_each = _sums(sums, 2, columns)
     blocks = sums / (lines_each[:, None] * pixels_each)
-    return BlockMeans(blocks.astype(np.float32), lines.astype(np.float32))
+    return blocks.astype(np.float32), lines.astype(np.float32)
 
 
 @functools.cache

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine, EnteredPoints
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.onset_time import onset_errors
 
 Array = NDArray[Any]
@@ -43,7 +44,7 @@ class FrameValues(Protocol):
 
 
 def advected(
-    position: FrameValues, positions: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+    position: FrameValues, positions: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
 ) -> Array:
     """Return a mask (N,) of the points that the motion of the skin carried over the border into the contact (advected);
     the other points were reached as the contact area grew over them.
@@ -80,7 +81,7 @@ def advected(
 
 
 def _entered_by_motion(
-    position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+    position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: FrameEllipse
 ) -> Array:
     """Return a mask (E,) of the points that came into the contact mainly by their own motion over the glass: before
     their onset of contact they moved by more than half the distance by which point and border approached each other.
@@ -170,9 +171,9 @@ class EntryGradients:
         """
         moved = position[:, self._near] - self._seeded
         noise = variance[:, self._near].astype(np.float64) / 2
-        fit = self._engine.fit(self._seeded, moved, self._queries, self._gauge, noise)
-        assert fit.covariance is not None
-        now = np.eye(2) + fit.gradient
+        gradient, covariance = self._engine.fit(self._seeded, moved, self._queries, self._gauge, noise)
+        assert covariance is not None
+        now = np.eye(2) + gradient
         course = np.concatenate((self._before, now))
         self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
@@ -180,8 +181,8 @@ class EntryGradients:
             steps = self._steps[enter]
             change = now[k, enter] - course[self.BEFORE + k - steps, enter]
             self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
-            self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
-        return now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance
+            self._begun[enter], self._begun_covariance[enter] = now[k, enter], covariance[k, enter]
+        return now @ inverse_2x2(self._begun) - np.eye(2), covariance + self._begun_covariance
 
 
 class Entries:
@@ -207,7 +208,7 @@ class Entries:
         count = len(positions)
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
-        self._border = Border(
+        self._border = FrameEllipse(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
         )
         self._frames = 0  # number of frames so far
@@ -218,7 +219,7 @@ class Entries:
         self._at_entry, self._covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2, 2), np.nan)
 
     def update(
-        self, position: Array, variance: Array, begins: Array, touching: Array, reference: Array, border: Border
+        self, position: Array, variance: Array, begins: Array, touching: Array, reference: Array, border: FrameEllipse
     ) -> EnteredPoints | None:
         """Add the next frame, and return the advected points with their displacement gradients in it (1, N, ...), each
         relative to the frame in which the point entered the contact; None if no point in contact has entered.
@@ -250,16 +251,16 @@ class Entries:
         if not len(queries) or not valid.any():
             return None
         moved, noise = (position - self._seeded)[None, valid], variance[None, valid] / 2
-        fit = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
-        assert fit.covariance is not None
-        now, entering = np.eye(2) + fit.gradient[0], begins[queries]
+        gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
+        assert spread is not None
+        now, entering = np.eye(2) + gradient[0], begins[queries]
         new = queries[entering]
-        self._at_entry[new], self._covariance[new] = now[entering], fit.covariance[0, entering]
+        self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
         if not self.entered.any():
             return None
         since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
         since[queries] = now @ inverse_2x2(self._at_entry[queries]) - np.eye(2)
-        covariance[queries] = fit.covariance[0] + self._covariance[queries]
+        covariance[queries] = spread[0] + self._covariance[queries]
         since[~self.entered] = covariance[~self.entered] = np.nan
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
         return EnteredPoints(self.entered[None].copy(), *gradients)

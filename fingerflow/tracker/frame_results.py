@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, FrameContact, FrameEllipse, TrackedPoints
-from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
@@ -145,7 +144,7 @@ class FrameResults:
         `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
         by curved displacement.
         """
-        position, border, px2 = self._on_glass(points), Border(*ellipse), np.float32(self._per_px**2)
+        position, border, px2 = self._on_glass(points), ellipse, np.float32(self._per_px**2)
         variance = noise + curvature
         touch = self._touches.add_frames(np.array([self._frames]), covered, position, noise, border)
         entered = self._entries.update(

@@ -69,40 +69,51 @@ class Frame:
     Attributes:
         number: of the frame; numbers increase but may have gaps.
         views: both views (1, 1, H, W) by name.
-        picture, status: samples of the views and status, set by `StreamTracker.inspect`.
+        picture: samples of the views and the status, set by `StreamTracker.inspect`.
     """
 
     def __init__(self, views: Mapping[str, Array], number: int = 0) -> None:
         self.number, self.views = number, views
         self.picture: Picture | None = None
-        self.status = USABLE
 
 
 @dataclass
-class Work:
-    """Intermediate data of a frame in progress, from `StreamTracker.step` to `StreamTracker.compute_results`.
+class FrameOutcome:
+    """Frame in progress, from `StreamTracker.step` to `StreamTracker.compute_results`, and then its final outcome.
 
     Attributes:
         index: of the frame in the stream, from 0.
         frame: the frame itself.
         images: both views, in the engine's own representation.
-        latest: motion of the points as known when the frame began; None before any points were seeded.
-        guess: (N, 2) px, positions predicted from it.
-        threshold: relative intensity loss above which a pixel touches; NaN while unknown.
-        points, measured: points tracked in it, and the threshold measured in it.
+        motion, guess: motion of the points as known when the frame began, and positions (N, 2) px predicted from it;
+            None before any points were seeded.
+        threshold: relative intensity loss above which a pixel touches; NaN while unknown, and if the frame does not
+            count.
+        points: tracked in it; None if the frame does not count.
+        measured: threshold measured in it, NaN for none; None if none was to be measured.
         contact: set once it is computed (`StreamTracker.compute_results`); guarded by the lock `computing`.
+        status: index into `FRAME_STATUS`.
+        seeding: seeded points to which `points` belong; None before any were seeded.
+        tracked: number of points with status TRACKED.
+        key_frame: number of its key frame.
+        restart: number of times that points had been seeded.
     """
 
     index: int
     frame: Frame
     images: dict[str, Images]
-    latest: _KnownMotion | None
+    motion: PointMotion | None
     guess: Array | None
     threshold: float
     points: TrackedPoints | None = None
     measured: float | None = None
     contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
+    status: int = USABLE
+    seeding: Seeding | None = None
+    tracked: int = 0
+    key_frame: int = 0
+    restart: int = 0
 
 
 class Event(NamedTuple):
@@ -111,38 +122,6 @@ class Event(NamedTuple):
     name: str
     frame: int
     facts: dict[str, Any]
-
-
-class FrameOutcome(NamedTuple):
-    """Final outcome of a frame: its status, its tracked points, and the contact threshold and key frame that apply to
-    it.
-
-    Attributes:
-        work: of the frame.
-        status: index into `FRAME_STATUS`.
-        points: that were tracked; None if the frame does not count.
-        seeding: seeded points to which `points` belong; None before any were seeded.
-        tracked: number of points with status TRACKED.
-        threshold: with which its contact is computed; NaN while unknown, and if the frame does not count.
-        key_frame: number of its key frame.
-        restart: number of times that points had been seeded.
-    """
-
-    work: Work
-    status: int
-    points: TrackedPoints | None
-    seeding: Seeding | None
-    tracked: int
-    threshold: float
-    key_frame: int
-    restart: int
-
-
-class _KnownMotion(NamedTuple):
-    """Position and speed of the points as known after a frame, and the number of that frame."""
-
-    motion: PointMotion
-    number: int
 
 
 class _Change(NamedTuple):
@@ -207,11 +186,12 @@ class StreamTracker:
         self._search = ThresholdSearch(1 + _LEARNT_AFTER)
         self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
-        self._latest: _KnownMotion | None = None
+        self._motion: PointMotion | None = None  # of the points after frame number `_motion_frame`
+        self._motion_frame = 0
         self._index = -1  # of the latest frame in the stream
         self._change: _Change | None = None
         self._requested = False
-        self._deferred: deque[Work] = deque()  # frames whose status later frames decide
+        self._deferred: deque[FrameOutcome] = deque()  # frames whose status later frames decide
         self._seeding: Seeding | None = None
         self._first_threshold = math.nan
         self._sparse: _Sparse | None = None
@@ -228,14 +208,15 @@ class StreamTracker:
         for number in range(2):
             frame.number = number
             tracker.inspect(frame)
-            frame.status = USABLE
+            assert frame.picture is not None
+            frame.picture = frame.picture._replace(status=USABLE)
             for outcome in tracker.step(frame):
                 if isinstance(outcome, FrameOutcome):
                     tracker.compute_results(outcome)
 
     def inspect(self, frame: Frame) -> None:
         """Sample the views of a frame, and determine the frame status from it alone; safe in any thread."""
-        frame.picture, frame.status = self._check.inspect(frame.views)
+        frame.picture = self._check.inspect(frame.views)
 
     def reseed(self) -> None:
         """Request a reseeding of the points as soon as possible; safe in any thread."""
@@ -252,7 +233,7 @@ class StreamTracker:
         if not self._deferred:
             passed += self._make_changes(frame)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        work = Work(self._index, frame, images, self._latest, self._guess(frame.number), self.threshold)
+        work = FrameOutcome(self._index, frame, images, self._motion, self._guess(frame.number), self.threshold)
         if self._points is not None and work.guess is not None:
             work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
         if self.measures and self._search.wants(self._index):
@@ -261,11 +242,11 @@ class StreamTracker:
             # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
             work.measured = threshold if physical else math.nan
+        assert frame.picture is not None
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._outcome(work, frame.status, None, 0))
+            passed.append(self._outcome(work, frame.picture.status, None, 0))
         else:
-            assert frame.picture is not None
-            decided, status = self._check.update(frame.number, frame.picture, frame.status)
+            decided, status = self._check.update(frame.number, frame.picture)
             passed += self._decided(decided)
             if status is None:
                 self._deferred.append(work)
@@ -275,7 +256,7 @@ class StreamTracker:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
-    def _judged(self, work: Work, status: int) -> FrameOutcome:
+    def _judged(self, work: FrameOutcome, status: int) -> FrameOutcome:
         """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
         templates, another is skipped.
         """
@@ -294,7 +275,7 @@ class StreamTracker:
         """
         if outcome.points is None or outcome.seeding is None:
             return None
-        results = self._results.compute(outcome.seeding, self._contact(outcome.work), outcome.points)
+        results = self._results.compute(outcome.seeding, self._contact(outcome), outcome.points)
         if self._points is not None:
             self._points.prepare_ahead()
         return results
@@ -310,8 +291,7 @@ class StreamTracker:
 
     def _guess(self, number: int) -> Array | None:
         """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
-        latest = self._latest
-        return None if latest is None else latest.motion.expect(max(1, number - latest.number))
+        return None if self._motion is None else self._motion.expect(max(1, number - self._motion_frame))
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -325,7 +305,8 @@ class StreamTracker:
     def _make_changes(self, frame: Frame) -> list[Event]:
         change, threshold = self._change, self._search.due(self._index)
         events: list[Event] = []
-        if not self.restarts and frame.status == USABLE:
+        assert frame.picture is not None
+        if not self.restarts and frame.picture.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
             events.append(self._restart(frame.number, view, self._seed(view, self._settings.region), "start"))
         if threshold is not None:
@@ -362,7 +343,7 @@ class StreamTracker:
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=STREAM, again=again)
         self.seeded = int(is_finite(points).sum())
-        self._latest = _KnownMotion(self._points.motion, number)
+        self._motion, self._motion_frame = self._points.motion, number
         self._seeding = Seeding(points, before)
         self._reseeding.restarted(self._index, number, self.seeded)
         self._search.begin()
@@ -378,15 +359,14 @@ class StreamTracker:
         valid_motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
         image = self._engine.images(change.image)
         self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=STREAM)
-        assert self._latest is not None
-        self._latest = self._latest._replace(motion=valid_motion)
+        self._motion = valid_motion
         self._reseeding.keyed(change.number, int(valid.sum()))
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(valid.sum())})
 
     # Outcome of a frame after its computation.
 
-    def _accepted(self, work: Work) -> FrameOutcome:
+    def _accepted(self, work: FrameOutcome) -> FrameOutcome:
         """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
         key frame is due, and return the frame's outcome.
 
@@ -396,9 +376,9 @@ class StreamTracker:
         points, frame = self._points, work.frame
         assert points is not None
         image = work.images[TOPOGRAPHY_VIEW]
-        ahead = 1 if self._latest is None else max(1, frame.number - self._latest.number)
+        ahead = max(1, frame.number - self._motion_frame)
         tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
-        self._latest = _KnownMotion(points.motion, frame.number)
+        self._motion, self._motion_frame = points.motion, frame.number
         tracked = int((tracked_points.status[0] == TRACKED).sum())
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
@@ -418,7 +398,7 @@ class StreamTracker:
                 self._change = _Change(frame.number, image, positions, cause, region, counted, least)
         return self._outcome(work, USABLE, tracked_points, tracked)
 
-    def _track_again(self, work: Work, points: Points) -> tuple[Array, TrackedPoints]:
+    def _track_again(self, work: FrameOutcome, points: Points) -> tuple[Array, TrackedPoints]:
         """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
         tracked once more if the prediction has changed since the frame began.
 
@@ -427,24 +407,24 @@ class StreamTracker:
         """
         assert work.guess is not None  # points are tracked in every frame that may be usable
         assert work.points is not None
-        if work.latest is self._latest and not points.changes(work.index):
+        if work.motion is self._motion and not points.changes(work.index):
             return work.guess, work.points
         points.update_due(work.index)
         guess = self._guess(work.frame.number)
         assert guess is not None
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
-    def _outcome(self, work: Work, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
+    def _outcome(self, work: FrameOutcome, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
         """Return the outcome of a frame with its tracked points, None if it is not usable, and queue it for
         `_learn_contact`, which evaluates its contact later.
         """
-        threshold = work.threshold if status == USABLE else math.nan
-        of_points = (self._seeding, tracked, threshold, self._reseeding.key_frame, self.restarts)
-        outcome = FrameOutcome(work, status, points, *of_points)
-        self._unlearnt.append((self._index, work.frame.number, outcome))
-        return outcome
+        work.threshold = work.threshold if status == USABLE else math.nan
+        work.status, work.points, work.tracked, work.seeding = status, points, tracked, self._seeding
+        work.key_frame, work.restart = self._reseeding.key_frame, self.restarts
+        self._unlearnt.append((self._index, work.frame.number, work))
+        return work
 
-    def _contact(self, work: Work) -> FrameContact:
+    def _contact(self, work: FrameOutcome) -> FrameContact:
         """Return the contact (mask, areas, ellipse) of a frame, computed at the first call, in whichever thread that
         happens.
         """
@@ -458,23 +438,23 @@ class StreamTracker:
         """Learn from the contact of frame number `number`, whose outcome was decided when the frame with this index was
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
-        if outcome.points is not None and outcome.seeding is self._seeding and outcome.work.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(outcome.work).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
-            self._sparse = self._sparse_contact(outcome.work, outcome.points) if touching else None
+        if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
+            touching = float(self._contact(outcome).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
             return []
-        measured = outcome.work.measured
+        measured = outcome.measured
         if outcome.points is None:
             if measured is not None:
                 self._search.passed_over()
             return []
-        area = float(self._contact(outcome.work).real_area_px[0])
+        area = float(self._contact(outcome).real_area_px[0])
         if self._search.update(index, area, measured) and measured is not None:
             return [Event("threshold", number, {"threshold": measured})]
         return []
 
-    def _sparse_contact(self, work: Work, tracked_points: TrackedPoints) -> _Sparse | None:
+    def _sparse_contact(self, work: FrameOutcome, tracked_points: TrackedPoints) -> _Sparse | None:
         """Return the contact of a frame and how far around it to seed new points if fewer tracked points lie in this
         contact than local fits need; None otherwise.
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.contact_border import Border
+from fingerflow.kernels.result_records import FrameEllipse
 
 Array = NDArray[Any]
 
@@ -63,9 +63,11 @@ class Touches:
         self.first_position = np.full((points, 2), np.nan)
         # Positions, variances and border in the previous frame.
         self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
-        self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
+        self._border_before = FrameEllipse(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
-    def add_frames(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
+    def add_frames(
+        self, frames: Array, covered: Array, position: Array, variance: Array, border: FrameEllipse
+    ) -> Touching:
         """Add F frames in order of time, and return for each frame and point whether the point touches the glass, and
         where and when its present touch began.
 
@@ -93,7 +95,7 @@ class Touches:
         if not len(active):
             return Touching(start_position, share, spread, earlier, touching, begins)
         before, variances = np.concatenate((before, position)), np.concatenate((variances, variance))
-        borders = Border(*[np.concatenate(pair) for pair in zip(borders, border, strict=True)])
+        borders = FrameEllipse(*[np.concatenate(pair) for pair in zip(borders, border, strict=True)])
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
         # For points without a lasting touch: number of frames since the last one without contact.
         left = np.maximum.accumulate(number * (covered[:, active] == 0), axis=0)
@@ -125,7 +127,7 @@ class Touches:
         return Touching(start_position, share, spread, earlier, touching, begins)
 
 
-def _border_crossings(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
+def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> tuple[Array, Array]:
     """Interpolate, for each point whose touch begins in a frame (`begins`, (F, N) bool), where (mm) and when, since the
     frame before, the contact border passed it.
 

@@ -29,12 +29,20 @@ _LIT = 0.3  # share of the mean light: lines of the empty glass with less are no
 
 
 class Picture(NamedTuple):
-    """Sampled pixels of the views of a frame, the contact view first, and the hash by which exact copies are recognised
-    (`frame_copies.frame_key`).
+    """Frame under comparison: its status as determined from the frame alone, sampled pixels of its views, the contact
+    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), and its number.
     """
 
+    status: int
     samples: PixelSamples
     key: bytes
+    number: int = 0
+
+    def squared_distance(self, before: Picture) -> Array:
+        """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
+        sequence.
+        """
+        return squared_distances(self.samples, before.samples).ravel()
 
 
 class FrameCheck:
@@ -63,48 +71,51 @@ class FrameCheck:
         self._least = black + DARK_SHARE * (float(empty.mean()) - black)
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
-        self._last: _Seen | None = None  # latest usable frame
+        self._last: Picture | None = None  # latest usable frame
         self._without_lines = 0  # number of consecutive frames with dark lines
-        self._deferred: list[_Seen] = []
+        self._deferred: list[Picture] = []
         self._steps: deque[Array] = deque(maxlen=_STEPS)
         self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames jumped and returned
         self._keys: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._same: deque[bool] = deque(maxlen=_RECENT)  # whether the latest frames equalled an earlier one
 
-    def inspect(self, views: Mapping[str, Array]) -> tuple[Picture, int]:
+    def inspect(self, views: Mapping[str, Array]) -> Picture:
         """Sample all views (1, 1, H, W) of one size, and determine the frame status from this frame alone.
 
         Any thread may call it.
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
         (contact, lines), *rest = (_blocks(view[0]) for view in images)
-        picture = Picture(PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]))
+        status = USABLE
         if float(contact.mean()) < self._least:
-            return picture, _DARK
-        if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
-            return picture, _SATURATED
-        return picture, _JUMPS if (self._lit & (lines < self._least)).any() else USABLE
+            status = _DARK
+        elif self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
+            status = _SATURATED
+        elif (self._lit & (lines < self._least)).any():
+            status = _JUMPS
+        return Picture(status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]))
 
-    def update(self, number: int, picture: Picture, status: int) -> tuple[list[int], int | None]:
+    def update(self, number: int, picture: Picture) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
         that are thereby decided, and that of this frame.
 
         Args:
             number: of the frame.
-            picture, status: results of `inspect`.
+            picture: result of `inspect`.
 
         Returns:
             The statuses of the first deferred frames, in order, empty if all stay deferred or there are none; and that
             of this frame, None if it is deferred itself.
         """
+        status = picture.status
         self._without_lines = self._without_lines + 1 if status == _JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
         if status == USABLE and self._repeats(picture.key):
             status = _REPEATED
-        return self._judged(_Seen(number, picture, status))
+        return self._judged(Picture(status, picture.samples, picture.key, number))
 
-    def _judged(self, frame: _Seen) -> tuple[list[int], int | None]:
+    def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
         if frame.status != USABLE:
             if self._deferred:
                 self._deferred.append(frame)
@@ -158,16 +169,16 @@ class FrameCheck:
         self._same.append(same)
         return same and len(self._same) > _KNOWN and sum(self._same) <= REPEATED_SHARE * len(self._same)
 
-    def _step_to(self, frame: _Seen) -> Array | None:
+    def _step_to(self, frame: Picture) -> Array | None:
         """Return the squared distance (rows,) of a frame from the last usable one; None if there is none."""
         return None if self._last is None else frame.squared_distance(self._last)
 
-    def _count(self, frame: _Seen, step: Array | None) -> None:
+    def _count(self, frame: Picture, step: Array | None) -> None:
         """Take a frame as the latest usable one, at the squared distance `step` from the one before, None for none."""
         if self._last is not None and step is not None and frame.number == self._last.number + 1:
             self._steps.append(step)
         self._returned.append(False)
-        self._keys.append(frame.picture.key)
+        self._keys.append(frame.key)
         self._last = frame
 
     def _is_far(self, gap: int, step: Array) -> bool:
@@ -181,7 +192,7 @@ class FrameCheck:
         # Check first without the excesses of other frames, which take longer to compute; few frames are so far.
         return is_far(step, usual) and is_far(step, usual, self._ordinary())
 
-    def _comes_back(self, frame: _Seen) -> bool:
+    def _comes_back(self, frame: Picture) -> bool:
         """Return whether the image has jumped away in the deferred frames and returns, with this frame, to that of the
         last usable one.
         """
@@ -206,22 +217,6 @@ class FrameCheck:
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)
         return Ordinary.estimate(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
-
-
-class _Seen(NamedTuple):
-    """Frame under comparison: its number, its sampled pixels and hash, and its status as determined from the frame
-    alone, without others.
-    """
-
-    number: int
-    picture: Picture
-    status: int
-
-    def squared_distance(self, before: _Seen) -> Array:
-        """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
-        sequence.
-        """
-        return squared_distances(self.picture.samples, before.picture.samples).ravel()
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:

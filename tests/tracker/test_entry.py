@@ -5,7 +5,7 @@ that grows.
 import numpy as np
 import pytest
 
-from fingerflow.tracker.contact_border import Border
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.entry import advected
 
 Row = tuple[float, ...]
@@ -33,7 +33,9 @@ def test_points_slide_into_contact_where_skin_moves_faster_than_the_border(
     frames, tilt = np.arange(11), 0.4
     share = frames[:, None] / 10
     center = share * drifts
-    border = Border(center, np.stack((5 + grows * share[:, 0], 4 + grows * share[:, 0]), axis=-1), np.full(11, tilt))
+    border = FrameEllipse(
+        center, np.stack((5 + grows * share[:, 0], 4 + grows * share[:, 0]), axis=-1), np.full(11, tilt)
+    )
     rim = np.linspace(np.pi - 0.5, np.pi + 0.5, 12)
     turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     rows = [np.stack((scale * 5 * np.cos(rim), scale * 4 * np.sin(rim)), axis=-1) @ turn.T for scale in (0.97, 1.01)]

@@ -102,7 +102,7 @@ def test_flickering_light_and_vibrating_skin_are_no_return_of_a_frame(skin: Fram
 
 
 def copied(frames: Frames) -> list[int]:
-    keys = [frame_key([one]) for one in block_means(frames).blocks]
+    keys = [frame_key([one]) for one in block_means(frames)[0]]
     return np.flatnonzero(copies(keys, distances(frames), np.ones(len(frames), dtype=bool))).tolist()
 
 

@@ -43,7 +43,7 @@ def _statuses(skins: list[Array], check: FrameCheck | None = None, end: bool = T
     check = check or FrameCheck(GLASS, 0 * GLASS, 8)
     told: list[int] = []
     for number, skin in enumerate(skins):
-        decided, status = check.update(number, *check.inspect({"contact_view": _view(skin, number)}))
+        decided, status = check.update(number, check.inspect({"contact_view": _view(skin, number)}))
         told += [*decided, *([] if status is None else [status])]
     return [FRAME_STATUS[one] for one in told + (check.settle() if end else [])]
 
@@ -97,7 +97,7 @@ def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> 
     status, view = [], _view(skin, 0)
     for k in range(60):
         view = view if k in repeats else _view(skin[:, :240], k)
-        decided, own = check.update(k, *check.inspect({"contact_view": view}))
+        decided, own = check.update(k, check.inspect({"contact_view": view}))
         status += [*decided, *([] if own is None else [own])]
     found = [k for k, one in enumerate(status) if FRAME_STATUS[one] == "repeated"]
     assert found == (repeats if told else [])

@@ -11,8 +11,8 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
-from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from tests.small_trials import recipe_of_trials, write_library_bundle
@@ -88,7 +88,7 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     """Return for each frame (F,) whether every point in contact has its final reference position."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
-    border = Border.from_series(
+    border = FrameEllipse.from_series(
         {name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")}
     )
     seen = touches.add_frames(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)

@@ -21,7 +21,7 @@ def _stated_over_true(make_engine: MakeEngine, length: float, inside: bool) -> f
     moved = 0.1 * np.stack((np.sin(number * places[:, 0]), np.cos(number * places[:, 1])), -1)[None]
     true = 0.1 * number * (np.cos(number * places[:, 0]) - np.sin(number * places[:, 1]))
     engine = make_engine(EngineSettings(gauge_length_mm=GAUGE))
-    gradient = engine.fit(places, moved, places, GAUGE).gradient[0]
+    gradient = engine.fit(places, moved, places, GAUGE)[0][0]
     fields = np.stack((gradient[:, 0, 0] + gradient[:, 1, 1], gradient[:, 1, 0] - gradient[:, 0, 1]))[None]
     stated = SmoothingErrors(engine, places).variance(places, moved, fields, np.zeros_like(fields))[0, 0]
     depth = 4 - np.abs(places).max(1)

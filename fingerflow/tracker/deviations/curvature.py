@@ -23,13 +23,14 @@ Array = NDArray[Any]
 
 _SHARE = 0.8
 _GAUGE = 2.0  # windows, gauge length of the fits
-_EVERY = 8  # frames between two evaluations: skin deforms slowly
+_EVERY = 4  # frames between two evaluations
 
 
 class Curvature:
     """Variance of the positions of N points by displacement that is curved within their windows, frame by frame.
 
-    The first and every eighth frame are evaluated; the frames behind have the variance of the latest of them.
+    The first and every fourth frame are evaluated. The frames behind have the variance of the latest of them, which
+    goes on to grow where it has grown: an edge of slip that comes near bends the displacement within a few frames.
 
     Args:
         engine: computes the fits, and gives the side of a window.
@@ -38,19 +39,22 @@ class Curvature:
 
     def __init__(self, engine: Engine, start: Array) -> None:
         self._engine, self._start, self._frames = engine, start, 0
-        self._latest = np.zeros((1, len(start)), np.float32)
+        self._latest, self._growth = np.zeros((2, 1, len(start)), np.float32)  # growth is that in a frame
 
     def update(self, points: Array) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of a position component in the next n frames, in which the points lie at
         `points` (n, N, 2) px, NaN for lost ones; it is 0 where too few neighbours are known.
         """
-        frames, first = len(points), -self._frames % _EVERY
-        self._frames += frames
-        if first >= frames:
-            return self._latest if frames == 1 else self._latest.repeat(frames, axis=0)
-        evaluated = np.concatenate((self._latest, curvature_variance(self._engine, self._start, points[first::_EVERY])))
-        self._latest = evaluated[-1:]
-        return evaluated[(np.arange(frames) - first) // _EVERY + 1]
+        number = self._frames + np.arange(len(points))
+        self._frames += len(points)
+        result = np.empty(points.shape[:2], np.float32)
+        for row, behind in enumerate((number % _EVERY).tolist()):
+            if not behind:
+                latest = curvature_variance(self._engine, self._start, points[row : row + 1])
+                self._growth = np.maximum(latest - self._latest, 0) / np.float32(_EVERY)
+                self._latest = latest
+            result[row] = self._latest + np.float32(behind) * self._growth
+        return result
 
 
 def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[np.float32]:
@@ -63,7 +67,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
     positions = start[valid]
 
     def gradient(values: Array) -> Array:
-        return engine.fit(positions, values, positions, _GAUGE * window).gradient
+        return engine.fit(positions, values, positions, _GAUGE * window)[0]
 
     slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.

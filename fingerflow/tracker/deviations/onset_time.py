@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.tracker.contact_border import BORDER_MM
 
 Array = NDArray[Any]
 
@@ -25,7 +26,7 @@ def onset_errors(
     advected: Array,
     frames: tuple[int, int],
     positions: Callable[[Array], tuple[Array, Array]],
-    border: Border,
+    border: FrameEllipse,
 ) -> tuple[Array, Array]:
     """Return the variance (N,) frame^2 of the times at which points came into contact, and the covariance (N, 2, 2)
     mm^2 of their positions then by this error, from the speed of each point at its onset.
@@ -59,7 +60,7 @@ def onset_errors(
         # The graph of a bundle fits two quantities.
         times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
         touched, gauge = reference[fitted], engine.settings.gauge_length_mm
-        slope = engine.fit(touched, times, touched, gauge).gradient[0, :, 0]
+        slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
         frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
     reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
     reach[advected] = _LONGEST

@@ -51,7 +51,7 @@ class SmoothingErrors:
         difference, offset = np.full(fields.shape, np.nan), np.full(displacement.shape[:2], np.nan)
         if fitted.any():
             near, moved = reference[fitted], displacement[:, fitted]
-            slopes = self._engine.fit(near, moved, near, 2 * self._gauge).gradient
+            slopes, _ = self._engine.fit(near, moved, near, 2 * self._gauge)
             wide = np.stack((slopes[..., 0, 0] + slopes[..., 1, 1], slopes[..., 1, 0] - slopes[..., 0, 1]), axis=1)
             difference[..., fitted] = fields[..., fitted] - wide
             offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._gauge)

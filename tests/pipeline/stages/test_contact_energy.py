@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from bench.suites.stated import other_presses
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.strain import contact_energy
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies
 from fingerflow.synthetic import Press
-from fingerflow.tracker.contact_border import Border
 
 PRESS = Press(n_frames=60, frame_rate=60.0)
 TWICE = other_presses()["twice the deformation"]
@@ -28,7 +28,7 @@ class Contact(NamedTuple):
     mm of depth.
     """
 
-    border: Border
+    border: FrameEllipse
     position: Array
     displacement: Array
     energy: float
@@ -52,7 +52,7 @@ def contact_of(press: Press, frame: int, measure: str = "green_lagrange") -> Con
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     grid = grid + 0.1 * np.random.default_rng(3).uniform(-1, 1, grid.shape) + ellipse.centre
     position = grid[(ellipse.distance(*torch.from_numpy(grid).unbind(-1)) > 0.1).numpy()]
-    border = Border(*(np.array([one]) for one in (ellipse.centre, ellipse.semi_axes, ellipse.angle)))
+    border = FrameEllipse(*(np.array([one]) for one in (ellipse.centre, ellipse.semi_axes, ellipse.angle)))
     displacement = press.truth.displacement(press.truth.material(position, frame), frame)
     return Contact(border, position, displacement, float(ellipse.area * (shares / 2 @ each.mean(1))))
 

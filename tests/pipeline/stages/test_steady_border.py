@@ -2,18 +2,18 @@
 
 import numpy as np
 
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
-from fingerflow.tracker.contact_border import Border
 
 FRAMES = np.arange(60)
 TIMES = FRAMES / 60
 
 
-def growing(frames: int = 60) -> Border:
+def growing(frames: int = 60) -> FrameEllipse:
     """Return an ellipse whose squared axes and centre are quadratic in time until growth stops at frame 40."""
     time = np.minimum(np.arange(frames) / 40, 1)
     squares = (2 * time - time**2)[:, None] * np.array([36.0, 20.0]) + np.array([0.3, 0.2])
-    return Border(np.outer(time - time**2 / 2, [0.3, -0.2]), np.sqrt(squares), np.full(frames, 0.4))
+    return FrameEllipse(np.outer(time - time**2 / 2, [0.3, -0.2]), np.sqrt(squares), np.full(frames, 0.4))
 
 
 def test_an_evenly_growing_contact_is_kept() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.tracker.contact_border import Border
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.tracker.onset import Touches
 
 
@@ -14,7 +14,7 @@ def test_a_touch_begins_where_the_border_passes() -> None:
     after the frames that show the contact, the touch begins at the nearer of both positions.
     """
     radius = np.arange(1.0, 4)
-    border = Border(np.zeros((3, 2)), np.stack((radius, radius), 1), np.zeros(3))
+    border = FrameEllipse(np.zeros((3, 2)), np.stack((radius, radius), 1), np.zeros(3))
     start = np.array([1.2, 1.5, 2.6, 2.6, 0.7, 2.9])
     position = np.zeros((3, len(start), 2))
     position[..., 0] = start + 0.1 * np.arange(3)[:, None]

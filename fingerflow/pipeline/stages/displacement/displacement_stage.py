@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -16,7 +17,7 @@ from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
 from fingerflow.tracker.entry import advected
@@ -121,7 +122,7 @@ class DisplacementStage(Stage):
                 ("position", "position_px", "position_noise_px"),
             )
             self._fixed = _Fixed(*(self.results[name][then][0] for name in names))
-        self._border = Border.from_series(self.trial.stage(ContactStage).series)
+        self._border = FrameEllipse.from_series(self.trial.stage(ContactStage).series)
         begin = int(usable[0])
         here = self.results["position"][begin : begin + 1]
         depth = self._border.select(slice(begin, begin + 1)).inside(here)[0]

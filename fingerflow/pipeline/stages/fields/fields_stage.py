@@ -11,7 +11,6 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import FIELDS
-from fingerflow.tracker.contact_border import Border
 from fingerflow.tracker.deformation import Deformation, Displacement
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.entry import EntryGradients
@@ -68,7 +67,7 @@ class FieldsStage(Stage):
             )
 
     def step(self, batch: Batch) -> None:
-        border = Border.from_series(self.trial.stage(ContactStage).series).select(batch.indices)
+        border = FrameEllipse.from_series(self.trial.stage(ContactStage).series).select(batch.indices)
         displacement, moved = self.trial.stage(DisplacementStage), batch.result(DisplacementStage)
         entered, late = None, np.zeros((2, len(self._reference)))
         if self._entry is not None:
@@ -78,7 +77,7 @@ class FieldsStage(Stage):
         shift = moved.displacement.astype(np.float32)
         variance = moved.variance + moved.curvature
         since = Displacement(self._reference, shift, variance, displacement.of_onset, self._gain, entered, late)
-        fields, ranks = self._deformation.add(batch.indices, since, FrameEllipse(*border))
+        fields, ranks = self._deformation.add(batch.indices, since, border)
         for name in self._given:
             self.results[name][batch.indices] = getattr(fields, name)
         positions = self.inputs.tensor(self._reference[None])

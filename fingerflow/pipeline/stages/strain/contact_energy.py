@@ -17,9 +17,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.pipeline.stages.strain.border_field import BorderFields, BorderFunctions
-from fingerflow.tracker.contact_border import Border
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class ContactEnergy:
 
     def estimate(
         self, position: Array, displacement: Array, variance: NDArray[np.floating], counts: NDArray[np.bool_],
-        border: Border, since_growth: Callable[[NDArray[np.intp]], Array],
+        border: FrameEllipse, since_growth: Callable[[NDArray[np.intp]], Array],
     ) -> FrameEnergies:  # fmt: skip
         """Return the strain energies of the skin in contact in n frames, with standard deviations; NaN where no point
         lies near the contact border, and where no smooth field explains the displacements.
@@ -213,7 +213,7 @@ class _Points(NamedTuple):
 
     @classmethod
     def gather(
-        cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: Border
+        cls, position: Array, displacement: Array, variance: Array, counts: NDArray[np.bool_], border: FrameEllipse
     ) -> "_Points":
         """Create the points from positions, displacements and the border ellipses of n frames; arguments are as for
         `ContactEnergy.estimate`.

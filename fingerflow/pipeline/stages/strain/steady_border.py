@@ -7,7 +7,7 @@ the error of the mean radius has a standard deviation of 20 um, and 5 um when sm
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.contact_border import Border
+from fingerflow.kernels.result_records import FrameEllipse
 
 # mm, unit of the distance between borders: a border at a ridge period of 0.45 mm has a third of the weight.
 _NEAR_MM = 0.3
@@ -15,7 +15,7 @@ _SECONDS, _FRAMES = 0.1, 64  # largest time (s) and number of frames before and 
 _DEGREE = 2  # degree of the polynomials in time
 
 
-def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
+def steady_border(border: FrameEllipse, times: NDArray[np.float64]) -> FrameEllipse:
     """Return the ellipses of the contact border, smoothed by local fits over the times (n,) s of their frames; NaN
     where they are NaN.
 
@@ -39,7 +39,7 @@ def steady_border(border: Border, times: NDArray[np.float64]) -> Border:
     positive = (middle > half)[:, None]
     axes = np.sqrt(np.where(positive, np.stack((middle + half, middle - half), axis=1), border.semi_axes**2))
     angle = np.where(positive[:, 0], np.arctan2(2 * xy, xx - yy) / 2, border.angle)
-    return Border(fitted[:, :2], axes, angle)
+    return FrameEllipse(fitted[:, :2], axes, angle)
 
 
 def _fit_over_time(

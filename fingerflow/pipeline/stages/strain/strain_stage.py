@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
@@ -21,7 +22,7 @@ from fingerflow.pipeline.stages.strain.counted_skin import CountedSkin
 from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
-from fingerflow.tracker.contact_border import BORDER_MM, Border
+from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
@@ -98,9 +99,9 @@ class StrainStage(Stage):
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = steady_border(Border.from_series(series), self.inputs.times)
+        self._border = steady_border(FrameEllipse.from_series(series), self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
-        self._grown = _growth(np.sqrt(Border.from_series(series).semi_axes.prod(1)))
+        self._grown = _growth(np.sqrt(FrameEllipse.from_series(series).semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -223,7 +224,7 @@ class StrainStage(Stage):
         return moved.displacement, variance, counts
 
     def _rim_area(
-        self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: Border
+        self, position: NDArray[np.float64], touching: NDArray[np.bool_], border: FrameEllipse
     ) -> NDArray[np.float64]:
         """Return, per frame (n,), the contact area in mm^2 that no triangle in contact covers."""
         # By components: gathering pairs of numbers takes twice as long.
@@ -264,7 +265,7 @@ class StrainStage(Stage):
 
 
 def border_density(
-    density: Array, areas: Array, positions: Array, border: Border, reach_mm: float
+    density: Array, areas: Array, positions: Array, border: FrameEllipse, reach_mm: float
 ) -> NDArray[np.float64]:
     """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
     the contact border, weighted by area.
