@@ -37,7 +37,7 @@ divergence along the contact cannot.
 The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x, summarised by
 its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is negative,
 and most of an area of revolution lies there. A median by area is therefore insensitive to friction, where the
-median along the contact is 48, 22 and 17 um/mm at mu = 0, 0.05 and 1 with the lab's parameters and 3 N.
+median along the contact is 48, 22 and 17 um/mm at mu = 0, 0.05 and 1 with the lab's parameters, 251 elements and 3 N.
 """
 
 import math

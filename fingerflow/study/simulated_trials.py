@@ -39,8 +39,8 @@ class Design:
             angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
         softness: of firmer and softer skin, divisors of the stiffnesses of the fitted tissue; the membrane is that of
-            literature. The apparent area at the peak is 61 ± 3 mm² over participants (print: 70.1 ± 4.5, B5); tissue
-            that is softer by another factor of 4 would have 70, but store 1.4 mJ where print has 0.32 (B50).
+            literature. The apparent area at the peak is 61 ± 4 mm² over participants (print: 70.1 ± 4.5, B5); softer
+            tissue comes nearer, but stores more energy than print says (B50).
         force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
             over the mean time is 3.7). Gamma distributed, as a normal one would be negative in every ninth trial.
         force_range: N, outside of which a trial is drawn again (B34).
