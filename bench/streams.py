@@ -1,6 +1,7 @@
 """Run the player of an exported bundle as a separate process, as on a lab PC."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -52,8 +53,8 @@ def play(
     """Play the synthetic source, or the recording of a scene, and return the summary of the stream.
 
     By default all frames are played as fast as it goes, and records are not kept: ``rate`` is in frames a second,
-    ``results`` a folder. ``watch`` is called with the process id every
-    ``watch_s`` seconds.
+    ``results`` a folder. ``watch`` is called with the process id every ``watch_s`` seconds. The processor time of the
+    player, its start included, is added to the summary as "cpu_s".
 
     Raises RuntimeError with the player's log where it ends with an error.
     """
@@ -71,7 +72,7 @@ def play(
         }
         given = [str(word) for option in options.items() if option[1] is not None for word in option]
         command = [str(python), "-m", "fingerflow.player", *given]
-        log = Path(folder) / "log"
+        log, before = Path(folder) / "log", _seconds_of_children()
         with (
             log.open("w") as file,
             subprocess.Popen(command, cwd=bundle, env=variables(), stdout=file, stderr=file) as running,
@@ -82,4 +83,10 @@ def play(
         if running.returncode:
             raise RuntimeError(log.read_text())
         summary: dict[str, Any] = json.loads(Path(folder, "summary.json").read_text())
-        return summary
+        return summary | {"cpu_s": _seconds_of_children() - before}
+
+
+def _seconds_of_children() -> float:
+    """Return the processor time of all ended child processes, s."""
+    times = os.times()
+    return times.children_user + times.children_system

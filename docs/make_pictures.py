@@ -27,10 +27,10 @@ from playwright.sync_api import sync_playwright
 import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
-from fingerflow.export.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.player import live_frames, page_token
 from fingerflow.report import write_report
 from fingerflow.results.result import load_result
+from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
 from tests.own_press import press_of, write_raw_press
@@ -111,7 +111,7 @@ def draw_live(browser: Any, folder: Path) -> None:
     with mock.patch.object(page_token.secrets, "token_urlsafe", return_value="token"):
         for stamp, _ in live_frames(bundle, "synthetic", rate=60, page=port, output=folder / "live"):
             if page.url == "about:blank":
-                page.goto(f"http://127.0.0.1:{port}/?token=token")
+                page.goto(f"http://127.0.0.1:{port}/#token=token")
             if stamp.number > 130:
                 save(screenshot(page, 1130), "live.png")
                 break

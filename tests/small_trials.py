@@ -1,6 +1,5 @@
 """Trials that are small enough for a test, and the ways in which tests spoil their frames."""
 
-import hashlib
 import json
 import tomllib
 from collections.abc import Callable
@@ -11,13 +10,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fingerflow import __version__, load_scene
+from fingerflow import load_scene
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.recipe import GRAPHS, Recipe, parse_recipe
-from fingerflow.schema.bundle_format import BUNDLE_FORMAT
+from fingerflow.export.write_bundle import write_facts
+from fingerflow.schema.recipe import GRAPHS, Recipe, parse_recipe
 from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import PartialSlip, Press, Slide, write_recording
 from fingerflow.synthetic.scenes import SyntheticScene
@@ -118,22 +117,12 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
     The files of its graphs are no graphs; the numbers of its built-in frame are those of the compiled library here.
     """
     folder.mkdir(parents=True)
-    graphs = {}
     for name in GRAPHS:
-        data = f"no graph, {name}".encode()
-        (folder / f"{name}.onnx").write_bytes(data)
-        graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
+        (folder / f"{name}.onnx").write_text(f"no graph, {name}")
     settings = asdict(recipe)
     size: dict[str, int] = {one: settings["views"][one] for one in ("height", "width", "bit_depth")}
     expected = expected_of(NativeEngine(bundle_settings(settings)), **size, points=recipe.tracking.points)
-    facts = {
-        "format": BUNDLE_FORMAT,
-        "fingerflow": __version__,
-        "recipe": settings,
-        "graphs": graphs,
-        "expected": expected,
-    }
-    (folder / "bundle.json").write_text(json.dumps(facts), encoding="utf-8")
+    write_facts(settings, expected, folder)
     return folder
 
 

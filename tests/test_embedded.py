@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import onnxruntime
 import pytest
 import torch
 from torch import Tensor, nn
@@ -21,11 +22,11 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fingerflow import ops
 from fingerflow.export.build import build_graphs
-from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.contact import apparent_contact, otsu
 from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.track_points import in_passes
+from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
 from tests.kernels.kernel_calls import Call, call, kernel_calls
 from tests.without_kernels import without_kernels
@@ -85,6 +86,28 @@ def test_default_dtype_and_device(name: str) -> None:
                 assert result.dtype == other.dtype
                 assert result.device == other.device
                 assert torch.equal(result.nan_to_num(-7.0), other.nan_to_num(-7.0))
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("gradients", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_autocast_changes_nothing(name: str, gradients: bool) -> None:
+    """Results and their derivatives are the same, to the bit, inside `torch.autocast`."""
+
+    def run(autocast: bool) -> list[Tensor]:
+        inputs = [
+            one.clone().requires_grad_(gradients) if isinstance(one, Tensor) and one.is_floating_point() else one
+            for one in CASES[name].inputs
+        ]
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=autocast):
+            results = tensors_of(CASES[name].call(*inputs))
+        leaves = [one for one in inputs if isinstance(one, Tensor) and one.requires_grad]
+        sums = [one.nan_to_num().sum() for one in results if one.requires_grad]
+        return [*results, *(torch.autograd.grad(sums, leaves, materialize_grads=True) if sums else ())]
+
+    for result, wanted in zip(run(True), run(False), strict=True):
+        assert result.dtype == wanted.dtype
+        assert torch.equal(result.nan_to_num(-7.0), wanted.nan_to_num(-7.0))
 
 
 def test_ops_are_independent_of_default_dtype_and_device_at_import() -> None:
@@ -201,7 +224,8 @@ class Exported(nn.Module):
         self.call = call
 
     def forward(self, *inputs: object) -> object:
-        return self.call(*inputs)
+        result = self.call(*inputs)
+        return result if isinstance(result, Tensor) else tuple(tensors_of(result))
 
 
 @pytest.mark.long
@@ -222,6 +246,56 @@ def test_exported_whole_and_the_same(name: str, monkeypatch: pytest.MonkeyPatch)
     for result, wanted in zip(tensors_of(program.module()(*case.inputs)), expected(name), strict=True):
         assert result.dtype == wanted.dtype
         torch.testing.assert_close(result, wanted, rtol=1e-4, atol=1e-3, equal_nan=True)
+
+
+class Network(nn.Module):
+    """Module of an embedder's own with several ops, each with the inputs of its case."""
+
+    ops = ("normalize_illumination", "otsu_threshold", "local_gradients", "divergence")
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        results: list[Tensor] = []
+        left = iter(inputs)
+        for name in self.ops:
+            own = [next(left) if isinstance(one, Tensor) else one for one in CASES[name].inputs]
+            results += tensors_of(CASES[name].call(*own))
+        return tuple(results)
+
+
+def in_onnx_runtime(module: nn.Module, inputs: tuple[Any, ...], batches: tuple[int, ...]) -> None:
+    """Export a module by torch's plain exporter, with a batch of any size if there are several `batches`, and compare
+    the results of ONNX Runtime, of the first frames, with those of the module.
+    """
+    tensors = [one for one in inputs if isinstance(one, Tensor)]
+    is_batch = [one.ndim > 2 for one in tensors]
+    axes = [{0: torch.export.Dim("batch")} if one else None for one in is_batch]
+    program = torch.onnx.export(
+        module, inputs, dynamo=True, verbose=False,
+        dynamic_shapes=(tuple(axes) + (None,) * (len(inputs) - len(tensors)),) if len(batches) > 1 else None,
+    )  # fmt: skip
+    assert program is not None
+    session = onnxruntime.InferenceSession(program.model_proto.SerializeToString(), providers=["CPUExecutionProvider"])
+    for batch in batches:
+        given = [one[:batch] if many else one for one, many in zip(tensors, is_batch, strict=True)]
+        fed = {one.name: value.numpy() for one, value in zip(session.get_inputs(), given, strict=True)}
+        wanted = tensors_of(module(*given, *inputs[len(tensors) :]))
+        for result, other in zip(session.run(None, fed), wanted, strict=True):
+            torch.testing.assert_close(torch.from_numpy(result), other, rtol=1e-4, atol=1e-4, equal_nan=True)
+
+
+STANDARD = [name for name in CASES if (public := name.partition(" ")[0]) in ops.__all__ and public not in BY_DATA]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", STANDARD)
+def test_ops_run_in_onnx_runtime(name: str) -> None:
+    in_onnx_runtime(Exported(CASES[name].call), CASES[name].inputs, (1, 2))
+
+
+@pytest.mark.long
+def test_a_module_of_ops_runs_in_onnx_runtime() -> None:
+    inputs = [one for name in Network.ops for one in CASES[name].inputs if isinstance(one, Tensor)]
+    in_onnx_runtime(Network(), tuple(inputs), (2,))
 
 
 @pytest.mark.long
@@ -383,7 +457,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "among": points[..., 0].to(torch.bool),
         **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), torch.ones(1, 2)),
         **dict.fromkeys(("ellipse_angle", "gauge_length", "threshold"), torch.ones(1)),
-        **{f"neighbour_{name}": one for name, one in beside._asdict().items()},
+        **dict(zip(("neighbour_number", "neighbour_offset", "neighbour_within"), beside, strict=True)),
     }
     for name, graph in build_graphs(recipe).items():
         step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)

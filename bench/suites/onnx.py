@@ -35,10 +35,10 @@ from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build_graphs
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe, parse_recipe
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.tracking.corners import detect_corners
+from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe, parse_recipe
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press

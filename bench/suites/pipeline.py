@@ -6,10 +6,11 @@ empty glass, real and gross contact, its ellipse, 700 corners followed forward a
 contact reached each point, gradients over 1.6 mm, their medians over the contact. What OpenCV's pipeline does, and why
 that and nothing else, is at the top of `bench/opencv_pipeline.py`.
 
-ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in a run after that. Errors are
-against the exact truth: position_px RMS of the points in the last frame; areas and axes in percent, RMS over every
-third frame in which the gross contact has an eighth of its final area or more; divergence_um_mm at the points of the
-last frame (what a gauge length flattens is in it); medians over the contact, RMS over the same frames as areas.
+ms is a frame's share of the whole call, cpu_ms of its processor time, the columns contact_ms to fields_ms its parts
+in a run after that. Errors are against the exact truth: position_px RMS of the points in the last frame; areas and
+axes in percent, RMS over every third frame in which the gross contact has an eighth of its final area or more;
+divergence_um_mm at the points of the last frame (what a gauge length flattens is in it); medians over the contact,
+RMS over the same frames as areas.
 
 - The frame of onset is coarse at 60 frames a second: a part of the error of divergence and strain in both.
 - `process` also writes down what a user keeps: status and uncertainty of every point, labels and units.
@@ -18,6 +19,7 @@ last frame (what a gauge length flattens is in it); medians over the contact, RM
 
 import json
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -56,17 +58,34 @@ def run(quick: bool) -> list[Row]:
         recording = Path(folder) / "press"
         write_quietly(recording, press)
         calls = {name: partial(pipeline, recording, press) for name, pipeline in PIPELINES.items()}
-        times = time_in_turns(calls, PEER, rounds=2 if quick else 5)
+        rounds = 2 if quick else 5
+        times = time_in_turns(calls, PEER, rounds)
+        processor = time_in_turns(calls, PEER, rounds, time.process_time)
         measured = {name: call() for name, call in calls.items()}
     return [
         {
             "pipeline": name,
             **times[name].of_each(press.n_frames).cells(),
+            "cpu_ms": processor[name].of_each(press.n_frames).median_ms,
+            "cpu_to_peer": processor[name].to_peer,
             **{f"{part}_ms": 1e3 * measured[name].seconds[part] / press.n_frames for part in PARTS},
             **_errors(measured[name], press),
         }
         for name in PIPELINES
     ]
+
+
+def opencv_cpu_ms(quick: bool) -> float:
+    """Return the processor time of OpenCV's pipeline a frame, ms: the least of three runs on the press."""
+    press = QUICK_PRESS if quick else PRESS
+    with tempfile.TemporaryDirectory() as folder:
+        write_quietly(Path(folder) / "press", press)
+        seconds = []
+        for _ in range(3):
+            start = time.process_time()
+            _with_opencv(Path(folder) / "press", press)
+            seconds.append(time.process_time() - start)
+    return 1e3 * min(seconds) / press.n_frames
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

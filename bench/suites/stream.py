@@ -5,6 +5,8 @@ Every frame is computed and its results are written.
 Each recipe of `export/` is played from its bundle, without torch, by the compiled library (`native`) and by ONNX
 Runtime (`onnx`), as fast as it goes, and then for 60 s at 300 frames a second, as a camera would give them, or at two
 thirds of its rate where that is less. As fast as it goes is the median of five runs, with the slowest and the fastest.
+cpu_ms is the processor time of the player a frame, its start not counted, opencv_cpu_ms that of OpenCV's pipeline on a
+recording in the same run (`bench pipeline`), and cpu_to_opencv their ratio, which means the same on other machines.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
 waiting. `load` is how many processes the machine had to run on average when the row ended: on cores that do other work
 latencies mean little.
@@ -16,6 +18,7 @@ from typing import Any
 
 from bench.rows import Row
 from bench.streams import exported_recipes, play
+from bench.suites.pipeline import opencv_cpu_ms
 
 CAMERA = 300  # frames a second
 FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
@@ -24,11 +27,13 @@ FRAMES = {"native": 4000, "onnx": 600}  # as fast as it goes: some seconds
 def run(quick: bool) -> list[Row]:
     """Return two rows per recipe and engine."""
     rows: list[Row] = []
+    opencv = opencv_cpu_ms(quick)
     with exported_recipes() as bundles:
         for recipe, bundle in bundles.items():
             for engine in ("native", "onnx"):
                 of = {"recipe": recipe, "engine": engine}
                 free = _free(bundle, engine, quick)
+                free |= {"opencv_cpu_ms": opencv, "cpu_to_opencv": free["cpu_ms"] / opencv}
                 pace = min(CAMERA, round(free["rate_hz"] * 2 / 3))
                 rows += [of | free, of | _played(bundle, engine, pace, quick)]
     return rows
@@ -38,7 +43,11 @@ def _free(bundle: Path, engine: str, quick: bool) -> dict[str, Any]:
     """Return the run of median rate, with the slowest and fastest rate."""
     runs = [_played(bundle, engine, None, quick) for _ in range(1 if quick else 5)]
     runs.sort(key=lambda run: run["rate_hz"])
-    return runs[len(runs) // 2] | {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}
+    rates = {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}
+    # The difference of two runs leaves out the start, which takes as long as some hundred frames.
+    count = FRAMES[engine] // (5 if quick else 1)
+    long, short = (play(bundle, engine, frames=frames)["cpu_s"] for frames in (count, count // 4))
+    return runs[len(runs) // 2] | rates | {"cpu_ms": 1e3 * (long - short) / (count - count // 4)}
 
 
 def _played(bundle: Path, engine: str, pace: int | None, quick: bool) -> dict[str, Any]:

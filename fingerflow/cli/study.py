@@ -59,6 +59,8 @@ def run(
     from fingerflow.study.table import write_tables
 
     loaded = load_manifest(manifest)
+    if loaded.matched:
+        typer.echo(loaded.matched)
     if dry_run:
         planned = plan_run(loaded, only, retry_failed)
         for plan in planned:

@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
 from fingerflow.engines.engine import EngineSettings
-from fingerflow.errors import PlayerError
+from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.keys import keys_of
+from fingerflow.schema.recipe import GRAPHS as GRAPHS
+from fingerflow.schema.recipe import parse_recipe
 
-GraphName = Literal[
-    "contact",
-    "threshold",
-    "noise",
-    "detect",
-    "spline",
-    "prepare",
-    "renew",
-    "track",
-    "track_few",
-    "support",
-    "correct",
-    "outliers",
-    "search",
-    "windows",
-    "fields",
-    "fields_entered",
-    "fit",
-]
-#: Graphs of a bundle, in an order in which an engine can run them.
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
+_AGAIN = "export the bundle again, or copy its folder again"
+_FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Bundle:
-    """Content of a deployment bundle, whose graph files have been checked against their hashes.
+    """Content of a deployment bundle, whose files have been checked against their hashes.
 
     Attributes:
         height, width, bit_depth: of a view: px, px, and bits of a pixel, 8 to 16.
@@ -70,52 +54,71 @@ class Bundle:
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Load the deployment bundle of a folder and check the hash of every graph file.
+    """Load the deployment bundle of a folder and check the hash of every file that bundle.json lists.
 
     Raise PlayerError for a missing, damaged or foreign file.
     """
     path = folder / "bundle.json"
-    again = "export the bundle again, or copy its folder again"
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts = json.loads(_content(path))
     except OSError as error:
         raise PlayerError(
             f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
         ) from None
     except (ValueError, RecursionError) as error:
-        raise PlayerError(f"{path}: is no JSON ({error}); {again}") from None
+        raise PlayerError(f"{path}: is no JSON ({error}); {_AGAIN}") from None
     if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
-        found = facts.get("format") if isinstance(facts, dict) else facts
+        stated = facts.get("format") if isinstance(facts, dict) else facts
         raise PlayerError(
-            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle, "
-            "or export it again"
+            f"{path}: its format is {str(stated)[:40]!r}, this player reads {BUNDLE_FORMAT}; use the player of the "
+            "same bundle, or export it again"
         )
+    for name, entry_type in {"fingerflow": str, "recipe": dict, "files": dict, "expected": dict}.items():
+        if not isinstance(facts.get(name), entry_type):
+            raise PlayerError(f"{path}: has no proper entry {name!r}; {_AGAIN}")
     try:
-        graphs, recipe = facts["graphs"], facts["recipe"]
-        bundle = Bundle(
-            folder=folder,
-            recipe=recipe,
-            version=str(facts["fingerflow"]),
-            hashes={name: graphs[name]["sha256"] for name in graphs},
-            files={name: folder / graphs[name]["file"] for name in graphs},
-            expected=facts["expected"],
-            **{name: int(recipe["views"][name]) for name in ("height", "width", "bit_depth")},
-            points=int(recipe["tracking"]["points"]),
-            engine_settings=bundle_settings(recipe),
+        recipe = parse_recipe(facts["recipe"], path)
+    except FingerflowError as error:
+        raise PlayerError(f"{error}; {_AGAIN}") from None
+    size = {name: getattr(recipe.views, name) for name in ("height", "width", "bit_depth")}
+    for name, number in {**size, "points": recipe.tracking.points}.items():
+        if facts["expected"].get(name) != number:
+            raise PlayerError(f"{path}: its expected numbers are not of {name} {number}, that of its recipe; {_AGAIN}")
+    for name, digest in facts["files"].items():
+        _check_file(folder, name, digest)
+    files: dict[str, Path] = {name: folder / f"{name}.onnx" for name in GRAPHS if f"{name}.onnx" in facts["files"]}
+    return Bundle(
+        folder=folder,
+        recipe=asdict(recipe),
+        version=facts["fingerflow"],
+        hashes={name: facts["files"][file.name] for name, file in files.items()},
+        files=files,
+        expected=facts["expected"],
+        **size,
+        points=recipe.tracking.points,
+        engine_settings=bundle_settings(asdict(recipe)),
+    )
+
+
+def _check_file(folder: Path, name: str, digest: str) -> None:
+    """Raise PlayerError if the file of this name in a bundle has another SHA-256, or if the name leads out of it."""
+    if not _FILE_NAME.fullmatch(name):
+        raise PlayerError(f"{folder / 'bundle.json'}: {name[:80]!r} is no name of a file in its folder; {_AGAIN}")
+    try:
+        actual = hashlib.sha256(_content(folder / name)).hexdigest()
+    except OSError as error:
+        raise PlayerError(f"{folder / name}: cannot be read ({error.strerror}); {_AGAIN}") from None
+    if actual != digest:
+        raise PlayerError(
+            f"{folder / name}: its SHA-256 is {actual[:16]}..., bundle.json has {str(digest)[:16]}...: the file is "
+            f"damaged or belongs to another bundle; {_AGAIN}"
         )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise PlayerError(f"{path}: has no proper entry {error}; {again}") from None
-    for name, file in bundle.files.items():
-        try:
-            digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        except OSError as error:
-            raise PlayerError(f"{file}: cannot be read ({error.strerror}); {again}") from None
-        if digest != bundle.hashes[name]:
-            raise PlayerError(
-                f"{file}: its SHA-256 is {digest[:16]}..., bundle.json has {bundle.hashes[name][:16]}...: the file is "
-                f"damaged or belongs to another bundle; {again}"
-            )
-    return bundle
+
+
+def _content(path: Path) -> bytes:
+    if path.exists() and not path.is_file():  # a pipe or a device, which is never read to its end
+        raise OSError(0, "it is no file")
+    return path.read_bytes()
 
 
 def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:

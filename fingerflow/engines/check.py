@@ -137,7 +137,7 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference
     try:
         height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
         of_bundle = [{name: np.array(expected[motion][name], np.float64) for name in TOLERANCES} for motion in _MOTIONS]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FingerflowError(
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
         ) from None
@@ -177,7 +177,7 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
 def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
     """Return by how much a result differs from the expected one, in the unit of its tolerance and in words."""
     tolerance = TOLERANCES[name]
-    if name == "seeded":
+    if name == "seeded" and theirs.shape[1:] == ours.shape[1:]:
         apart = np.abs(ours[:, None] - theirs).max(-1) if len(ours) and len(theirs) else np.ones((1, 1))
         worst = float(1 - np.mean(apart.min(1) < _BESIDE) * min(len(ours), len(theirs)) / max(len(ours), len(theirs)))
         return worst, f"differ for {worst:.0%} {tolerance.unit}"

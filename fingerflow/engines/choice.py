@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from typing import TYPE_CHECKING
 
 from fingerflow.engines.bundle import GRAPHS, Bundle
@@ -49,6 +50,11 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device) -> Eng
         from fingerflow.engines.native import NativeEngine
 
         return NativeEngine(settings)
+    if name == "auto" and device.type == "cpu" and os.environ.get("FINGERFLOW_KERNELS") != "0":
+        log.warning(
+            "the compiled library is not there, so that torch computes, several times slower; install again where a "
+            "C++ compiler is"
+        )
     return TorchEngine(settings, device)
 
 

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.engine import STEP, EngineSettings
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.graphs import ContactGraph, DetectGraph, Fields, FieldsGraph, KeyGraph, TrackGraph
 from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse, TrackedPoints
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
@@ -17,11 +16,12 @@ from fingerflow.ops.fields.plane_fit import Support
 from fingerflow.ops.fields.point_gradients import query_gradients
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.spline import spline_coefficients
-from fingerflow.ops.tracking.deformation import Supports, correct_points, fit_supports
-from fingerflow.ops.tracking.outliers import Neighbours, find_outliers
+from fingerflow.ops.tracking.deformation import correct_points, fit_supports
+from fingerflow.ops.tracking.outliers import find_outliers
 from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Templates, renew_templates
 from fingerflow.ops.tracking.window_correlation import sample_windows
+from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
 
 _TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
 _LIGHT = ("light", "black")
@@ -154,12 +154,12 @@ def _point_graphs(settings: EngineSettings) -> _Described:
     def correct(start: Tensor, points: Tensor, covariance: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
         numbers, inverse_warp, *of = rest
         inputs = start, points, covariance, numbers, inverse_warp
-        supports = Supports(Support(*of[:2]), Support(*of[2:]))
+        supports = Support(*of[:2]), Support(*of[2:])
         return tuple(correct_points(*inputs, settings.window_px, WARP_GAUGE_PX, supports))
 
     def outliers(number: Tensor, offset: Tensor, within: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
         start, points, deviation = inputs
-        return tuple(find_outliers(Neighbours(number, offset, within), points - start, deviation))
+        return tuple(find_outliers((number, offset, within), points - start, deviation))
 
     def search(key_view: Tensor, view: Tensor, points: Tensor, prediction: Tensor) -> tuple[Tensor, ...]:
         image, positions, guess = _flat(points, points, prediction)

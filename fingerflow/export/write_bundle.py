@@ -28,9 +28,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build_graphs
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.portable import Portable, PortableSession
-from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
+from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
 
 _PLAYER_FILES = ("README.md", "requirements.txt")
@@ -63,14 +63,12 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
         sessions = {name: PortableSession(graph) for name, graph in build_graphs(recipe).items()}
         numbers_of(OnnxEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
-        models = {
-            name: write_graph(recipe, name, sessions[name].graph, tuple(sessions[name].inputs.values()), part)
-            for name in tqdm(recipe.export.graphs, "export", disable=not progress)
-        }
+        for name in tqdm(recipe.export.graphs, "export", disable=not progress):
+            write_graph(recipe, name, sessions[name].graph, tuple(sessions[name].inputs.values()), part)
         with torch.inference_mode(), Portable():
             expected = expected_of(TorchEngine(settings, torch.device("cpu")), *size)
         differences = verify(recipe, part, sessions, expected)
-        _bundle(recipe, models, expected, part)
+        _bundle(recipe, expected, part)
         finish(part, folder)
     except OSError as error:
         raise FingerflowError(
@@ -99,12 +97,8 @@ def as_text(rows: list[Difference]) -> str:
     return "\n".join((f"{'result':<20}{'to torch':>11}{'at most':>11}", *lines))
 
 
-def write_graph(
-    recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Tensor, ...], folder: Path
-) -> dict[str, str]:
-    """Export one graph to an ONNX file in a folder, for inputs of the shapes of `tensors`, and check the file; return
-    its name and SHA-256 hash for bundle.json.
-    """
+def write_graph(recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Tensor, ...], folder: Path) -> None:
+    """Export one graph to an ONNX file in a folder, for inputs of the shapes of `tensors`, and check the file."""
     import onnx
 
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
@@ -122,30 +116,35 @@ def write_graph(
     }
     onnx.helper.set_model_props(model, {f"fingerflow.{key}": value for key, value in facts.items()})
     onnx.checker.check_model(model, full_check=True)
-    file = folder / f"{name}.onnx"
-    file.write_bytes(model.SerializeToString(deterministic=True))
-    return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    (folder / f"{name}.onnx").write_bytes(model.SerializeToString(deterministic=True))
 
 
-def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], expected: Mapping[str, Any], folder: Path) -> None:
-    """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which
-    describes the graphs by `models` and has the `expected` numbers of the built-in frame.
+def _bundle(recipe: Recipe, expected: Mapping[str, Any], folder: Path) -> None:
+    """Write all files of a bundle except the graphs: the player, the files for technicians and bundle.json, which has
+    the `expected` numbers of the built-in frame and the SHA-256 of every file but scene.toml, which users edit.
     """
-    about = {
-        "format": BUNDLE_FORMAT,
-        "fingerflow": __version__,
-        "recipe": asdict(recipe),
-        "graphs": models,
-        "expected": expected,
-    }
-    (folder / "bundle.json").write_text(json.dumps(about) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
     carry_modules(folder)
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "export" / "template" / name).read_bytes())
+    write_facts(asdict(recipe), expected, folder)
     scene = (package / "export" / "template" / "scene.toml").read_text(encoding="utf-8")
     text = scene_for(scene, recipe.views.height, recipe.views.width)
     (folder / "scene.toml").write_text(text, encoding="utf-8")
+
+
+def write_facts(recipe: Mapping[str, Any], expected: Mapping[str, Any], folder: Path) -> None:
+    """Write bundle.json: version, recipe, `expected` numbers, and the SHA-256 of every file that is in the folder."""
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    stated = {table: {key: value for key, value in keys.items() if value is not None} for table, keys in recipe.items()}
+    facts = {
+        "format": BUNDLE_FORMAT,
+        "fingerflow": __version__,
+        "recipe": stated,
+        "files": {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()},
+        "expected": expected,
+    }
+    (folder / "bundle.json").write_text(json.dumps(facts) + "\n", encoding="utf-8")
 
 
 def scene_for(template: str, height: int, width: int) -> str:

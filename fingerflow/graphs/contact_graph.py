@@ -8,6 +8,7 @@ from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
+from fingerflow.ops.full_precision import without_autocast
 
 
 class ContactGraph(nn.Module):
@@ -35,6 +36,7 @@ class ContactGraph(nn.Module):
         self.cell_px = cell_px or cell_of(gross_radius_px)
         self.stride_px = stride_px
 
+    @without_autocast
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> FrameContact:
         """Segment the contact in frames (B, 1, H, W) of the contact view.
 

@@ -11,6 +11,7 @@ from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.mask_bounds import mask_bounds
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.full_precision import without_autocast
 from fingerflow.ops.tensors import finite
 
 _TINY = 1e-30
@@ -42,6 +43,7 @@ class DetectGraph(nn.Module):
         self.border_px = window_px // 2 + 3
         self.precision = precision
 
+    @without_autocast
     def forward(self, topography_view: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Detect corners in a view (B, 1, H, W) inside a bool mask: positions (B, N, 2) px and responses (B, N).
 

@@ -10,6 +10,7 @@ from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.point_gradients import point_gradients
 from fingerflow.ops.fields.strain import curl, divergence, green_lagrange, shear
 from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
+from fingerflow.ops.full_precision import without_autocast
 from fingerflow.ops.tensors import finite, sum_rows
 
 
@@ -49,6 +50,7 @@ class FieldsGraph(nn.Module):
         self.gauge_length = gauge_length
         self.measure = measure
 
+    @without_autocast
     def forward(
         self,
         reference: Tensor,

@@ -5,6 +5,7 @@ from torch import Tensor, nn
 
 from fingerflow.ops.filters.illumination import normalize_illumination
 from fingerflow.ops.filters.median import median_filter
+from fingerflow.ops.full_precision import without_autocast
 
 
 class NormalizeIllumination(nn.Module):
@@ -23,6 +24,7 @@ class NormalizeIllumination(nn.Module):
         self.register_buffer("reference", reference)
         self.register_buffer("dark", torch.zeros_like(reference) if dark is None else dark)
 
+    @without_autocast
     def forward(self, frames: Tensor) -> Tensor:
         """Return the light (B, 1, H, W) of frames relative to the empty glass: 1 without contact, and where the glass
         is not lit.
@@ -41,6 +43,7 @@ class MedianFilter(nn.Module):
         super().__init__()
         self.size = size
 
+    @without_autocast
     def forward(self, frames: Tensor) -> Tensor:
         """Return the medians (B, 1, H, W) of frames, of the same dtype."""
         return median_filter(frames, self.size)

@@ -3,6 +3,7 @@
 from torch import Tensor, nn
 
 from fingerflow.kernels.result_records import TrackedPoints
+from fingerflow.ops.full_precision import without_autocast
 from fingerflow.ops.tracking.templates import Templates, find_templates, prepare_templates
 
 
@@ -14,6 +15,7 @@ class KeyGraph(nn.Module):
         self.window = window
         self.gain_offset = gain_offset
 
+    @without_autocast
     def forward(
         self, view: Tensor, points: Tensor, noise: Tensor | None = None, warp: Tensor | None = None
     ) -> Templates:
@@ -35,6 +37,7 @@ class TrackGraph(nn.Module):
         super().__init__()
         self.forward_backward_limit = forward_backward_limit
 
+    @without_autocast
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> TrackedPoints:
         """Register the templates of (B, N) points in a view (B, 1, H, W), near predicted positions (B, N, 2) px."""
         return find_templates(templates, view, prediction, rounds=1, forward_backward_limit=self.forward_backward_limit)

@@ -6,7 +6,7 @@ fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,25 +103,12 @@ def correct_points(
     return CorrectedPoints(*compiled("correct_points")(**tracked, **templates, **limits))
 
 
-class NeighbourLists(NamedTuple):
-    """The k nearest neighbours of N points, nearest first, as arrays (k, P) padded to P points.
+def find_neighbours(positions: NDArray[Any], gauge_length: float) -> tuple[NDArray[Any], ...]:
+    """Find the k nearest neighbours of each of N points for the outlier detection, once for all frames of the points.
 
-    P is the smallest multiple of 16 that is not below N.
-
-    Attributes:
-        number: int32.
-        x, y: offset from the point, float32; 0 where the neighbour does not count.
-        within: float32, 1 where it is known and lies no farther away than half the gauge length, else 0.
-    """
-
-    number: NDArray[Any]
-    x: NDArray[Any]
-    y: NDArray[Any]
-    within: NDArray[Any]
-
-
-def find_neighbours(positions: NDArray[Any], gauge_length: float) -> NeighbourLists:
-    """Find the nearest neighbours of each point for the outlier detection, once for all frames of the points.
+    Return them nearest first as arrays (k, P), P the smallest multiple of 16 that is not below N: their numbers
+    (int32), their offsets from the point in x and in y (float32, 0 where the neighbour does not count), and float32, 1
+    where a neighbour is known and lies no farther away than half the gauge length, else 0.
 
     Args:
         positions: (N, 2) reference positions, float32, NaN where there is none. N is 2 or more.
@@ -150,11 +137,11 @@ def find_neighbours(positions: NDArray[Any], gauge_length: float) -> NeighbourLi
         number[:, rows], within[:, rows] = nearest.T, counts.T
         for offset, away in ((x, away_x), (y, away_y)):
             offset[:, rows] = np.where(counts, np.take_along_axis(away, nearest, 1), np.float32(0)).T
-    return NeighbourLists(number, x, y, within)
+    return number, x, y, within
 
 
 def find_outliers(
-    neighbours: NeighbourLists, displacement: NDArray[Any], position_std: NDArray[Any]
+    neighbours: tuple[NDArray[Any], ...], displacement: NDArray[Any], position_std: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return masks (K, N) of outliers among N points in K frames: of those that deviate from their neighbours in
     displacement, and of those far more uncertain than their neighbours, as `ops.find_outliers`.
@@ -167,10 +154,11 @@ def find_outliers(
         position_std: (K, N), standard deviation of a component.
     """
     count = displacement.shape[1]
-    if neighbours.number.shape[1] != -(-count // _LANES) * _LANES:
-        raise ValueError(f"{count} points, and neighbours of up to {neighbours.number.shape[1]}")
+    number, x, y, within = neighbours
+    if number.shape[1] != -(-count // _LANES) * _LANES:
+        raise ValueError(f"{count} points, and neighbours of up to {number.shape[1]}")
     return compiled("find_outliers")(
-        **neighbours._asdict(),
+        **{"number": number, "x": x, "y": y, "within": within},
         displacement=displacement,
         deviation=position_std,
         spread=outlier_limits.SPREAD,

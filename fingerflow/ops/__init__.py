@@ -3,6 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fingerflow.ops.full_precision import without_autocast
+
 if TYPE_CHECKING:
     from fingerflow.ops.contact.otsu import otsu_threshold as otsu_threshold
     from fingerflow.ops.fields.gridding import scattered_to_grid as scattered_to_grid
@@ -42,7 +44,9 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> Any:
     """Return the op called `name`, and import the module that defines the op on first use."""
     if name in _HOMES:
-        return getattr(import_module(f"fingerflow.ops.{_HOMES[name]}"), name)
+        op = without_autocast(getattr(import_module(f"fingerflow.ops.{_HOMES[name]}"), name))
+        op.__module__ = __name__  # where pickle finds it
+        return globals().setdefault(name, op)
     raise AttributeError(f"module 'fingerflow.ops' has no attribute {name!r}")
 
 

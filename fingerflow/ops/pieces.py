@@ -37,9 +37,8 @@ def in_pieces(compute: Callable[..., Any], at_once: int, *tensors: Tensor | None
         at_once: frames per piece; values below 1 count as 1.
         tensors: tensors of B frames, tensors of one frame shared by all, or None.
     """
-    frames = max(len(tensor) for tensor in tensors if tensor is not None)
     at_once = max(1, at_once)
-    if frames <= at_once or not may_branch(*tensors):
+    if not may_branch(*tensors) or (frames := max(len(tensor) for tensor in tensors if tensor is not None)) <= at_once:
         return compute(*tensors)
     pieces = [
         compute(*(part if part is None or len(part) == 1 else part[start : start + at_once] for part in tensors))

@@ -54,6 +54,17 @@ def half_angle(y: Tensor, x: Tensor) -> Tensor:
     return torch.where(y < 0, -8.0, 8.0) * tangent * series
 
 
+def hypotenuse(x: Tensor, y: Tensor) -> Tensor:
+    """Return the lengths of vectors (x, y): `torch.hypot`, for which ONNX has no operator, so that an exported graph
+    takes the root of a sum of squares, which are relative to the larger component as they could overflow.
+    """
+    if not torch.compiler.is_exporting():
+        return torch.hypot(x, y)
+    larger, smaller = torch.maximum(x.abs(), y.abs()), torch.minimum(x.abs(), y.abs())
+    ratio = smaller / larger.clamp_min(torch.finfo(x.dtype).tiny)
+    return larger * (1 + ratio * ratio).sqrt()
+
+
 def products(left: Tensor, right: Tensor) -> Tensor:
     """Return the matrix products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q).
 

@@ -9,6 +9,10 @@ log = logging.getLogger("fingerflow.player")
 #: Unix time, s, at `time.perf_counter()` 0. It is read once at the start, so that a step of the system clock shifts no
 #: latency.
 EPOCH = time.time() - time.perf_counter()
+_MOST_AHEAD = 0.25  # s by which a stamp may advance more than arrivals do: frames that waited arrive together
+_MOST_JUMPS, _LEAST_PASSED = 3, 0.1  # frames in a row, and s, in which stamps run ahead before their unit is found
+_UNITS = (1e-3, 1e-6, 1e-9)  # s: what cameras count besides seconds
+_LEAST = 1e-9  # s between two frames that arrive at once
 _WINDOW = 5.0  # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it
 
 
@@ -26,36 +30,73 @@ class CameraClock:
     the offset of both clocks plus the shortest transfer. What a frame takes longer counts as latency; the shortest
     transfer itself cannot be told from the offset and does not.
 
+    Stamps are compared with arrivals: between two frames they cannot advance by much more than arrivals do. Where they
+    do so from frame to frame, they count ms, us or ns and are converted, or are refused; where they do so once, or
+    where a stamp is missing or not after the one before, time advances by arrivals over that interval. So it never runs
+    backwards.
+
     Attributes:
-        has_stamps: whether the last frame had a time stamp of its camera.
+        has_stamps: whether the last frame had a usable time stamp of its camera.
     """
 
     def __init__(self) -> None:
-        self.has_stamps = False
+        self.has_stamps, self._unit = False, 1.0  # s, unit of the stamps; NaN if they are refused
         self._warned = False
-        self._last = self._began = math.nan
-        self._start, self._first = math.nan, math.nan  # stamp and time of the first frame since the last restart
+        # Stamp, time and arrival of the last frame; stamp and arrival of the frame before stamps began to run ahead.
+        self._last = self._time = self._arrival = math.nan
+        self._ahead: tuple[float, float] | None = None
+        self._jumps, self._began = 0, math.nan
         # s, least offset between arrival and stamp in the present window, and in the window before.
         self._least = self._before = math.inf
 
     def update(self, stamp: float, arrival: float) -> tuple[float, float]:
-        """Convert a frame's time stamp by the camera, s, and its arrival here, s, to two exposure times in s: one for
+        """Convert a frame's time stamp by the camera and its arrival here, s, to two exposure times in s: one for
         intervals between frames, one for latencies.
 
         Both are on the axis of `arrival`. The first advances exactly as the stamps do, so that intervals are the
-        camera's; the second follows the drift of both clocks. Without a stamp (NaN) both are the arrival.
+        camera's; the second follows the drift of both clocks. Without a stamp (NaN) both advance as arrivals do.
         """
+        stamp *= self._unit
         self.has_stamps = math.isfinite(stamp)
-        if not self.has_stamps:
-            return arrival, arrival
-        if not stamp > self._last:
-            if not math.isnan(self._last) and not self._warned:
-                self._warned = True
-                log.warning("the camera's time stamp %.6f s is not after the one before, %.6f s", stamp, self._last)
-            self._start, self._first, self._began = stamp, arrival, arrival
-            self._least = self._before = math.inf
-        self._last = stamp
+        step, passed = stamp - self._last, arrival - self._arrival
+        usable = step > 0 and step - passed <= _MOST_AHEAD
+        if self.has_stamps and not usable and not math.isnan(self._last):
+            self._compare(stamp, arrival)
+        elif usable:
+            self._ahead = None
+        self._time = arrival if math.isnan(self._arrival) else self._time + (step if usable else max(passed, _LEAST))
+        self._last, self._arrival = stamp, arrival
+        if not usable:
+            self._least, self._before, self._began = arrival - stamp, math.inf, arrival
+            return self._time, arrival
         if arrival - self._began > _WINDOW:
             self._before, self._least, self._began = self._least, math.inf, arrival
         self._least = min(self._least, arrival - stamp)
-        return self._first + stamp - self._start, stamp + min(self._least, self._before)
+        return self._time, stamp + min(self._least, self._before)
+
+    def _compare(self, stamp: float, arrival: float) -> None:
+        """Compare a stamp that is not after the one before, or runs ahead of the arrivals, with them; find the unit of
+        stamps that do so in several frames in a row.
+        """
+        if not self._warned:
+            self._warned = True
+            log.warning(
+                "the camera's time stamp %.6f s is not after the one before, %.6f s, %.6f s passed between arrivals: "
+                "times there are those of arrivals", stamp, self._last, arrival - self._arrival,
+            )  # fmt: skip
+        if stamp < self._last:
+            self._ahead = None
+            return
+        if self._ahead is None:
+            self._ahead, self._jumps = (self._last, self._arrival), 0
+        self._jumps += 1
+        advanced, passed = stamp - self._ahead[0], arrival - self._ahead[1]
+        if self._jumps < _MOST_JUMPS or passed < _LEAST_PASSED:
+            return
+        units = [unit for unit in _UNITS if 0.8 < advanced * unit / passed < 1.25]
+        self._unit = units[0] if units else math.nan
+        log.warning(
+            "the camera's time stamps advance by %.4g s while %.4g s pass: %s", advanced, passed,
+            f"they are taken to count units of {units[0]:g} s; return s" if units
+            else "they are not used, and times are those of arrivals; return the time of each frame in s",
+        )  # fmt: skip

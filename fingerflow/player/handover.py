@@ -109,7 +109,11 @@ class Slot(Frame):
         source's name if the frame is too small, or has not the bundle's pixel type and bit depth.
         """
         needed = self._needed
-        if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
+        if frame.ndim != 2:
+            raise PlayerError(
+                f"{source}: a frame is {frame.shape}, not (H, W): of a colour camera; set it to grey (Mono8, Mono16)"
+            )
+        if frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(
                 f"{source}: a frame is {frame.shape}, the views of the scene need (H, W) of at least {needed}; "
                 "correct [views] of the scene or the size that the camera is set to"

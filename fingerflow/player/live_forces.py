@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor
+from fingerflow.player.sources.source import ENDING
 
 log = logging.getLogger("fingerflow.player")
 
@@ -79,11 +80,11 @@ class SensorForces:
         while not self._stop.is_set():
             try:
                 sample = self._sensor.read()
-            except Exception as error:
+            except (Exception, *ENDING) as error:
                 if not failed:
                     log.warning("%s: no force: %s", self._name, first_line(error))
                 failed = True
-                if isinstance(error, PlayerError):
+                if isinstance(error, (PlayerError, *ENDING)):
                     break
                 self._stop.wait(_FAILED_WAIT)
                 continue

@@ -18,6 +18,7 @@ from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Slot
 from fingerflow.player.live_forces import FrameForces, LiveForces, SensorForces
 from fingerflow.player.live_values import LiveValues
+from fingerflow.player.logged_warnings import logged_warnings
 from fingerflow.player.options import OUTPUTS, SENSORS
 from fingerflow.player.outputs.callback_output import CallbackOutput, OnFrame
 from fingerflow.player.played import choose_input
@@ -49,12 +50,17 @@ def open_player(
 
     Raises FingerflowError for all that the user can correct.
     """
+    with logged_warnings() as warnings:
+        return _open(options, forces_of, on_frame, warnings)
+
+
+def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame | None, warnings: list[str]) -> Player:
     # By default Python lets a thread run for 5 ms before it switches to another, which is the time budget of a frame.
     sys.setswitchinterval(5e-4)
     bundle = load_bundle(options.bundle)
     played = choose_input(options, bundle)
     scene, name = played.scene, played.name
-    for warning in (warnings := contradictions(scene, bundle.recipe)):
+    for warning in contradictions(scene, bundle.recipe):
         log.warning("%s", warning)
     # Leave one core to the other threads: reading frames, results of the previous frame, the page.
     set_threads(options.threads or max(1, threads() - 1))

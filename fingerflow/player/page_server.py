@@ -1,35 +1,35 @@
 """HTTP server of the live page: static files, the definitions of the variables shown, the live data, and a request to
 choose new points to track.
 
-The page is served to this computer and to those that its address is bound for. Requests without the token of the
-printed address, for another host name, from pages of other sites, or with a body are refused. The number of clients
-and the duration of a request are limited.
+The page is served to this computer and to those that its address is bound for. Its static files are the same for all;
+requests of data without the token of the printed address, for another host name, from pages of other sites, or with a
+body are refused. The number of clients without the token and the duration of a request are limited.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.live_data import SHOWN, LiveData
-from fingerflow.player.page_token import PageToken, redirect
+from fingerflow.player.page_token import HEADER, is_token, new_token
 
 log = logging.getLogger("fingerflow.player")
 
 _TIMEOUT = 5.0  # s to wait for data from a client, or for a client to accept a response; the page polls every 66 ms
 _REQUEST = 10.0  # s, longest time for a whole request, however slowly its bytes come
 _LINGER, _MOST_BODY = 0.5, 1 << 20  # limits of the body of a refused request that is read: s without data, and bytes
-_CLIENTS = 16  # largest number of simultaneous clients
+_CLIENTS = 16  # largest number of simultaneous connections on which no request with the token has come
 # s for which the server outlives the stream: a page polls 15 times a second, or once a second in the background.
 _LAST_LOOK = 1.2
 _FILES = {
@@ -77,13 +77,11 @@ def serve_page(
 
         def do_POST(self) -> None:
             if not self.is_refused():
-                # Pages of other sites cannot send this header: it needs a CORS preflight, which this server does not
-                # grant.
-                if self.path == "/restart" and self.headers.get("X-Fingerflow"):
+                if self.path == "/restart":
                     restart()
                     self.answer(204, "text/plain", b"")
                 else:
-                    self.answer(403, "text/plain", b"refused")
+                    self.answer(404, "text/plain", b"not here")
 
     try:
         server = PageServer(address, Handler, live)
@@ -97,7 +95,7 @@ def serve_page(
 
 
 class PageServer(ThreadingHTTPServer):
-    """HTTP server of the live page, for at most `_CLIENTS` clients at once, with a time limit per request.
+    """HTTP server of the live page, with a time limit for requests and a limit of connections without the token.
 
     Attributes:
         opening: address that opens the page, with the token.
@@ -107,14 +105,12 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler], live: LiveData) -> None:
         self._live = live
-        self._room = threading.BoundedSemaphore(_CLIENTS)
-        self.host = address[0]
-        # Sockets of clients with an incomplete request, and the time when it began.
+        self.host, self.token = address[0], new_token()
+        # Sockets on which no request with the token has come, oldest first, and when the present request began.
         self.asking: dict[socket.socket, float] = {}
         super().__init__(address, handler)
         host, port = self.server_address[:2]
-        self.token = PageToken(int(port))
-        self.opening = f"http://{host!s}:{port}/?token={self.token.text}"
+        self.opening = f"http://{host!s}:{port}/#token={self.token}"
 
     def stop(self) -> None:
         """Stop the server of the live page, with a short delay in which an open page shows the end of the stream."""
@@ -124,34 +120,28 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a client in its own thread; close the connection at once if there are too many clients."""
-        if not self._room.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
-        try:
-            super().process_request(request, client_address)
-        except BaseException:
-            self._room.release()
-            raise
+        """Serve a client in its own thread; if there are too many without the token, close the oldest connection, so
+        that no number of them keeps the owner out.
+        """
+        self.asking[request] = time.monotonic()
+        self._leave(list(self.asking)[:-_CLIENTS])
+        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a client, then free one of the `_CLIENTS` places for simultaneous clients."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self.asking.pop(request, None)
-            self._room.release()
+        """Serve a client until its connection ends."""
+        super().process_request_thread(request, client_address)
+        self.asking.pop(request, None)
 
     def service_actions(self) -> None:
         """Close the connections of clients whose request takes too long; called twice a second by the server loop."""
         now = time.monotonic()
-        for connection, since in list(self.asking.items()):
-            if now - since > _REQUEST:
-                self.asking.pop(connection, None)
-                try:
-                    connection.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    continue  # the client has closed the connection
+        self._leave([connection for connection, since in list(self.asking.items()) if now - since > _REQUEST])
+
+    def _leave(self, connections: Iterable[socket.socket]) -> None:
+        for connection in connections:
+            self.asking.pop(connection, None)
+            with contextlib.suppress(OSError):  # the client has closed the connection
+                connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log an error of a request in one line; lost connections are not logged."""
@@ -167,15 +157,16 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "fingerflow", ""
     timeout = _TIMEOUT
     server: PageServer
+    _admitted = False  # whether a request on this connection had the token
 
     def handle_one_request(self) -> None:
         """Handle one request of a client, with a time limit that starts when the server begins to wait for it."""
-        self.server.asking[self.connection] = time.monotonic()
+        if not self._admitted and self.connection in self.server.asking:
+            self.server.asking[self.connection] = time.monotonic()
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Return True if the request is answered here: it is refused, or redirected to set the page's cookie."""
-        self.server.asking.pop(self.connection, None)
+        """Return True if the request is refused, which is answered here."""
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
         lengths = self.headers.get_all("Content-Length", ["0"])
@@ -190,25 +181,22 @@ class _Handler(BaseHTTPRequestHandler):
         if origin is not None and origin.lower() != f"http://{hosts[0]}".lower():
             self.answer(403, "text/plain", b"pages of other sites are refused")
             return True
-        path, _, query = self.path.partition("?")
-        if self.command == "GET" and path == "/" and self.server.token.is_in_query(query):
-            self.answer(200, "text/html", redirect("/").encode(), {"Set-Cookie": self.server.token.set_cookie})
-            return True
-        if not self.server.token.is_in_cookies(self.headers.get("Cookie", "")):
+        if is_token(self.headers.get(HEADER, ""), self.server.token):
+            self._admitted = True
+            self.server.asking.pop(self.connection, None)
+        elif self.command != "GET" or self.path not in _FILES:
             self.answer(403, "text/plain", b"open the whole address that the player has printed")
             return True
         return False
 
-    def answer(
-        self, status: int, content_type: str, body: bytes, headers: Mapping[str, str] = MappingProxyType({})
-    ) -> None:
-        """Send a complete response with an HTTP status, a content type, a body and further headers; an error
-        status ends the connection.
+    def answer(self, status: int, content_type: str, body: bytes) -> None:
+        """Send a complete response with an HTTP status, a content type and a body; an error status ends the
+        connection.
         """
         self.send_response(status)
         self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(body)))
-        for name, value in {**_HEADERS, **headers}.items():
+        for name, value in _HEADERS.items():
             self.send_header(name, value)
         if status >= 400:
             self.send_header("Connection", "close")

@@ -26,7 +26,8 @@ class StreamInput(NamedTuple):
     """Input of a stream: scene, frame source, range of frames, background image (empty glass) and dark image.
 
     ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
-    known. ``forces_in`` is the scene file that names the forces of these frames.
+    known. ``forces_in`` is the scene file that names the forces of these frames. ``size`` is that of the frames with
+    the background, None if only its contact view is there.
     """
 
     scene: Scene
@@ -38,6 +39,7 @@ class StreamInput(NamedTuple):
     frames: int | None = None
     expected: Expected | None = None
     forces_in: Path | None = None
+    size: tuple[int, ...] | None = None
 
 
 def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
@@ -75,16 +77,18 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
                 f"{'without light' if key == 'dark' else 'with no finger on it'} and save it under that name, or name "
                 "the file that you have"
             )
-    glass, dark = (
-        black if file is None else mean_view(file, scene.views.contact, bundle, shape, options.dtype)
+    (glass, size), (dark, size_of_dark) = (
+        (black, None) if file is None else mean_view(file, scene.views.contact, bundle, shape, options.dtype)
         for file in (pictures.frames, black_level)
     )
+    if size and size_of_dark and size != size_of_dark:
+        raise PlayerError(f"{path}: frames of [background] are {size}, those of dark {size_of_dark}; record both alike")
     if bright:
         glass = negative(glass, bundle.bit_depth)
     if options.camera:
         camera = options.camera
         name = camera if isinstance(camera, str) else getattr(camera, "__name__", "camera")
-        return StreamInput(scene, name, lambda _: open_camera(camera), glass, dark)
+        return StreamInput(scene, name, lambda _: open_camera(camera), glass, dark, size=size)
     file = Path(options.source) if options.source else recorded.frames
     if file is None:
         raise PlayerError(
@@ -97,20 +101,22 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
         frames = None if recorded.last_frame is None else recorded.last_frame + 1 - first
     return StreamInput(
         *(scene, str(file), lambda number: open_source(file, shape, options.dtype, number), glass, dark),
-        *(first, frames, None, forces_in),
+        *(first, frames, None, forces_in, size),
     )
 
 
-def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
+def mean_view(
+    path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str
+) -> tuple[Array, tuple[int, ...] | None]:
     """Return the mean image (H, W) float32 of a view over the first 64 frames of a file, such as a recording of the
-    empty glass; `shape` and `dtype` are those of frames of a raw file.
+    empty glass, and the size of its full frames if it has these; `shape` and `dtype` are those of a raw file.
 
     The frames of the file are full frames, or show this view only.
 
     Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """
     source = open_source(path, shape, dtype)
-    total, count = np.zeros(view.shape), 0
+    total, count, size = np.zeros(view.shape), 0, None
     try:
         while count < _STILLS and (frame := source.read()) is not None:
             if frame.dtype.kind != "f" and frame.dtype != bundle.dtype:
@@ -119,6 +125,8 @@ def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | N
                     f"{bundle.bit_depth}): grey levels of two depths cannot be compared; record it with the settings "
                     "of the stream"
                 )
+            if frame.shape != (size := size or frame.shape):
+                raise PlayerError(f"{path}: frames are {size} and {frame.shape}; keep those of one size")
             try:
                 part = frame if frame.shape == view.shape else view.crop(frame)
             except FingerflowError as error:
@@ -129,4 +137,4 @@ def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | N
     if not count:
         raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
     mean: Array = (total / count).astype(np.float32)
-    return mean
+    return mean, None if size == view.shape else size

@@ -10,10 +10,9 @@ from fingerflow.player.handover import Channel
 from fingerflow.player.opening import open_player
 from fingerflow.player.options import option_parser
 from fingerflow.player.outputs.callback_output import OnFrame
-from fingerflow.player.outputs.output import FrameStamp
+from fingerflow.player.outputs.output import LiveFrame
 from fingerflow.player.stream_player import Player
 
-LiveFrame = tuple[FrameStamp, Mapping[str, float]]
 LiveSource = str | Path | Callable[[], Any] | None
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from fingerflow.errors import FingerflowError, first_line
@@ -11,20 +11,14 @@ from fingerflow.player.camera_clock import unix_now
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Channel
 from fingerflow.player.latency import Latencies
-from fingerflow.player.outputs.output import FrameStamp, Output
+from fingerflow.player.outputs.output import LiveFrame, Output
+from fingerflow.player.sources.source import ENDING
 
 log = logging.getLogger("fingerflow.player")
 
 _WAITING = 256  # largest number of queued messages
 _CATCH_UP = 0.01  # s within which all queued messages must be sent; if it takes longer, only the newest is sent
 _CLOSING = 2.0  # s for which a stopped stream waits for an output before it abandons the output
-
-
-class Message(NamedTuple):
-    """Live values of a frame that waits to be sent, with the frame's stamp (number and times)."""
-
-    frame: FrameStamp
-    values: Mapping[str, float]
 
 
 class Destination(NamedTuple):
@@ -68,7 +62,7 @@ class Sender:
     ) -> None:
         self.name, self._output, self._values, self._condition = to
         self._waits, self._triggered = waits, triggered
-        self._messages: Channel[Message] = Channel(_WAITING)
+        self._messages: Channel[LiveFrame] = Channel(_WAITING)
         self.offered = self.sent = self.failed = 0
         # Overtaken messages, counted by the offering and by the sending thread.
         self._pushed_out = self._passed_over = 0
@@ -78,11 +72,11 @@ class Sender:
         self._thread = threading.Thread(target=self._send_all, name=f"send {self.name}", daemon=True)
         self._thread.start()
 
-    def offer(self, message: Message) -> None:
+    def offer(self, message: LiveFrame) -> None:
         """Queue the live values of a frame for sending; if the output has a condition, only if this becomes true at the
         frame.
         """
-        if self._condition is not None and not self._condition.becomes_true(message.values):
+        if self._condition is not None and not self._condition.becomes_true(message[1]):
             return
         self.offered += 1
         if self._waits:
@@ -130,11 +124,11 @@ class Sender:
             f"camera to output ms: median {latency['median']}, p99 {latency['p99']}"
         )
 
-    def _next(self) -> list[Message]:
+    def _next(self) -> list[LiveFrame]:
         """Wait for a message and return the messages to be sent next: all that are queued, or only the newest if
         sending all would take too long; an empty list at the end of the stream.
         """
-        messages: list[Message] = []
+        messages: list[LiveFrame] = []
         while (message := self._messages.get(wait=not messages)) is not None:
             messages.append(message)
         in_turn = self._waits or self._condition is not None
@@ -149,14 +143,15 @@ class Sender:
                 self._send(message)
         try:
             self._output.close()
-        except Exception as error:
+        except (Exception, *ENDING) as error:
             log.warning("%s: closing: %s", self.name, first_line(error))
 
-    def _send(self, message: Message) -> None:
-        frame = message.frame._replace(written=unix_now())
+    def _send(self, message: LiveFrame) -> None:
+        stamp, values = message
+        frame = stamp._replace(written=unix_now())
         try:
-            self._output.send(frame, {name: message.values[name] for name in self._values})
-        except Exception as error:
+            self._output.send(frame, {name: values[name] for name in self._values})
+        except (Exception, *ENDING) as error:
             self._took = unix_now() - frame.written
             self.failed += 1
             if not self._fails:

@@ -22,12 +22,13 @@ from fingerflow.player.latency import Latencies
 from fingerflow.player.live_data import LiveData
 from fingerflow.player.live_forces import FrameForces
 from fingerflow.player.live_values import LiveValues
+from fingerflow.player.logged_warnings import logged_warnings
 from fingerflow.player.outputs.output import FrameStamp
 from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.sending import Destination, Message, Sender
-from fingerflow.player.sources.source import Source, close_within
+from fingerflow.player.sending import Destination, Sender
+from fingerflow.player.sources.source import ENDING, Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_distances import LONGEST
@@ -122,7 +123,7 @@ class Player:
         # Number and time of the newest frame, and of the frame of the newest result; None before there is a frame.
         self._newest: tuple[int, float] | None = None
         self._measured: tuple[int, float] | None = None
-        self._clock = CameraClock()
+        self._clock, self._size = CameraClock(), played.size
         self._stop = threading.Event()
         self._finished = threading.Event()
         self._failure: BaseException | None = None
@@ -140,6 +141,10 @@ class Player:
         """Process the stream until it ends or is stopped, and return its summary: frame counts, frame rate, latencies
         and warnings.
         """
+        with logged_warnings() as self._warnings:
+            return self._run()
+
+    def _run(self) -> dict[str, Any]:
         after_computing = (self._free.close, self._frames.close, self._outcomes.close)
         threads = [
             threading.Thread(target=self._run_guarded, args=(step, after), name=step.__name__.strip("_"), daemon=True)
@@ -174,7 +179,9 @@ class Player:
             except FingerflowError as error:
                 self._failure = self._failure or error
             if self.processed:
-                self._sink.write_summary(self.summary())
+                if self._failure is None and sys.exc_info()[1] is None:
+                    self._log_findings()
+                self._sink.write_summary(self.summary() | {"warnings": self._warnings})
             else:
                 self._sink.discard()
             if page:
@@ -183,13 +190,17 @@ class Player:
                 page.stop()
         if self._failure is not None:
             raise self._failure
+        if not self.processed:
+            self._log_findings()
+        return self.summary() | {"warnings": self._warnings}
+
+    def _log_findings(self) -> None:
         missing = self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
         few = self._findings.unknown_medians()
         if few and not any(few in sentence for sentence in missing):
             log.info("%s", few)
-        return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
         """End the stream cleanly: frames that have already arrived are still processed."""
@@ -213,8 +224,8 @@ class Player:
             "seconds": round(seconds, 3),
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
-            "first_frame": None if math.isnan(self._first) else EPOCH + self._first,
-            "time_stamps": "camera" if self._clock.has_stamps else "arrival",
+            "first_frame": None if not self._first > 0 else EPOCH + self._first,
+            "time_stamps": "camera" if self._clock.has_stamps else "arrival" if self._first else "recording",
             "outputs": [sender.facts() for sender in self._senders],
             "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
@@ -326,6 +337,11 @@ class Player:
                     frame = source.read()
                 except FingerflowError:
                     raise
+                except ENDING as error:
+                    raise PlayerError(
+                        f"{self.source_name}: its module ended the stream by {type(error).__name__}; return None after "
+                        "the last frame"
+                    ) from error
                 except Exception as error:
                     self._close_failed(source, error, attempt)
                     source, attempt = None, attempt + 1
@@ -334,11 +350,15 @@ class Player:
                 if frame is None:
                     break
                 arrival = time.perf_counter()
-                exposed, arrival = self._clock.update(source.stamp, arrival)
+                exposed = arrival
+                if source.live:
+                    exposed, arrival = self._clock.update(source.stamp, arrival)
+                elif (seconds := self._recorded_time(source.stamp)) is not None:
+                    exposed, self._first = seconds, 0.0
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
                     # A camera at this rate would deliver the frame at this time, so any later delay counts as latency.
-                    exposed = arrival = start + self.frames_in / self.settings.rate
+                    arrival = start + self.frames_in / self.settings.rate
                     if (wait := arrival - time.perf_counter()) > 0:
                         time.sleep(wait) if wait < 0.1 else self._stop.wait(wait)
                 self._take(frame, (exposed, arrival), source.live or self.settings.rate is not None)
@@ -346,6 +366,18 @@ class Player:
             self._waiting_since = None
             if source is not None:
                 close_within(_HANGING, source)
+
+    def _recorded_time(self, stamp: float) -> float | None:
+        """Return the time of the next frame of a recording, s, by the frame rate of the scene, by the time in the file,
+        `stamp`, or by the rate at which it is played; None, with a warning, if there is none of these.
+        """
+        stated = self.scene.recording.frame_rate
+        rate = stated or self.settings.rate
+        if rate is not None and (stated or math.isnan(stamp)):
+            return (self._first_number + self.frames_in) / rate
+        if math.isnan(stamp) and not self.frames_in:
+            log.warning("%s: `time` is that of arrivals here; state recording.frame_rate", self.source_name)
+        return None if math.isnan(stamp) else stamp
 
     def _close_failed(self, source: Source | None, error: Exception, attempt: int) -> None:
         """Log the error of a frame source, close it, and wait before it is reopened, longer at each attempt."""
@@ -368,6 +400,12 @@ class Player:
             return
         slot.number = self._first_number + self.frames_in
         slot.time, slot.arrival = times
+        self._size = self._size or frame.shape
+        if frame.shape != self._size:
+            raise PlayerError(
+                f"{self.source_name}: frame {slot.number} is {frame.shape}, the background or the frames before are "
+                f"{self._size}: the views lie elsewhere in it; keep size, binning and region of the camera as they are"
+            )
         slot.fill(frame, self.bundle, self.source_name)
         self._tracker.inspect(slot)
         self.frames_in += 1
@@ -436,7 +474,7 @@ class Player:
         if self._senders:
             record = self._room[index].copy()
             stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
-            message = Message(stamp, self._values.flatten(record))
+            message = stamp, self._values.flatten(record)
             for sender in self._senders:
                 sender.offer(message)
         self.latencies.add(latency)

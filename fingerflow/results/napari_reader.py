@@ -58,10 +58,10 @@ def layers_of_result(path: str) -> list[Layer]:
         return layers
     shown = [name for name in ("divergence", "curl", "subset_correlation") if name in result]
     table = track_table(result, shown)
-    rows = table.rows.copy()
+    rows = np.column_stack(list(table.values()))
     rows[:, 1] -= float(result["frame"][0])
     layers.append((rows[:, :4], {"name": "tracks", "visible": False}, "tracks"))
-    features = {name: rows[:, 4 + k] for k, name in enumerate(table.names[4:])}
+    features = {name: rows[:, 4 + k] for k, name in enumerate(list(table)[4:])}
     points: dict[str, Any] = {"name": "points", "size": 4, "border_width": 0, "face_color": "#ffd54f"}
     if "divergence" in shown:
         heading = VARIABLES["divergence"].shown_unit.heading("divergence")

@@ -1,5 +1,6 @@
 """Writer of a file that buffers data in memory while the disk is full, instead of failing at once."""
 
+import contextlib
 import errno
 import logging
 import os
@@ -12,6 +13,7 @@ log = logging.getLogger(__name__)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PATIENCE = 30.0  # s for which a full disk is tolerated
 _AGAIN = 1.0  # s between two attempts to write
+_PART = 1 << 20  # bytes copied at a time
 _MOST = 256 << 20  # bytes buffered while the disk is full: half a minute of 700 points at 300 frames/s
 
 
@@ -31,12 +33,33 @@ class PatientFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
+        self._file = self._open(path)
         self._kept = bytearray()
         self._most = 0
         self._since: float | None = None  # s, time when the disk was found full
         self._tried = 0.0
         self._lock = threading.Lock()
+
+    @staticmethod
+    def _open(path: Path) -> int:
+        return os.open(path, os.O_RDWR | os.O_APPEND | getattr(os, "O_BINARY", 0))
+
+    def is_in_place(self) -> bool:
+        """Return False if the file was removed, renamed or unmounted since it was opened."""
+        try:
+            return os.path.samestat(os.fstat(self._file), self._path.stat())
+        except OSError:
+            return False
+
+    def move(self, path: Path) -> None:
+        """Continue in another file, an empty one, with all that was written until now, as far as it can be read."""
+        with self._lock:
+            left, self._path, self._file = self._file, path, self._open(path)
+            with contextlib.suppress(OSError):  # the disk is gone
+                os.lseek(left, 0, os.SEEK_SET)
+                while part := os.read(left, _PART):
+                    os.write(self._file, part)
+            os.close(left)
 
     def __len__(self) -> int:
         """Return the number of bytes that are buffered in memory but not written to the file yet."""

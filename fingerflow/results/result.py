@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.recordings.guard.child_process import check_in_child_process
-from fingerflow.recordings.guard.file_checks import check_file, reading
+from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.free_space import check_write
 from fingerflow.results.store import indexed_by_time
+from fingerflow.schema.text_file import check_file
 
 _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),

@@ -5,6 +5,7 @@ import itertools
 import json
 import logging
 import os
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -180,10 +181,29 @@ class Sink:
         due = time.perf_counter() - self._synced >= 1
         if due or len(self._records) >= _AT_ONCE:
             with self._explained():
+                if due:
+                    self._stay()
                 self._flush(self._records)
                 if due:
                     self._synced = time.perf_counter()
                     self._records.sync()
+
+    def _stay(self) -> None:
+        """Continue in another folder, with all results until now, if this one was removed, renamed or unmounted."""
+        assert self._records is not None
+        assert self._events is not None
+        if self._records.is_in_place() and self._events.is_in_place():
+            return
+        gone, self._numbered = self.folder, True
+        for parent in (gone.parent, Path.cwd(), Path(tempfile.gettempdir())):
+            self.folder = parent / f"{gone.name}-moved"
+            with contextlib.suppress(OSError):
+                self._make()
+                break
+        self._records.move(self.folder / "records.bin")
+        self._events.move(self.folder / "events.jsonl")
+        log.warning("%s: was removed or renamed while in use; the results go on in %s", gone, self.folder)
+        self.event("moved", self._frame, folder=str(gone))
 
     def _flush(self, records: PatientFile, wait: bool = False) -> None:
         if (full_disk := records.flush(wait)) is not None:
@@ -206,6 +226,7 @@ class Sink:
             return
         with self._explained():
             try:
+                self._stay()
                 self._flush(self._records, wait=True)
                 self._events.flush(wait=True)
                 self._records.sync()

@@ -16,7 +16,10 @@ from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TI
 
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
-_WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that depend on the gauge length
+# Fields that depend on the gauge length.
+_WITH_GAUGE = (
+    *("divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"),
+)
 _TRACKED = 0  # value of `status` for a tracked point
 
 
@@ -35,12 +38,20 @@ def open_stream(folder: str | Path) -> xr.Dataset:
     folder = Path(folder)
     results = read_results(folder)
     try:
-        return _labelled(results)
+        return _labelled(results, _warnings(folder))
     except KeyError as error:
         raise FingerflowError(f"{folder}: header.json does not state {error}; copy the folder again") from None
 
 
-def _labelled(results: StreamResults) -> xr.Dataset:
+def _warnings(folder: Path) -> list[str]:
+    """Return the warnings in the summary of a stream, which a stream that still runs or was killed has not."""
+    try:
+        return [str(sentence) for sentence in json.loads((folder / "summary.json").read_bytes())["warnings"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+
+
+def _labelled(results: StreamResults, warnings: list[str]) -> xr.Dataset:
     chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
     variables = {
         name: (variable.dims, values, _attributes(variable, results.header))
@@ -53,7 +64,7 @@ def _labelled(results: StreamResults) -> xr.Dataset:
         "frame": np.array(results.records["frame"]),
         **{name: list(labels) for name, labels in LABELS.items() if name in used},
     }
-    return indexed_by_time(xr.Dataset(variables, coords=coordinates, attrs=_about(results.header)))
+    return indexed_by_time(xr.Dataset(variables, coords=coordinates, attrs=_about(results.header, warnings)))
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
@@ -100,14 +111,14 @@ def _attributes(variable: Variable, header: dict[str, Any]) -> dict[str, Any]:
     return {**variable.attributes(), **gauge}
 
 
-def _about(header: dict[str, Any]) -> dict[str, Any]:
+def _about(header: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
     return {
         "title": "fingertip on glass, a stream",
         "fingerflow_version": header["fingerflow"],
         "created": header["started"],
         "settings": json.dumps(header["recipe"]),
         "strain_measure": "green_lagrange",
-        "warnings": json.dumps(header["warnings"]),
+        "warnings": json.dumps([*header["warnings"], *warnings]),
         "stage_seconds": json.dumps({}),
         "mm_per_px": header["mm_per_px"],
         "topography_to_contact": json.dumps(header["topography_to_contact"]),

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.text_file import read_text
 
 Pixels = tuple[int, int]
-_REMEDY = "Write it again with `fingerflow calibrate`"
+_REMEDY = "write it again with `fingerflow calibrate`"
 
 
 class CalibrationFile(NamedTuple):
@@ -33,9 +34,7 @@ def read_calibration(path: Path) -> CalibrationFile:
     Raises FingerflowError where the file cannot be read, lacks one of them, or holds an invalid one.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise OSError(0, "it is no file")
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        table = tomllib.loads(read_text(path, _REMEDY))
         transform = table.get("topography_to_contact")
         calibration = CalibrationFile(
             float(_number(table["mm_per_px"])),
@@ -45,16 +44,14 @@ def read_calibration(path: Path) -> CalibrationFile:
             },
             None if transform is None else _matrix(transform["affine"]["matrix"]),
         )
-    except OSError as error:
-        raise FingerflowError(f"{path}: this calibration cannot be read: {error.strerror}. {_REMEDY}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FingerflowError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FingerflowError(f"{path}: this calibration cannot be read: {error}; {_REMEDY}") from None
     except KeyError as error:
-        raise FingerflowError(f"{path}: this calibration has no entry {error}. {_REMEDY}") from None
+        raise FingerflowError(f"{path}: this calibration has no entry {error}; {_REMEDY}") from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}. {_REMEDY}") from None
+        raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}; {_REMEDY}") from None
     if not 0 < calibration.mm_per_px < math.inf:
-        raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0. {_REMEDY}")
+        raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0; {_REMEDY}")
     return calibration
 
 

@@ -18,6 +18,7 @@ from fingerflow.schema.scene_tables import ForceSettings as ForceSettings
 from fingerflow.schema.scene_tables import NoiseFloor as NoiseFloor
 from fingerflow.schema.scene_tables import Scene as Scene
 from fingerflow.schema.scene_tables import Views as Views
+from fingerflow.schema.text_file import read_text
 
 
 def load_scene(path: str | Path, reader: Reader = "process") -> Scene:
@@ -28,20 +29,7 @@ def load_scene(path: str | Path, reader: Reader = "process") -> Scene:
             range, keys contradict each other, or a file that the reader needs is missing; with the line and the remedy.
     """
     path = Path(path).resolve()
-    if path.exists() and not path.is_file():
-        raise FingerflowError(f"{path}: is no file; name a scene file, which `fingerflow init` writes")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FingerflowError(
-            f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise FingerflowError(
-            f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8, or name a scene "
-            "file, which `fingerflow init` writes, if this is a recording"
-        ) from None
-    return scene_of_text(text, path, reader)
+    return scene_of_text(read_text(path, "name a scene file, which `fingerflow init` writes"), path, reader)
 
 
 def scene_of_text(text: str, path: Path, reader: Reader = "process") -> Scene:

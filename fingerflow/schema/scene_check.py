@@ -13,6 +13,7 @@ from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_tables import SCENE, views_of
 
 Keys = tuple[str, ...]
+_LEAST_SIDE = 9  # px, of a view
 MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
 
 
@@ -172,6 +173,7 @@ class SceneCheck(TableCheck):
             if view != "contact":
                 self._not_both("stream.region", f"views.{view}.region", "both say where points are chosen")
         self._fits_the_views()
+        self._large_enough()
 
     def _not_both(self, key: str, rival: str, why: str) -> None:
         if key in self.given and rival in self.given:
@@ -265,6 +267,16 @@ class SceneCheck(TableCheck):
                         f"`fingerflow calibrate --topography {_option(from_view)} --contact {_option(into_view)}`, or "
                         "use the views of the calibration",
                     )
+
+    def _large_enough(self) -> None:
+        for view in ("views.topography", "views.contact"):
+            least = min((end - first for first, end in self._rectangle(view) or ()), default=_LEAST_SIDE)
+            radius = self.find_value("contact.gross_radius_px") or 0
+            if least < _LEAST_SIDE:
+                self.record_conflict(view, f"its shorter side is {least} px, and a view needs {_LEAST_SIDE}; give more")
+            elif view == "views.contact" and self._rectangle(view) and 3 * radius > least:
+                at_most = f"at most a third of the contact view's shorter side fits, {least // 3} px; give less"
+                self.record_conflict("contact.gross_radius_px", at_most)
 
     def _rectangle(self, key: str) -> tuple[Pixels, Pixels] | None:
         rectangle = self.find_value(key)

@@ -15,6 +15,7 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.reuse import code_version
 from fingerflow.recordings.digest import digest_of, digest_of_bytes
+from fingerflow.recordings.frames.images import list_images
 from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
 
@@ -27,7 +28,7 @@ _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spa
 
 @dataclass(frozen=True)
 class InputFile:
-    """Size, modification time and content digest of an input file (or folder) of a trial.
+    """Size, times and content digest of an input file (or folder) of a trial.
 
     Attributes:
         path: as it was found.
@@ -35,12 +36,15 @@ class InputFile:
         modified: ns; of a folder the latest.
         digest: of its bytes; of a file above 16 MB, of its size and 64 evenly spaced samples of 4 kB. A change that
             keeps the size and misses the samples is detected by `modified` alone.
+        state: digest of inode and change time of each file, which a file put in its place does not have, even with the
+            same size and modification time.
     """
 
     path: str
     size: int
     modified: int
     digest: str
+    state: str = ""
 
     @property
     def whole(self) -> bool:
@@ -76,7 +80,7 @@ class Keys:
 def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
     """Compute the cache keys of a trial from its current input files, settings and code version.
 
-    A file that `earlier` lists with the same size and modification time is not read again.
+    A file that `earlier` lists with the same size, times and inode is not read again.
 
     Raises FingerflowError for a file that cannot be read.
     """
@@ -95,19 +99,20 @@ def trial_keys(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> 
 
 
 def describe_file(path: Path, earlier: InputFile | None = None) -> InputFile:
-    """Return size, time and digest of a file or folder, taking `earlier.digest` if size and time are equal."""
+    """Return size, times and digest of a file or folder, taking `earlier.digest` if nothing was written since."""
     file = Path(str(path).partition("::")[0])
     try:
         facts = [(path, path.stat()) for path in _list_files(file)]
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
-        if earlier is not None and (earlier.size, earlier.modified) == (size, modified):
-            return InputFile(str(path), size, modified, earlier.digest)
+        state = digest_of(*((path.name, fact.st_ino, fact.st_ctime_ns) for path, fact in facts))
+        if earlier is not None and (earlier.size, earlier.modified, earlier.state) == (size, modified, state):
+            return InputFile(str(path), size, modified, earlier.digest, state)
         member = str(path).partition("::")[2].encode()
         contents = (part for path, fact in facts for part in _content(path, fact.st_size))
         digest = digest_of_bytes(chain([member], contents))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
-    return InputFile(str(path), size, modified, digest)
+    return InputFile(str(path), size, modified, digest, state)
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
@@ -135,7 +140,7 @@ def code_digest(part: str) -> str:
 
 def _list_files(file: Path) -> list[Path]:
     if file.is_dir():
-        return sorted(path for path in file.rglob("*") if path.is_file())
+        return sorted(list_images(file))
     if file.suffix.lower() in _IN_TWO:
         return sorted(
             path for path in file.parent.iterdir() if path.stem == file.stem and path.suffix.lower() in _IN_TWO

@@ -17,12 +17,24 @@ from fingerflow.schema.keys import SceneKey
 from fingerflow.schema.scene_tables import find_entry
 from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.spreadsheet_cell import quoted_cell
+from fingerflow.schema.text_file import read_text
 from fingerflow.schema.toml_value import toml_value
-from fingerflow.schema.trial_rows import read_rows
 from fingerflow.study.dotted_keys import flattened, nested
-from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, relative
+from fingerflow.study.manifest import (
+    ANSWER,
+    CONDITION,
+    FORCES,
+    PARTICIPANT,
+    RECORDING,
+    TRIAL,
+    matching,
+    relative,
+    spelled_alike,
+)
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
+# Folders that `fingerflow study run` and the system write, besides those whose names begin with a dot.
+_WRITTEN = ("results", "__MACOSX", "$RECYCLE.BIN", "System Volume Information", "lost+found")
 _NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")
 # Patterns of labs' naming conventions in folder and file names. If none matches, the user fills in the value.
 _GUESSES = {
@@ -52,19 +64,15 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
             raise FingerflowError(f"{file} exists already; remove it or name another folder")
     if not folder.is_dir():
         raise FingerflowError(f"{folder} is no folder; name the one that holds the recordings")
-    files = [file for file in sorted(folder.rglob("*")) if not any(part.startswith(".") for part in file.parts)]
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not _is_ignored(file, folder)]
     scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
     rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
+    answered: list[dict[str, str]] = []
+    matched = ""
     if answers is not None:
-        answered = matching(rows, answers)
+        answered, matched = matching(rows, answers)
         for row, answer_row in zip(rows, answered, strict=True):
-            row.update({name: value for name, value in answer_row.items() if value})
-        if not any(answered):
-            example = read_rows(answers)[0]
-            raise FingerflowError(
-                f"{answers}: none of its trials is one of {folder}, such as participant {rows[0].get(PARTICIPANT)!r}, "
-                f"trial {rows[0].get(TRIAL)!r}; it has {example[PARTICIPANT]!r}, {example[TRIAL]!r}"
-            )
+            row.update({name: value for name, value in answer_row.items() if _adds(value, row.get(name))})
     columns = (name for row in rows for name in row)
     names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *columns)))
     if not any(FORCES in row for row in rows):
@@ -78,13 +86,22 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []
+    lacking += [f"answers of trials; {matched}"] if matched and not all(answered) else []
     return len(rows), lacking
+
+
+def _adds(value: str, guess: str | None) -> bool:
+    return bool(value) and spelled_alike(value) != spelled_alike(guess or "")
+
+
+def _is_ignored(file: Path, folder: Path) -> bool:
+    return any(part.startswith(".") or part in _WRITTEN for part in file.relative_to(folder).parts)
 
 
 def _is_scene(file: Path) -> bool:
     try:
-        return "recording" in tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
+        return "recording" in tomllib.loads(read_text(file, ""))
+    except (FingerflowError, ValueError, RecursionError):
         return False
 
 
@@ -92,7 +109,7 @@ def _scene_rows(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, st
     flat: list[dict[str, Any]] = []
     rows = []
     for file in scenes:
-        written = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        written = tomllib.loads(read_text(file, ""))
         values = dict(flattened(written))
         for name, value in values.items():
             if isinstance(key := find_entry(name), SceneKey) and isinstance(key.type, File):

@@ -5,7 +5,7 @@ import os
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.keys import SceneTable
 from fingerflow.schema.scene import Scene, scene_from
 from fingerflow.schema.scene_tables import SCENE
+from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_columns import OF_RESULTS
 from fingerflow.schema.trial_rows import ANSWERS, NOTHING, read_rows
 from fingerflow.study.dotted_keys import nested
@@ -62,6 +63,7 @@ class Manifest:
     shared: Mapping[str, Any]
     trials: tuple[TrialEntry, ...]
     design: str = FORCED_CHOICE  # design of the experiment: a name in GUESSES
+    matched: str = ""  # sentence that says how many of the rows of answers belong to trials
 
     def build_scene(self, entry: TrialEntry) -> Scene:
         """Return the scene of a trial: the study's shared settings, overridden by the trial's own; raise
@@ -93,12 +95,8 @@ def load_manifest(path: str | Path) -> Manifest:
     if path.is_dir():
         path = path / "study.toml"
     try:
-        written = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FingerflowError(
-            f"{path} cannot be read ({error.strerror or error}); `fingerflow study init FOLDER` writes one"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        written = tomllib.loads(read_text(path, "`fingerflow study init FOLDER` writes study.toml"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path} is not valid TOML: {error}; correct it there") from None
     _refuse_unknown(path, written, ("study", "scene"))
     study, shared = written.get("study", {}), written.get("scene", {})
@@ -116,12 +114,14 @@ def load_manifest(path: str | Path) -> Manifest:
     table = path.parent / study["trials"]
     rows = read_rows(table)
     labels = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
+    matched = ""
     if "answers" in study:
-        for row, answer_row in zip(rows, matching(rows, path.parent / study["answers"]), strict=True):
+        answer_rows, matched = matching(rows, path.parent / study["answers"])
+        for row, answer_row in zip(rows, answer_rows, strict=True):
             row.update({name: value for name, value in answer_row.items() if not row.get(name)})
             row.setdefault(ANSWER, "")
     results = (path.parent / study.get("results", "results")).resolve()
-    return Manifest(path, results, shared, _entries(rows, labels, path), design)
+    return Manifest(path, results, shared, _entries(rows, labels, path), design, matched)
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -129,23 +129,54 @@ def relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
-    """Return, for each row of the table of trials, the row of the CSV file `answers` with the same participant and
-    trial number; {} if there is none.
+def matching(rows: Sequence[Mapping[str, str]], answers: Path) -> tuple[list[dict[str, str]], str]:
+    """Return, for each row of the table of trials, the row of the table `answers` of the same participant and trial
+    number, {} if there is none, and a sentence that says how many rows matched.
 
-    Raises FingerflowError if the table lacks one of these columns or the answer, or lists a trial twice.
+    The condition counts too, if both tables have it. Identifiers are compared by `spelled_alike`.
+
+    Raises FingerflowError if the table lacks one of these columns or the answer, lists a trial twice, has a row of
+    several trials, or no row of any trial.
     """
     table = read_rows(answers)
     lacking = [name for name in (PARTICIPANT, TRIAL, ANSWER) if name not in table[0]]
     if lacking:
         raise FingerflowError(f"{answers}: has no column {', '.join(lacking)}; it has {', '.join(table[0])}")
-    answer_rows: dict[tuple[str, str], dict[str, str]] = {}
+    with_condition = CONDITION in table[0] and all(row.get(CONDITION) for row in rows)
+    names = (PARTICIPANT, TRIAL, *([CONDITION] if with_condition else []))
+
+    def key(row: Mapping[str, str]) -> tuple[str, ...]:
+        return tuple(spelled_alike(row.get(name, "")) for name in names)
+
+    trials = Counter(map(key, rows))
+    answer_rows: dict[tuple[str, ...], dict[str, str]] = {}
     for number, row in enumerate(table, start=2):
-        key = row[PARTICIPANT], row[TRIAL]
-        if key in answer_rows:
-            raise FingerflowError(f"{answers}, row {number}: participant {key[0]}, trial {key[1]} is there twice")
-        answer_rows[key] = row
-    return [answer_rows.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
+        label = f"{answers}, row {number}: {', '.join(f'{name} {row[name]}' for name in names)}"
+        if key(row) in answer_rows:
+            raise FingerflowError(f"{label} is there twice")
+        if trials[key(row)] > 1:
+            raise FingerflowError(
+                f"{label} is {trials[key(row)]} trials of the study; give the column {CONDITION} in both tables, or "
+                "number the trials of a participant"
+            )
+        answer_rows[key(row)] = row
+    matched = [answer_rows.get(key(row), {}) for row in rows]
+    count = sum(map(bool, matched))
+    if not count:
+        trial, answer = (", ".join(f"{name} {row.get(name, '')!r}" for name in names) for row in (rows[0], table[0]))
+        raise FingerflowError(f"{answers}: none of its trials is one of the study, such as {trial}; it has {answer}")
+    return (
+        matched,
+        f"{answers.name}: {count} of {len(table)} rows belong to trials, {count} of {len(rows)} trials have one",
+    )
+
+
+def spelled_alike(name: str) -> str:
+    """Return a participant, trial or condition in the spelling that tables are joined by: 01 and 1, 2.0 and 2, P01 and
+    p1 are the same, as a spreadsheet drops leading zeros.
+    """
+    name = re.sub(r"(?<![\d.,])0+(?=\d)", "", name.strip().casefold())
+    return re.sub(r"^([-+]?\d+)\.0*$|^([-+]?\d+\.\d*[1-9])0+$", r"\1\2", name).removeprefix("+")
 
 
 def _entries(rows: list[dict[str, str]], labels: list[str], path: Path) -> tuple[TrialEntry, ...]:
@@ -175,6 +206,11 @@ def _entries(rows: list[dict[str, str]], labels: list[str], path: Path) -> tuple
             )
         names[entry.name] = label
         entries.append(entry)
+    for name in (PARTICIPANT, CONDITION):
+        spellings: dict[str, str] = {}
+        for row, label in zip(rows, labels, strict=True):
+            if row[name] != (other := spellings.setdefault(spelled_alike(row[name]), row[name])):
+                wrong.append(f"{label}: {name} is {row[name]!r}, and {other!r} in another row; write both alike")
     trials = Counter((entry.participant, entry.trial) for entry in entries)
     for entry in entries:
         named = entry.extra.get(REFERENCE)

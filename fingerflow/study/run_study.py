@@ -3,12 +3,13 @@
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import partial
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, trial_keys
 from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.trial import Job, Outcome, is_current, run_trial
+from fingerflow.study.trial import Outcome, is_current, run_trial
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
 
@@ -97,16 +98,15 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
-    jobs = (
-        (plan.entry.name, Job(replace(manifest, trials=(plan.entry,)), plan.redo, codes, threads)) for plan in planned
-    )
+    threads = threads_each(scheduler, workers_for(len(planned), workers))
+    run = partial(run_trial, codes=all_codes(), threads=threads)
+    tasks = ((plan.entry.name, (replace(manifest, trials=(plan.entry,)), plan.redo)) for plan in planned)
 
     def failed_outcome(name: str, error: BaseException) -> Outcome:
         return _outcome_of_error(error, name, manifest)
 
     try:
-        for outcome in run_on_workers(run_trial, jobs, len(planned), failed_outcome, scheduler, workers, progress):
+        for outcome in run_on_workers(run, tasks, len(planned), failed_outcome, scheduler, workers, progress):
             summary.outcomes.append(outcome)
     except Interrupted as stop:
         summary.interrupted = str(stop)

@@ -31,23 +31,6 @@ _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarra
 
 
 @dataclass(frozen=True)
-class Job:
-    """Trial to be run by a worker, with the settings that it needs.
-
-    Attributes:
-        manifest: of this trial alone.
-        redo: "everything", what settings or code have "changed", or the "row" alone.
-        codes: the client's `code_digest` by part, which the worker's must equal.
-        threads: number of threads that a worker uses.
-    """
-
-    manifest: Manifest
-    redo: Part
-    codes: Mapping[str, str]
-    threads: int
-
-
-@dataclass(frozen=True)
 class Outcome:
     """Outcome of one trial in a study run: name, status, reason of a failure, whether that is transient (`passing`),
     and processor time (s).
@@ -60,33 +43,40 @@ class Outcome:
     cpu_seconds: float = 0.0
 
 
-def run_trial(job: Job) -> Outcome:
+def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: int) -> Outcome:
     """Process one trial, write its result and table row into its folder, and return the outcome.
+
+    Args:
+        task: manifest of this trial alone, and what to redo: "everything", what settings or code have "changed", or the
+            "row" alone.
+        codes: the client's `code_digest` by part, which the worker's must equal.
+        threads: number of threads that the worker uses.
 
     Raises FingerflowError only for a fault of the worker itself: another version of the package.
     """
-    different = [part for part, code in job.codes.items() if code_digest(part) != code]
+    different = [part for part, code in codes.items() if code_digest(part) != code]
     if different:
         raise FingerflowError(
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
             f"the same version of fingerflow on both"
         )
-    _set_up_worker(job.threads)
+    _set_up_worker(threads)
     started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
-    (entry,) = job.manifest.trials
-    folder = job.manifest.results / entry.name
+    manifest, redo = task
+    (entry,) = manifest.trials
+    folder = manifest.results / entry.name
     keys: Keys | None = None
     trace: dict[str, str] = {}
     try:
-        scene = job.manifest.build_scene(entry)
+        scene = manifest.build_scene(entry)
         stored = read_row(folder)
         keys = trial_keys(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return Outcome(entry.name, MEASURED, "was done by another run meanwhile")
         path, earlier = folder / result_name(keys), None
-        if job.redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
+        if redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
             earlier = folder / stored.result
-        if job.redo == "row" and earlier == path:
+        if redo == "row" and earlier == path:
             with open_result(path) as result:
                 row, curves = measure(result)
         else:
@@ -105,8 +95,8 @@ def run_trial(job: Job) -> Outcome:
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(time.perf_counter() - wall, 3),
         "cpu_seconds": round(cpu_seconds, 3),
-        "redone_from": job.redo,
-        "threads": job.threads,
+        "redone_from": redo,
+        "threads": threads,
         "seed": None,  # `process` uses no random numbers
         **_machine(),
         **trace,

@@ -7,7 +7,7 @@ from fingerflow.synthetic.linear_slip import LinearSlip
 from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.press import Press
-from fingerflow.synthetic.scenes import SyntheticForces, SyntheticScene
+from fingerflow.synthetic.scenes import SyntheticScene
 from fingerflow.synthetic.skin_picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture, texture_image
@@ -16,6 +16,6 @@ from fingerflow.synthetic.writer import rebuild_scene, write_recording
 
 __all__ = [
     "Bump", "Camera", "ChainPress", "Ellipse", "FingerprintTexture", "LinearSlip", "Medians", "PartialSlip",
-    "PictureTexture", "Press", "RidgeTexture", "Slide", "SyntheticForces", "SyntheticScene", "Truth", "rebuild_scene",
+    "PictureTexture", "Press", "RidgeTexture", "Slide", "SyntheticScene", "Truth", "rebuild_scene",
     "scene_of_print", "texture_image", "write_recording",
 ]  # fmt: skip

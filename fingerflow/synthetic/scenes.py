@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,15 +21,6 @@ Array = NDArray[np.float64]
 
 FORCE_RATE = 10_000.0
 EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
-
-
-class SyntheticForces(NamedTuple):
-    """Force sensor samples at 10 kHz: time in s, two forces in N, and the trigger in V, which rises at 0 s."""
-
-    time: Array
-    normal_force: Array
-    tangential_force: Array
-    trigger: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,18 +111,16 @@ class SyntheticScene:
         """Return a noisy camera image without light; the number `picture` selects the noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
-    def forces(self) -> SyntheticForces:
-        """Return noisy samples of the force sensors from the first frame to the last."""
+    def forces(self) -> tuple[Array, Array, Array, Array]:
+        """Return noisy samples of the force sensors at 10 kHz from the first frame to the last: time in s, normal and
+        tangential force in N, and the trigger in V, which rises at 0 s.
+        """
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
         noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
         noise += self.force_drift * np.maximum(time, 0)
-        return SyntheticForces(
-            time=time,
-            normal_force=self.normal_force(time) + noise[0],
-            tangential_force=self.tangential_force(time) + noise[1],
-            trigger=np.where(time >= 0, 5.0, 0.0),
-        )
+        normal, tangential = self.normal_force(time) + noise[0], self.tangential_force(time) + noise[1]
+        return time, normal, tangential, np.where(time >= 0, 5.0, 0.0)
 
     @property
     def motion(self) -> SkinMotion:

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene_template import scene_text
+from fingerflow.schema.text_file import read_text
 from fingerflow.schema.unfinished import unfinished as hidden
 from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera
@@ -83,10 +84,9 @@ def rebuild_scene(folder: Path) -> SyntheticScene:
     Raises FingerflowError if truth.json is missing or does not describe a scene.
     """
     path = Path(folder) / "truth.json"
+    text = read_text(path, "only a synthetic recording has a truth to rebuild")
     try:
-        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=partial(_rebuild_part, path.parent))
-    except FileNotFoundError:
-        raise FingerflowError(f"{path} does not exist; only a synthetic recording has a truth to rebuild") from None
+        scene = json.loads(text, object_hook=partial(_rebuild_part, path.parent))
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, SyntheticScene):

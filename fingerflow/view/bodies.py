@@ -77,6 +77,11 @@ def parse_body(sent: bytes, model: type[Body]) -> dict[str, Any]:
             raise FingerflowError("what was sent is no JSON") from None
         field = ".".join(map(str, first["loc"])) or "the body"
         raise FingerflowError(f"{field} of what was sent is wrong: {first['msg']}; reload the page") from None
+    refuse_zero_bytes(content)
+    return content
+
+
+def refuse_zero_bytes(content: Any) -> None:
+    """Raise FingerflowError if a text in the fields of a request has a zero byte."""
     if r"\u0000" in json.dumps(content):
         raise FingerflowError("what was sent has a zero byte, which no name of a file or key can have; leave it out")
-    return content

@@ -16,7 +16,10 @@ from fingerflow.schema.scene_check import MISSING, SceneCheck
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.scene_template import scene_text
+from fingerflow.schema.text_file import read_text
 from fingerflow.view.key_forms import field_name, reword
+
+_REMEDY = "name a scene file, which is UTF-8 text"
 
 Keys = tuple[str, ...]
 _MOST_FILES = 300  # that a page lists
@@ -50,7 +53,7 @@ class Draft:
     @classmethod
     def read(cls, path: Path) -> "Draft":
         """Return the draft of an existing scene file; raise FingerflowError if it cannot be read or is not TOML."""
-        text = _read(path)
+        text = read_text(path, _REMEDY)
         return cls(path, text, text)
 
     @classmethod
@@ -186,8 +189,14 @@ class Draft:
         text = self.text
         scene = scene_of_text(text, path)
         spare(path, *scene.files()[1:])
-        if path.exists() and not replace and not (path == self.path and _read(path) == self._stored):
-            raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
+        if path.exists():
+            content = read_text(
+                path, _REMEDY
+            )  # raises an error for a result or a recording, which a scene never replaces
+            if path != self.path:
+                _parsed(content, path)
+            if not replace and (path != self.path or content != self._stored):
+                raise NeedsLeaveError(f"{path} exists with content that this page has neither read nor written")
         write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
         self.path, self._stored = path, text
         return path
@@ -241,13 +250,6 @@ def _free(path: Path) -> Path:
     while free.exists():
         free, number = path.with_stem(f"{path.stem}-{number}"), number + 1
     return free
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FingerflowError(f"{path}: cannot be read ({error}); name a scene file, which is UTF-8 text") from None
 
 
 def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:

@@ -1,11 +1,10 @@
 """HTML file that redirects the browser to the page, so that the access token is not visible in a command line."""
 
+import html
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-from fingerflow.player.page_token import redirect
 
 
 @contextmanager
@@ -16,5 +15,6 @@ def redirect_file(address: str) -> Iterator[Path]:
     """
     with TemporaryDirectory(prefix="fingerflow-") as folder:  # only its owner may read the folder
         path = Path(folder) / "open.html"
-        path.write_text(redirect(address), encoding="utf-8")
+        leads = f'<meta http-equiv="refresh" content="0;url={html.escape(address)}">'
+        path.write_text(f"<!doctype html>{leads}<title>fingerflow</title>", encoding="utf-8")
         yield path

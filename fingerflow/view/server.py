@@ -60,7 +60,7 @@ class Served:
         self._socket.listen()  # requests that arrive before the server runs wait in the queue
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
-        self.address = f"http://{_HOST}:{self.port}/?token={guard.token.text}"
+        self.address = f"http://{_HOST}:{self.port}/#token={guard.token}"
         config = uvicorn.Config(
             guard,
             http=Connection,
@@ -149,7 +149,7 @@ def application(session: Session) -> Starlette:
         Route("/api/end", _post(session.end, bodies.EndBody), methods=["POST"]),
         Route("/api/report", _post(session.report, Body), methods=["POST"]),
         Route("/api/progress", _get(lambda request: session.progress(request.query_params.get("of", "")))),
-        Route("/report.html", _get(report)),
+        Route(f"/{session.report_name}", _get(report)),
         Route("/api/result", _get(lambda _: session.result())),
         Route("/api/result/frame", _get(result_frame)),
         Route("/api/result/range", _get(lambda request: session.result_range(request.query_params.get("key", "")))),
@@ -177,6 +177,7 @@ def _switch_unit(_: object) -> dict[str, dict[str, object]]:
 
 def _get(answer: Answer) -> Callable[[Request], Any]:
     async def endpoint(request: Request) -> Response:
+        bodies.refuse_zero_bytes(request.query_params.multi_items())
         return _response(await run_in_threadpool(answer, request))
 
     return endpoint

@@ -15,6 +15,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
 from fingerflow.player.binary_answer import packed
+from fingerflow.player.page_token import new_token
 from fingerflow.recordings import force_columns, open_recording
 from fingerflow.results.result import is_result, open_result
 from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
@@ -49,6 +50,7 @@ class Session:
         self._result_preview: Previewer | None = None
         self._columns: tuple[tuple[Path, int] | None, list[str]] = (None, [])
         self._runs: dict[str, Command] = {}  # last run of `process` and of `report`
+        self.report_name = f"report-{new_token()}.html"  # a new window opens it by its name, without the page's header
 
     def open(self) -> None:
         """Load the draft of the scene and the result before the first request of the page; errors are reported by later
@@ -281,7 +283,7 @@ class Session:
         state = self._runs[of].state()
         if of == "process" and state["ended_well"]:
             self._result_path = self._runs[of].to
-        return {**state, "said": [*map(reword, state["said"])]}
+        return {**state, "said": [*map(reword, state["said"])], "page": self.report_name}
 
     def _refuse_two(self) -> None:
         if any(run.state()["running"] for run in self._runs.values()):

@@ -10,8 +10,8 @@ import pytest
 from bench.rows import number
 from bench.suites import closed_loop
 from fingerflow.export.carried_modules import carry_modules
-from fingerflow.export.recipe import load_recipe
 from fingerflow.kernels.library import is_present
+from fingerflow.schema.recipe import load_recipe
 from tests.small_trials import write_library_bundle
 
 pytestmark = pytest.mark.long

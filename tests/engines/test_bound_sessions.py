@@ -14,10 +14,11 @@ import pytest
 from onnx import TensorProto, shape_inference
 
 from fingerflow.engines import choice, sessions
-from fingerflow.engines.bundle import GRAPHS, Bundle, GraphName, load_bundle
+from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.sessions import GraphSession
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.recipe import GRAPHS, GraphName
 
 Array = np.ndarray[Any, Any]
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch.utils._pytree import tree_map
 
-from fingerflow.engines.bundle import GRAPHS, Bundle, GraphName, load_bundle
+from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, both_numbers_of, built_in, check_engine, check_frames
 from fingerflow.engines.choice import open_onnx
 from fingerflow.engines.engine import Engine, EngineSettings
@@ -23,6 +23,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.portable import PortableSession
 from fingerflow.export.recording_engine import ExportedGraph, RecordingEngine
 from fingerflow.kernels import tensors as kernels
+from fingerflow.schema.recipe import GRAPHS, GraphName
 from tests.without_kernels import without_kernels
 
 Array = np.ndarray[Any, Any]

@@ -11,7 +11,7 @@ import pytest
 from fingerflow.engines.check import TOLERANCES, built_in
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, as_text, export_bundle
-from fingerflow.export.recipe import GRAPHS
+from fingerflow.schema.recipe import GRAPHS
 from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """
@@ -42,9 +42,10 @@ def _recipe(folder: Path, bits: int = 8, tracking: str = "", contact: str = "", 
 def test_bundle_holds_graphs_player_and_what_to_do(bundle_of_trials: Path) -> None:
     folder = bundle_of_trials
     about = json.loads((folder / "bundle.json").read_text())
-    assert list(about["graphs"]) == list(GRAPHS)
-    for entry in about["graphs"].values():
-        assert hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert set(about["files"]) == files - {"bundle.json", "scene.toml"} >= {f"{name}.onnx" for name in GRAPHS}
+    for name, digest in about["files"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
     player = ("fingerflow/player/__main__.py", "fingerflow/player/page/index.html")
     for name in (*player, "README.md", "requirements.txt", "scene.toml"):
         assert (folder / name).stat().st_size > 0
@@ -97,6 +98,7 @@ def test_other_recipes_export(tmp_path: Path) -> None:
     assert export_bundle(_recipe(tmp_path, bits=12, graphs=graphs, **settings), tmp_path / "bundle")
 
 
+@pytest.mark.long
 def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise FingerflowError("no")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.export.recipe import GRAPHS, load_recipe
+from fingerflow.schema.recipe import GRAPHS, load_recipe
 
 RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
 
@@ -43,5 +43,5 @@ def test_wrong_recipes_are_named(text: str, named: str, tmp_path: Path) -> None:
 
 
 def test_a_missing_recipe_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=r"absent\.toml cannot be read"):
+    with pytest.raises(FingerflowError, match=r"absent\.toml: there is no such file.*recipes are TOML"):
         load_recipe(tmp_path / "absent.toml")

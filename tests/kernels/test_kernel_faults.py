@@ -79,6 +79,7 @@ def test_a_system_without_threads() -> None:
     assert torch.equal(kernels.median(FRAMES, 9), medians)
 
 
+@pytest.mark.long
 def test_more_memory_than_there_is() -> None:
     """A search over 32,000 px, which needs 4 GB at once, raises MemoryError where the system allows 1 GiB."""
     resource = pytest.importorskip("resource", reason="no limits on memory here")

@@ -76,6 +76,7 @@ def test_converges_with_the_number_of_elements() -> None:
     assert errors[-1] < 2e-8
 
 
+@pytest.mark.long
 def test_the_same_rest_by_explicit_runge_kutta() -> None:
     """SciPy's Runge-Kutta method of order 5 gives the same positions to 10 nm and the same friction
     forces after 30 ms.

@@ -101,7 +101,7 @@ def test_dtype(name: str, mixed: bool, dtype: torch.dtype) -> None:
         torch.testing.assert_close(result, expected, rtol=limit, atol=limit, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", sorted({*ops.__all__} - {"dense_flow"}))
+@EVERY_OP
 def test_a_batch_of_no_frames_gives_no_results(name: str) -> None:
     inputs = [one[:0] if isinstance(one, Tensor) and len(one) == 2 else one for one in inputs_of(name)]
     for result in tensors_of(CASES["otsu_threshold - floating" if name == "otsu_threshold" else name].call(*inputs)):

@@ -4,6 +4,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -45,6 +46,38 @@ def test_a_clock_that_starts_again_is_measured_anew(caplog: pytest.LogCaptureFix
         assert time == pytest.approx(arrival)
         assert exposed == pytest.approx(arrival)
     assert caplog.text.count("is not after the one before") == 1
+
+
+_EVEN = 100 + np.arange(60) / 100  # s
+
+
+@pytest.mark.parametrize(
+    ("stamps", "exact"),
+    [
+        (_EVEN, 0),
+        (_EVEN * 1e3, 12),  # ms, us and ns for s; the unit is found within a tenth of a second
+        (_EVEN * 1e6, 12),
+        (_EVEN * 1e9, 12),
+        (np.arange(60.0), None),  # the number of the frame: refused
+        (_EVEN + 1e6 * (np.arange(60) > 30), None),  # jumps forth, back, and to what is no number
+        (_EVEN - 1e6 * (np.arange(60) > 30), None),
+        (np.where(np.arange(60) == 20, 1e6, _EVEN), None),
+        (np.where(np.arange(60) == 20, np.nan, _EVEN), None),
+        (np.where(np.arange(60) % 7 == 3, np.inf, _EVEN), None),
+        (np.where(np.arange(60) % 2 == 0, -np.inf, _EVEN), None),
+        (np.full(60, 5.0), None),
+    ],
+)
+def test_time_never_runs_backwards_or_away_from_arrivals(stamps: np.ndarray[Any, Any], exact: int | None) -> None:
+    clock, late = CameraClock(), 2e-3 * np.random.default_rng(1).random(len(stamps))
+    arrivals = 7000 + np.arange(len(stamps)) / 100 + late
+    pairs = zip(stamps.tolist(), arrivals.tolist(), strict=True)
+    times, exposed = np.transpose([clock.update(*pair) for pair in pairs])
+    assert (np.diff(times) > 0).all()
+    assert np.abs(times - arrivals).max() < 0.03
+    assert np.abs(exposed - arrivals).max() < 0.03
+    if exact is not None:
+        np.testing.assert_allclose(np.diff(times[exact:]), 0.01, atol=1e-6)
 
 
 def test_time_stamps_of_a_wrapper_are_those_of_the_records(stream: Stream) -> None:

@@ -22,8 +22,8 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.camera_clock import unix_now
 from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Channel
-from fingerflow.player.outputs.output import FrameStamp
-from fingerflow.player.sending import Destination, Message, Sender
+from fingerflow.player.outputs.output import FrameStamp, LiveFrame
+from fingerflow.player.sending import Destination, Sender
 from fingerflow.schema.variables import VARIABLES
 
 #: Pixels in contact, a quarter of a mm² each: the area rises above 20 mm² three times.
@@ -230,8 +230,8 @@ class Slow:
     def close(self) -> None: ...
 
 
-def _message(number: int, area: float = 0.0) -> Message:
-    return Message(FrameStamp(number, unix_now(), np.nan, np.zeros(1)), {"area": area})
+def _message(number: int, area: float = 0.0) -> LiveFrame:
+    return FrameStamp(number, unix_now(), np.nan, np.zeros(1)), {"area": area}
 
 
 @pytest.mark.parametrize("sent_within", [0.0, np.inf])

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Stream
-from tiny_bundle import HEIGHT, WIDTH, frame
+from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
+from fingerflow.results.stream_folder import read_results
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -126,17 +129,25 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
 
     file.write_bytes(whole[:-3])
     assert "track.onnx: its SHA-256 is" in said()
-    facts = json.loads((stream.bundle / "bundle.json").read_text())
-    facts["graphs"]["track"]["sha256"] = hashlib.sha256(whole[:-3]).hexdigest()
-    _rewritten(stream.bundle, graphs=facts["graphs"])
+    files = json.loads((stream.bundle / "bundle.json").read_text())["files"]
+    _rewritten(stream.bundle, files=files | {"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
-    _rewritten(stream.bundle, graphs={})
+    _rewritten(stream.bundle, files={})
     assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
     assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
-    _rewritten(stream.bundle, graphs={"noise": {}})
-    assert "has no proper entry 'sha256'" in said()
+    for name in ("../bundle/track.onnx", "/etc/passwd", "C:/x", "a\\b", "", "a/../b", "./track.onnx", "a\0b"):
+        _rewritten(stream.bundle, files={name: "0"})
+        assert "is no name of a file in its folder" in said()
+    os.mkfifo(stream.bundle / "pipe")
+    for name, problem in (("pipe", "it is no file"), ("nowhere", "No such file"), ("track.onnx", "has 0...")):
+        _rewritten(stream.bundle, files={name: 0})
+        assert problem in said()
+    for entry, wrong in (("files", []), ("recipe", None), ("expected", 1), ("fingerflow", {})):
+        _rewritten(stream.bundle, **({"files": {}} | {entry: wrong}))
+        assert f"has no proper entry '{entry}'" in said()
+        stream.bundle = write_bundle(stream.folder / entry)
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 9; use the player of the same bundle, or export it again" in said()
+    assert "its format is '1', this player reads 10; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 
@@ -163,7 +174,11 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (frame()[:-1], "a frame is (63, 192), the views of the scene need (H, W) of at least (64, 192)"),
+        (frame()[:-1], "frame 2 is (63, 192), the background or the frames before are (64, 192)"),
+        (np.pad(frame(), 1), "frame 2 is (66, 194), the background or the frames before are (64, 192)"),
+        (frame().repeat(2, 0).repeat(2, 1), "frame 2 is (128, 384)"),
+        (frame().T.copy(), "frame 2 is (192, 64)"),
+        (np.dstack([frame()] * 3), "frame 2 is (64, 192, 3)"),
         (frame().astype(np.uint16), "a frame is uint16, the bundle takes uint8 (bit_depth 8)"),
     ],
 )
@@ -172,6 +187,46 @@ def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, sai
     assert ended.code == 2
     assert said in ended.said
     assert len(ended.results.records) == 2
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_a_camera_that_ends_its_program_ends_the_stream(stream: Stream, error: type[BaseException]) -> None:
+    def make() -> Any:
+        given = iter([frame(), frame()])
+
+        def grab() -> Any:
+            if (shown := next(given, None)) is None:
+                raise error
+            return shown
+
+        return grab
+
+    ended = stream.run(*stream.camera(make), "--policy", "every")
+    assert ended.code == 2
+    assert f"ended the stream by {error.__name__}; return None after the last frame" in ended.said
+    assert len(ended.results.records) == 2
+
+
+def test_results_that_are_removed_while_playing_go_on_elsewhere(stream: Stream) -> None:
+    def make() -> Any:
+        given = iter(range(4))
+
+        def grab() -> Any:
+            number = next(given, None)
+            if number == 2:
+                (stream.folder / "results").rename(stream.folder / "away")
+                shutil.rmtree(stream.folder / "away")
+            return None if number is None else frame()
+
+        return grab
+
+    (stream.folder / "results-moved").mkdir()  # a name that is taken
+    options = [*stream.camera(make), "--policy", "every", "--page", "off", "--threads", "1"]
+    said = stream.play([str(stream.bundle), *options, "--output", str(stream.folder / "results")])
+    moved = read_results(stream.folder / "results-moved-2")
+    assert said == 0
+    assert list(moved.records["frame"]) == [0, 1, 2, 3]
+    assert moved.events[-1]["event"] == "moved"
 
 
 @pytest.mark.parametrize(

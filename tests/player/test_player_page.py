@@ -51,7 +51,7 @@ class Served:
         for _ in range(600):
             try:
                 connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
-                connection.request(method, path, headers={"Cookie": f"fingerflow-{self.port}={TOKEN}"} | headers)
+                connection.request(method, path, headers={"X-Fingerflow": TOKEN} | headers)
                 answer = connection.getresponse()
                 return answer.status, answer.read()
             except ConnectionRefusedError:
@@ -162,7 +162,7 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-    page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
+    page.goto(f"http://127.0.0.1:{served.port}/#token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('topography') > 20")
     assert page.is_hidden("#forcesCard")  # the stream has no forces
@@ -236,7 +236,7 @@ tangential = "Ft"
     normal = arrays["traces"][:, facts["trace_columns"].index("normal_force")]
     assert (np.diff(normal) > 0).all()
     page = browser.new_page()
-    page.goto(f"http://127.0.0.1:{playing.port}/?token={TOKEN}")
+    page.goto(f"http://127.0.0.1:{playing.port}/#token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('forces') > 5")
     assert re.fullmatch(r"\d\.\d\d N", page.evaluate(NUMBER, "Normal force"))
@@ -260,7 +260,7 @@ def test_a_page_shows_why_a_stream_has_failed(stream: Stream, browser: Any) -> N
     failing.start()
     failing.live()
     page = browser.new_page()
-    page.goto(f"http://127.0.0.1:{failing.port}/?token={TOKEN}")
+    page.goto(f"http://127.0.0.1:{failing.port}/#token={TOKEN}")
     page.wait_for_selector("#state:text-is('running')")
     seen.set()
     page.wait_for_selector("#state:text-is('stopped by an error')")

@@ -19,5 +19,5 @@ def test_nothing_comes_from_elsewhere() -> None:
     own = {path.removeprefix("/") for path in page._FILES}
     loaded = re.findall(r'\b(?:src|href)="([^"]+)"', HTML)
     assert {one for one in loaded if not one.startswith("data:")} == own - {""}
-    assert set(re.findall(r'fetch\("(\w+)"', JS)) == {"live", "restart", "shown"}
+    assert set(re.findall(r'\bask\("(\w+)"', JS)) == {"live", "restart", "shown"}
     assert {name for name, _ in page._FILES.values()} == {file.name for file in FOLDER.iterdir()}

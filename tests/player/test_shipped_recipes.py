@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fingerflow import player
-from fingerflow.export.recipe import load_recipe
 from fingerflow.kernels.library import is_present
+from fingerflow.schema.recipe import load_recipe
 from tests.small_trials import write_library_bundle
 
 RECIPES = Path(__file__).parents[2] / "export"

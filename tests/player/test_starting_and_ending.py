@@ -20,7 +20,7 @@ def test_a_start_that_fails_leaves_no_results(stream: Stream) -> None:
     def no_camera() -> Any:
         raise OSError("no such camera")
 
-    assert "a frame is (64, 96)" in stream.refused(*stream.frames([np.zeros((HEIGHT, WIDTH), np.uint8)]))
+    assert "frame 0 is (64, 96)" in stream.refused(*stream.frames([np.zeros((HEIGHT, WIDTH), np.uint8)]))
     assert "cannot be opened (OSError: no such camera)" in stream.refused(*stream.camera(no_camera))
     ended = stream.run(*stream.frames([]))
     assert (ended.code, ended.results, ended.summary["results"]) == (0, None, None)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.export.recipe import ContactRecipe, GaugeSettings, PointSettings, Recipe, ViewRecipe
+from fingerflow.schema.recipe import ContactRecipe, GaugeSettings, PointSettings, Recipe, ViewRecipe
 from tests.small_trials import write_library_bundle
 
 HEIGHT, WIDTH, POINTS = 64, 96, 10

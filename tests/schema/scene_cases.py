@@ -210,9 +210,9 @@ _ROWS = (
     _calibrated("other_topography", "made with the topography view rows [1, 501], columns [0, 640], and the sce"),
     _calibrated("ring_alone", "the scene has a topography view, and this calibration is the scale alone; write one"),
     _calibrated("coarse", "calibration.mm_per_px is 3.25: it should be at", "[calibration]"),
-    _calibrated("negative", "mm_per_px is -0.0325; it must be above 0. Write it a"),
-    _calibrated("flat", "is no 2 x 3 transform that can be undone. Write it again"),
-    _calibrated("no_views", "calibration has no entry 'views'. Write it again"),
+    _calibrated("negative", "mm_per_px is -0.0325; it must be above 0; write it a"),
+    _calibrated("flat", "is no 2 x 3 transform that can be undone; write it again"),
+    _calibrated("no_views", "calibration has no entry 'views'; write it again"),
     _calibrated("broken", "broken.toml: this calibration cannot be read: "),
     _calibrated("of_words", "an entry of this calibration is wrong: 'small' is n"),
 )

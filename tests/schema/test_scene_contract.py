@@ -55,7 +55,7 @@ def test_a_wrong_scene_is_refused_by_both_in_the_same_words(case: WrongScene, pa
     [
         (b"[recording", "is not valid TOML: "),
         (b"# \xff", "is not UTF-8 text (invalid start byte); save it as UTF-8"),
-        (None, "cannot be read (No such file or directory); `fingerflow init` writes a new one"),
+        (None, "there is no such file (looked in "),
     ],
 )
 def test_no_scene_file_at_all(text: bytes | None, said: str, path: Path) -> None:

@@ -21,7 +21,7 @@ DEEP = "[" * 200_000
 @pytest.mark.parametrize("read", [load_scene, read_calibration])
 def test_a_pipe_is_not_waited_for(tmp_path: Path, read: Callable[[Path], Any]) -> None:
     os.mkfifo(tmp_path / "a.toml")
-    with pytest.raises(FingerflowError, match=r"a\.toml: .*is no file.*`fingerflow (init|calibrate)`"):
+    with pytest.raises(FingerflowError, match=r"a\.toml: .*is a pipe, not a file.*`fingerflow (init|calibrate)`"):
         read(tmp_path / "a.toml")
 
 

@@ -20,11 +20,11 @@ from bench.contact_grid import energies, energy_since_onset, skin_in_contact
 from bench.prints import FINGERS
 from bench.recordings import write_quietly
 from fingerflow import process
-from fingerflow.export.recipe import Recipe, ViewRecipe
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.fields.strain import green_lagrange
 from fingerflow.ops.fields.triangles import triangle_gradients
+from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import PartialSlip, Press
 from fingerflow.synthetic.scenes import SyntheticScene

@@ -19,7 +19,7 @@ from unittest import mock
 import numpy as np
 
 from fingerflow import cli, process
-from fingerflow.export.recipe import PointSettings, Recipe, ViewRecipe
+from fingerflow.schema.recipe import PointSettings, Recipe, ViewRecipe
 from fingerflow.study.init import init_study
 from fingerflow.synthetic import write_recording
 from fingerflow.view.draft import Draft

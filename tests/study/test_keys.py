@@ -36,3 +36,26 @@ def test_a_large_file_that_was_touched_is_not_certainly_the_same(tmp_path: Path)
     assert same_content(before, describe_file(path, before))
     os.utime(path, ns=(1, 1))
     assert not same_content(before, describe_file(path, before))
+
+
+@pytest.mark.parametrize("size", [4096, room._WHOLE_BYTES + 1])
+@pytest.mark.parametrize("replaced", [True, False])
+def test_a_file_of_the_same_size_and_time_is_read_again(size: int, replaced: bool, tmp_path: Path) -> None:
+    path, other = tmp_path / "a.bin", tmp_path / "b.bin"
+    path.write_bytes(bytes(size))
+    before = describe_file(path)
+    (other if replaced else path).write_bytes(b"1" * size)
+    if replaced:
+        other.replace(path)
+    os.utime(path, ns=(before.modified, before.modified))
+    now = describe_file(path, before)
+    assert (now.size, now.modified) == (before.size, before.modified)
+    assert not same_content(before, now)
+
+
+def test_hidden_files_do_not_change_a_folder_of_images(tmp_path: Path) -> None:
+    (tmp_path / "1.png").write_bytes(b"x")
+    before = describe_file(tmp_path)
+    (tmp_path / "._1.png").write_bytes(b"y")
+    (tmp_path / "Thumbs.db").write_bytes(b"z")
+    assert describe_file(tmp_path).digest == before.digest

@@ -146,3 +146,53 @@ def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:
     names = [entry.name for entry in load_manifest(lab).trials]
     assert len(set(names)) == len(names)
     assert names[0] == "a%5fb_0_c"
+
+
+_TRIALS = "recording,participant,trial,condition,answer\n" + "".join(
+    f"{person}_{condition}.npy,{person},{{}},{condition},\n" for person in ("01", "02") for condition in ("0", "2")
+)
+ANSWERS = {
+    "leading zeros": ("1212", "participant,trial,answer\n1,1,1\n1,2,0\n2,1,0\n2,2,1\n", [True, False, False, True]),
+    "decimals": ("1212", "participant,trial,answer\n1.0,1.0,1\n1.0,2.0,0\n", [True, False, None, None]),
+    "semicolons": ("1212", "participant;trial;condition;answer\n1;1;0,0;1\n1;2;2,0;0\n", [True, False, None, None]),
+    "each condition": ("1111", "participant,trial,condition,answer\n01,1,0,0\n01,1,2,1\n", [False, True, None, None]),
+    "one condition": ("1111", "participant,trial,condition,answer\n01,1,2,1\n", [None, True, None, None]),
+    "shared": ("1111", "participant,trial,answer\n01,1,1\n", "row 2: participant 01, trial 1 is 2 trials of the study"),
+    "other condition": ("1212", "participant,trial,condition,answer\n01,1,2,1\n", "none of its trials is one of"),
+    "twice": ("1212", "participant,trial,answer\n01,1,1\n1,1,0\n", "row 3: participant 1, trial 1 is there twice"),
+}
+
+
+@pytest.mark.parametrize("case", ANSWERS)
+def test_answers_belong_to_participant_condition_and_trial(case: str, tmp_path: Path) -> None:
+    numbers, answers, expected = ANSWERS[case]
+    (tmp_path / "trials.csv").write_text(_TRIALS.format(*numbers))
+    (tmp_path / "answers.csv").write_text(answers)
+    (tmp_path / "study.toml").write_text('[study]\ntrials = "trials.csv"\nanswers = "answers.csv"\n')
+    if isinstance(expected, str):
+        with pytest.raises(FingerflowError, match=expected):
+            load_manifest(tmp_path)
+        return
+    study = load_manifest(tmp_path)
+    assert [entry.answer for entry in study.trials] == expected
+    count = sum(answer is not None for answer in expected)
+    assert f"{count} of {answers.count(chr(10)) - 1} rows belong to trials, {count} of 4 trials" in study.matched
+
+
+def test_a_participant_written_in_two_ways_is_named(tmp_path: Path) -> None:
+    (tmp_path / "trials.csv").write_text(_TRIALS.format(*"1212").replace(",02,", ",1,"))
+    (tmp_path / "study.toml").write_text('[study]\ntrials = "trials.csv"\n')
+    with pytest.raises(FingerflowError, match=r"row 4: participant is '1', and '01' in another row; write both alike"):
+        load_manifest(tmp_path)
+
+
+def test_files_of_the_system_and_results_are_no_trials(lab: Path) -> None:
+    count, _ = init_study(lab)
+    for name in ("study.toml", "trials.csv"):
+        (lab / name).unlink()
+    for folder in (".Trashes", "results", "__MACOSX"):
+        (lab / folder).mkdir()
+        (lab / folder / "a.npy").write_bytes(b"x")
+        (lab / folder / "scene.toml").write_text("[recording]\n")
+    (lab / "p01" / "._scene.toml").write_text("[recording]\n")
+    assert init_study(lab)[0] == count

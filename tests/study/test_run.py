@@ -34,6 +34,7 @@ def _run(study: Manifest, scheduler: str, **options: Any) -> dict[str, str]:
     return {one.name: one.status for one in summary.outcomes}
 
 
+@pytest.mark.long
 def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, scheduler: str) -> None:
     assert _run(study, scheduler) == {entry.name: MEASURED for entry in study.trials}
     assert plan_run(study) == []
@@ -172,7 +173,7 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), "everything", codes, 1))
+        outcome = worker.run_trial((replace(study, trials=(entry,)), "everything"), codes, 1)
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 

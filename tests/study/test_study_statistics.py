@@ -22,6 +22,7 @@ from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table
 
 
+@pytest.mark.long
 def test_one_study_whole() -> None:
     table = simulate_table(TableDesign(seed=3))
     found = study_statistics(read_sample(pd.DataFrame(table)), resamples=200)

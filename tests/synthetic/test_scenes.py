@@ -23,10 +23,10 @@ def test_times_count_from_the_trigger(kind: type[SyntheticScene]) -> None:
     scene = kind(n_frames=40, frame_rate=100.0, frames_before_trigger=5)
     assert scene.times[[0, 5, 39]] == pytest.approx([-0.05, 0.0, 0.34])
     assert (np.diff(scene.progress(scene.times)) >= 0).all()
-    forces = scene.forces()
-    assert np.diff(forces.time) == pytest.approx(1e-4)
-    assert forces.time[0] <= scene.times[0]
-    assert forces.time[-1] >= scene.times[-1]
-    edge = np.flatnonzero(np.diff(forces.trigger))
-    assert forces.time[edge + 1] == pytest.approx([0.0], abs=1e-12)
-    assert set(forces.trigger) == {0.0, 5.0}
+    time, _, _, trigger = scene.forces()
+    assert np.diff(time) == pytest.approx(1e-4)
+    assert time[0] <= scene.times[0]
+    assert time[-1] >= scene.times[-1]
+    edge = np.flatnonzero(np.diff(trigger))
+    assert time[edge + 1] == pytest.approx([0.0], abs=1e-12)
+    assert set(trigger) == {0.0, 5.0}

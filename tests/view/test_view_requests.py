@@ -40,8 +40,7 @@ def served(processed: Path) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def own(served: Served) -> dict[str, str]:
     """Return the headers that requests of the page carry."""
-    headers = ask(served, served.address.partition(str(served.port))[2])[1]
-    return {"Cookie": headers["set-cookie"].partition(";")[0], "X-Fingerflow": "1"}
+    return {"X-Fingerflow": served.address.partition("/#token=")[2]}
 
 
 def test_what_no_page_sends_is_refused_in_a_sentence(served: Served, own: dict[str, str]) -> None:
@@ -53,6 +52,15 @@ def test_what_no_page_sends_is_refused_in_a_sentence(served: Served, own: dict[s
             if status == 422:
                 told += bool(json.loads(said)["error"])
     assert told > 140
+    for path in (
+        "folder?at=%00",
+        "folder?at=a%00b",
+        "progress?of=%00",
+        "result/range?key=%00",
+        f"folder?at={'x' * 5000}",
+    ):
+        status, _, said = ask(served, f"/api/{path}", **own)
+        assert (status, bool(json.loads(said)["error"])) == (422, True), path
     for path in GETS:
         status, _, said = ask(served, f"/api/{path}", **own)
         assert (status, bool(json.loads(said)["error"])) == (422, True), path

@@ -143,14 +143,9 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
-class _Boxes(NamedTuple):
-    """Matrices that smooth the columns (`down`) and the rows (`along`) of an image on cells by three successive box
-    means, and the distance in cells (`reach`) over which they spread a value.
-    """
-
-    down: Tensor
-    along: Tensor
-    reach: int
+# Matrices that smooth the columns and the rows of an image on cells by three successive box means, and the distance in
+# cells over which they spread a value.
+_Boxes = tuple[Tensor, Tensor, int]
 
 
 def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
@@ -167,7 +162,7 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
 
     def boxes(size: int, wide: float) -> _Boxes:
         down, along = (matrix(-(-side // size), wide) for side in cells.shape[-2:])
-        return _Boxes(down, along, 3 * math.ceil(wide / 2))
+        return down, along, 3 * math.ceil(wide / 2)
 
     return [boxes(1, width), *(boxes(2, max(width * factor / 2, 1.0)) for factor in (sizes.NARROW, sizes.WIDE))]
 

@@ -87,23 +87,23 @@ def _threshold(
         levels = levels.to(torch.uint8)
     smooth = strided_median(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
-    brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
+    brightness = lost.new_ones(frames.shape[0]) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
         """Return the relative intensity loss at a quantised level, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
-    classes = otsu_classes(_counts(smooth, counted).to(dtype))
-    least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_INTENSITY_LOSS)
-    contrast = classes.upper - classes.lower
-    distinct = (share(classes.upper) > _LEAST_INTENSITY_LOSS) & (contrast > least * scale)
-    start = torch.where(distinct, classes.threshold, torch.nan)
+    otsu, lower, upper, deviation = otsu_classes(_counts(smooth, counted).to(dtype))
+    least = (_NOISE_RATIO * deviation / scale).clamp_min(_LEAST_INTENSITY_LOSS)
+    contrast = upper - lower
+    distinct = (share(upper) > _LEAST_INTENSITY_LOSS) & (contrast > least * scale)
+    start = torch.where(distinct, otsu, torch.nan)
     # Levels are rounded, so the limit lies half a level above.
     mask = real_contact_mask(frames, light, black, 1 - ((start + 0.5) / scale + low), median_px)
     outside = (apparent_contact(mask, radius, precision=dtype).density_margin <= 0).to(dtype)
     inside = _expand_lines(largest_around(outside) == 0, cell_of(radius), stride_px, frames.shape[2:])
     edges, steepness = _edge_level(levels, inside, lit, stride_px, dtype)
-    middle = torch.where(start.abs() < torch.inf, (classes.upper + classes.lower) / 2, torch.nan)
+    middle = torch.where(start.abs() < torch.inf, (upper + lower) / 2, torch.nan)
     level = torch.where(steepness > (_LEAST_STEEPNESS * contrast) ** 3, edges, middle)
     threshold = share(level)
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)

@@ -1,7 +1,6 @@
 """Otsu's threshold (1979), computed from the histogram of an image."""
 
 import functools
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,21 +10,6 @@ from fingerflow.ops.checks import check_frames
 
 _BINS = 256
 _MOST_COMPILED_BINS = 1 << 16
-
-
-class Classes(NamedTuple):
-    """Otsu's threshold of B histograms, and the means of the two classes of levels that it separates.
-
-    Attributes:
-        threshold: NaN where only one level occurs; the other attributes then have no meaning.
-        lower, upper: means of the levels up to the threshold and above it.
-        deviation: standard deviation of the levels up to the threshold.
-    """
-
-    threshold: Tensor
-    lower: Tensor
-    upper: Tensor
-    deviation: Tensor
 
 
 def histogram(
@@ -59,7 +43,7 @@ def histogram(
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
     # `bincount` is not used: the host would wait for the device to learn the largest index. Products of one-hot digits
     # of every pixel are not used: they take ONNX Runtime ten times as long.
-    counts = torch.zeros(len(frames), bins + 1, dtype=torch.int32, device=frames.device)
+    counts = torch.zeros(frames.shape[0], bins + 1, dtype=torch.int32, device=frames.device)
     return counts.scatter_add(1, index.long(), torch.ones_like(index))[:, :bins].long()
 
 
@@ -104,8 +88,11 @@ def otsu_threshold(
     return torch.where((product > 0).any(1), threshold, torch.nan)
 
 
-def otsu_classes(counts: Tensor) -> Classes:
-    """Split histograms (B, 256) of levels 0 to 255 into the two classes of Otsu's threshold.
+def otsu_classes(counts: Tensor) -> tuple[Tensor, ...]:
+    """Split histograms (B, 256) of levels 0 to 255 into the two classes of Otsu's threshold, and return (B,) each: the
+    threshold, the means of the levels up to it and above it, and the standard deviation of the levels up to it.
+
+    The threshold is NaN where only one level occurs; the others then have no meaning.
 
     The variance between the classes is that of Otsu 1979, equation 18; of equally good thresholds the lowest is taken.
     Results have the dtype of the counts.
@@ -126,7 +113,7 @@ def otsu_classes(counts: Tensor) -> Classes:
     deviation = (square.gather(1, best) / part - lower * lower).clamp_min(0).sqrt()
     threshold = torch.where(two.gather(1, best), best.to(counts.dtype), torch.nan)
     results = (threshold, lower + centre, upper + centre, deviation)
-    return Classes(*(result.squeeze(1) for result in results))
+    return tuple(result.squeeze(1) for result in results)
 
 
 def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[float, float]:

@@ -201,9 +201,9 @@ def _medians(
     fields = _fields(gradient, measure)
     nearest = None
     if excluded is not None and theirs is not None:
-        nearest = _nearest_fields(excluded, theirs, fit.weights)
-        fields = torch.where(nearest.apart, nearest.fields, fields)
-        clear = (nearest.apart & nearest.within & good) | (clear & ~nearest.apart)  # ONNX runtimes: no `where` of bool
+        nearest, within = _nearest_fields(excluded, theirs, fit.weights)
+        fields = torch.where(nearest.among, nearest.fields, fields)
+        clear = (nearest.among & within & good) | (clear & ~nearest.among)  # ONNX runtimes: no `where` of bool
     count = clear.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
     median = _median(fields, clear, count)
@@ -215,11 +215,11 @@ def _medians(
     joint = torch.zeros_like(median)
     if nearest is not None and nearest.std is not None:
         away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
-        share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * clear, share)
+        share = torch.where(nearest.among, (1 - away).clamp_min(0).square() * clear, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
     if nearest is not None and nearest.std is not None:
-        joint = (share * torch.where(nearest.apart & clear, nearest.std, 0.0)).sum(2)
-        share = torch.where(nearest.apart, 0.0, share)
+        joint = (share * torch.where(nearest.among & clear, nearest.std, 0.0)).sum(2)
+        share = torch.where(nearest.among, 0.0, share)
     by_points = _mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
@@ -241,20 +241,10 @@ def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
     return falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
 
 
-class _NearestFields(NamedTuple):
-    """Divergence, curl and strain at Q positions, copied from the nearest tracked point if that point's fields are
-    given, not fitted (`Apart`).
-    """
-
-    apart: Tensor  # (B, 1, Q) bool, whether the nearest point is one
-    within: Tensor  # (B, 1, Q) bool, whether it is near enough
-    fields: Tensor  # (B, 5, Q)
-    std: Tensor | None
-
-
-def _nearest_fields(excluded: Apart, theirs: Tensor, weights: Tensor) -> _NearestFields:
+def _nearest_fields(excluded: Apart, theirs: Tensor, weights: Tensor) -> tuple[Apart, Tensor]:
     """Return the divergence, curl and strain at each of Q positions whose nearest point is one of `excluded` (its
-    fields are given, not fitted), copied from that point.
+    fields are given, not fitted), copied from that point, as `Apart` with components before positions: (B, 1, Q) and
+    (B, 5, Q); and (B, 1, Q) bool, True where the nearest point is near enough.
 
     `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
     known.
@@ -268,9 +258,8 @@ def _nearest_fields(excluded: Apart, theirs: Tensor, weights: Tensor) -> _Neares
     count, of_them = nearest_values[:, :1], nearest_values[:, 1:2]
     fields = nearest_values[:, 2:] / of_them.clamp_min(1)
     within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
-    return _NearestFields(
-        of_them > count / 2, within, fields[:, :_FIELDS], None if excluded.std is None else fields[:, _FIELDS:]
-    )
+    std = None if excluded.std is None else fields[:, _FIELDS:]
+    return Apart(of_them > count / 2, fields[:, :_FIELDS], std), within
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:

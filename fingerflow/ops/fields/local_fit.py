@@ -10,6 +10,7 @@ from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.result_records import LocalFit as LocalFit
 from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.fields.weighted_moments import weighted_moments
+from fingerflow.ops.tensors import hypotenuse
 
 
 def local_gradients(
@@ -111,7 +112,7 @@ def local_gradients(
     centre_x, centre_y = centre.unbind(-1)
     xx, xy, yy = (sums.second / safe_mass[..., None]).unbind(-1)
     xx, xy, yy = xx - centre_x * centre_x, xy - centre_x * centre_y, yy - centre_y * centre_y
-    narrowest = (xx + yy) / 2 - torch.hypot((xx - yy) / 2, xy)  # the smaller eigenvalue
+    narrowest = (xx + yy) / 2 - hypotenuse((xx - yy) / 2, xy)  # the smaller eigenvalue
     determined = determined & (narrowest >= (MINIMUM_SPREAD * radius) ** 2)
     determinant = torch.where(determined, xx * yy - xy * xy, 1)
     inverse = _matrix(yy, -xy, -xy, xx) / determinant[..., None, None]
@@ -128,7 +129,7 @@ def local_gradients(
     covariance = None
     if sums.noise is not None:
         covariance = or_nan(_gradient_covariance(sums.noise, centre, safe_mass, inverse, components))
-    offset = torch.hypot(centre_x, centre_y).detach()
+    offset = hypotenuse(centre_x, centre_y).detach()
     return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
 
 

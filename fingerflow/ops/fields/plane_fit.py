@@ -101,7 +101,7 @@ def fit_planes(
     weights, within = support or point_support(positions, queries)
     channels = values.shape[1]
     # If the same points are usable in all frames, everything but the values has a batch of 1.
-    if len(positions) == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
+    if positions.shape[0] == 1 and may_branch(usable) and bool((usable == usable[:1]).all()):
         usable = usable[:1]
     weight = usable.to(positions.dtype)
     # A constant does not change the slope; subtracting the mean preserves its precision.
@@ -112,7 +112,7 @@ def fit_planes(
     of_places = weight * torch.cat((torch.ones_like(positions[:, :1]), positions, squares(positions)), dim=1)
     of_values = torch.cat((moved, _mixed(moved, positions)), dim=1)
     count = _product(weight, within) / _ONE
-    if len(of_places) == len(of_values):
+    if of_places.shape[0] == of_values.shape[0]:
         sums, moments = _product(torch.cat((of_places, of_values), dim=1), weights).split((6, 3 * channels), dim=1)
     else:
         sums, moments = _product(of_places, weights), _product(of_values, weights)

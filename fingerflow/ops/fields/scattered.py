@@ -23,9 +23,10 @@ def check_scattered(points: Tensor, values: Tensor) -> None:
 def check_batches(**tensors: Tensor) -> None:
     """Raise ValueError unless the batch sizes (first dimensions) of all tensors are equal or 1."""
     sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
-    if len(set(sizes.values()) - {1}) > 1:
-        batches = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise ValueError(f"batches must be equal, or 1 to serve all; found {batches}")
+    batches = [size for size in sizes.values() if size != 1]  # no set, whose hashes would fix an exported batch
+    if any(size != batches[0] for size in batches):
+        found = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise ValueError(f"batches must be equal, or 1 to serve all; found {found}")
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:

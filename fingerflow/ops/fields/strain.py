@@ -6,12 +6,12 @@ input, and NaN propagates.
 """
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
+from fingerflow.ops.tensors import half_angle, hypotenuse
 
 
 def divergence(gradient: Tensor) -> Tensor:
@@ -90,16 +90,10 @@ def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -
     return exx, eyy, exy
 
 
-class PrincipalStrains(NamedTuple):
-    """Principal strains: the largest and the smallest normal strain over all directions."""
-
-    strains: Tensor  # (..., 2) major and minor principal strain
-    # (...) angle from the x axis to the major direction, rad in [-pi/2, pi/2]; NaN where both strains are equal.
-    angle: Tensor
-
-
-def principal_strains(strain: Tensor) -> PrincipalStrains:
-    """Return the two principal strains of a strain tensor (exx, eyy, exy), (..., 3), and the major direction.
+def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the major and minor principal strain (..., 2) of a strain tensor (exx, eyy, exy), (..., 3), which are the
+    largest and the smallest normal strain over all directions, and the angle (...) from the x axis to the major
+    direction, rad in [-pi/2, pi/2].
 
     Where the two are equal, the direction is undefined and the angle NaN. Their difference has a kink there, so
     autograd gives both the gradient of their mean.
@@ -109,9 +103,9 @@ def principal_strains(strain: Tensor) -> PrincipalStrains:
     equal = (half_difference == 0) & (exy == 0)
     # Replace the arguments beforehand, since hypot and atan2 have NaN derivatives at the origin.
     half_difference, exy = torch.where(equal, 1, half_difference), torch.where(equal, 0, exy)
-    radius = torch.where(equal, 0, torch.hypot(half_difference, exy))
-    angle = torch.where(equal, torch.nan, torch.atan2(exy, half_difference) / 2)
-    return PrincipalStrains(torch.stack((mean + radius, mean - radius), dim=-1), angle)
+    radius = torch.where(equal, 0, hypotenuse(half_difference, exy))
+    angle = torch.where(equal, torch.nan, half_angle(exy, half_difference))
+    return torch.stack((mean + radius, mean - radius), dim=-1), angle
 
 
 def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:

@@ -107,6 +107,7 @@ def triangle_strain(
     errors = strain_covariance_parts(*products[..., None], *at_corner)  # (3, M, B) each
     added = counted * energy_form(*errors, *solid).nan_to_num(0.0)
     energy = (shares * density.nan_to_num(0.0)).sum(0, dtype=torch.float64) - added.sum((0, 1), dtype=torch.float64)
+    energy = torch.where(counted.any(0), energy, torch.nan)  # a sum over no triangles would be 0
     sxx, syy, sxy = (counted * part.nan_to_num(0.0) for part in stress_parts(*strain, *solid))
     x, y, own = (sum_points(part) for part in (sxx * along + sxy * down, syy * down + sxy * along, added))
     deviations = [error.sum(0).clamp_min(0).sqrt() + 0 * part for error, part in zip(errors[:3], strain, strict=True)]

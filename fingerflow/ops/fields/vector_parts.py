@@ -112,7 +112,8 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
     """
     # float64 preserves the precision of differences of the antiderivative at all distances within a frame.
     x, y = (
-        torch.fft.fftfreq(2 * size, 1 / (2 * size), device=like.device, dtype=torch.float64) for size in (width, height)
+        torch.arange(2 * size, device=like.device, dtype=torch.float64).add(size).remainder(2 * size) - size
+        for size in (width, height)
     )
     down, right = torch.meshgrid(y, x, indexing="ij")
     return _integral(right, down).to(like.dtype), _integral(down, right).to(like.dtype)
@@ -122,12 +123,23 @@ def _integral(along: Tensor, across: Tensor) -> Tensor:
     """Return the integral of a / (2 pi (a^2 + b^2)) over the unit square around (a, b) = (along, across)."""
 
     def antiderivative(a: Tensor, b: Tensor) -> Tensor:
-        return b / 2 * torch.log(a.square() + b.square()) + a * torch.atan(b / a)
+        return b / 2 * torch.log(a.square() + b.square()) + a * _arctangent(b / a)
 
     low_a, high_a, low_b, high_b = along - 0.5, along + 0.5, across - 0.5, across + 0.5
     total = antiderivative(high_a, high_b) - antiderivative(high_a, low_b)
     total = total - antiderivative(low_a, high_b) + antiderivative(low_a, low_b)
     return total / (2 * math.pi)
+
+
+def _arctangent(tangent: Tensor) -> Tensor:
+    """Return the arctangent; in an exported graph that in float32 with one step of Newton's method, as ONNX Runtime has
+    sine and cosine in float64, but no arctangent.
+    """
+    if not torch.compiler.is_exporting():
+        return torch.atan(tangent)
+    angle = torch.atan(tangent.float()).to(tangent.dtype)
+    sine, cosine = angle.sin(), angle.cos()
+    return angle + (tangent * cosine - sine) / (cosine + tangent * sine)
 
 
 def _check(field: Tensor, mask: Tensor | None) -> None:

@@ -184,6 +184,8 @@ def whole_flow(
     """Compute `dense_flow` as one op that torch does not trace, since the number of halved images and the choice of the
     model depend on data.
     """
+    if not len(first):
+        return _like_flow(first)
     if model == "edges":
         return _flow_with_edges(first, current, initial, mask, noise)[0]
     template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise)

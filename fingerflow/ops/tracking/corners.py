@@ -8,16 +8,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.ops.branching import may_branch
 from fingerflow.ops.checks import check_frames
 from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.tensors import hypotenuse
 
 _GRADIENT_SCALE = 8  # ratio of the integer Sobel gradient to the gradient per pixel
 # Variance of a gradient component for white noise of variance 1: the sum of the squared weights is (1 + 4 + 1) 2.
 _GRADIENT_NOISE = 12 / _GRADIENT_SCALE**2
 # Share of the larger eigenvalue below which the smaller one is a float32 rounding error of a difference.
 _ROUNDING = 1e-5
+_STRIP = 1 << 15  # pixels of a strip of rows that is computed at once
 
 
 class Corners(NamedTuple):
@@ -131,16 +134,34 @@ def _check_frame(frame: Tensor, window: int) -> None:
 
 
 def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
-    """Return the smaller and the larger eigenvalue of the structure tensor, (B, 1, H, W) each."""
+    """Return the smaller and the larger eigenvalue of the structure tensor, (B, 1, H, W) each.
+
+    A CPU computes strips of rows, whose intermediate images stay in its cache: a third of the time.
+    """
+    height, reach = frame.shape[2], window // 2 + 1
+    rows = max(window, _STRIP // max(1, frame.shape[3]))
+    if not may_branch(frame) or height <= rows:
+        return _eigenvalues_of(frame, window)
+    strips = []
+    for top in range(0, height, rows):
+        first = max(0, top - reach)
+        strip = _eigenvalues_of(frame[..., first : top + rows + reach, :], window)
+        strips.append([part[..., top - first : top - first + rows, :] for part in strip])
+    smaller, larger = (torch.cat(parts, 2) for parts in zip(*strips, strict=True))
+    return smaller, larger
+
+
+def _eigenvalues_of(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
     whole = frame.dtype == torch.uint8
-    values = frame.double() if whole or frame.dtype == torch.float64 else frame.float()
-    values = torch.where(values.isfinite(), values, torch.nan)
+    values = frame if frame.dtype == torch.float64 else frame.float()
+    values = values if whole else torch.where(values.isfinite(), values, torch.nan)
     gradient_x, gradient_y = _gradient(values)
     tensor = torch.cat([gradient_x * gradient_x, gradient_x * gradient_y, gradient_y * gradient_y], 1)
     half = window // 2
     if tensor.numel():
         padded = functional.pad(tensor, (half, half, half, half), mode="replicate")
-        tensor = box_sum(padded, window)
+        # Products of 8-bit gradients are whole numbers below 2^24, and sums of up to 32 x 32 of xx + yy below 2^31.
+        tensor = box_sum(padded.to(torch.int32 if window < 33 else torch.float64) if whole else padded, window)
     xx, xy, yy = tensor.split(1, 1)
     both, difference, twice = xx + yy, xx - yy, 2 * xy
     if whole:
@@ -149,7 +170,7 @@ def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
         # Compute the root in float64, since torch's float32 square root is not correctly rounded for all values.
         spread = (difference.square() + twice.square()).double().sqrt().float()
     else:
-        spread = torch.hypot(difference, twice)
+        spread = hypotenuse(difference, twice)
     scale = 1 / (2 * _GRADIENT_SCALE**2 * window * window)
     return (both - spread) * scale, (both + spread) * scale
 
@@ -227,15 +248,27 @@ def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: 
     order = strength.sort(descending=True, stable=True).indices
     order = order[frame[order].sort(stable=True).indices]
     frame, y, x = frame[order], y[order], x[order]
-    spaced = _keep_apart(frame, y, x, (batch, height, width), min_distance)
-    frame, y, x = frame[spaced], y[spaced], x[spaced]
-
-    counts = torch.bincount(frame, minlength=batch)
-    rank = torch.arange(len(frame), device=frame.device) - (counts.cumsum(0) - counts)[frame]
-    within = rank < count
+    (place, total), considered = _ranks(frame, batch), 2 * count
+    while True:  # weaker candidates decide nothing about stronger ones
+        strongest = (place < considered).nonzero()[:, 0]
+        among = frame[strongest], y[strongest], x[strongest]
+        kept = strongest[_keep_apart(*among, (batch, height, width), min_distance)]
+        rank, number = _ranks(frame[kept], batch)
+        if ((number >= count) | (total <= considered)).all():
+            break
+        considered *= 2
+    kept, rank = kept[rank < count], rank[rank < count]
     chosen = frame.new_full((batch, count), -1)
-    chosen[frame[within], rank[within]] = (y * width + x)[within]
+    chosen[frame[kept], rank] = (y * width + x)[kept]
     return chosen
+
+
+def _ranks(frame: Tensor, batch: int) -> tuple[Tensor, Tensor]:
+    """Return for each candidate its number within its frame, and the number of candidates of each frame; candidates are
+    sorted by `frame`.
+    """
+    counts = torch.bincount(frame, minlength=batch)
+    return torch.arange(len(frame), device=frame.device) - (counts.cumsum(0) - counts)[frame], counts
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:

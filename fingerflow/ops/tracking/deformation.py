@@ -15,8 +15,6 @@ E also leaves a residual e'Qe (`Number.BENDING`) in the window, which would coun
 covariance, down to the contribution of the key frame's noise.
 """
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -32,17 +30,6 @@ _TINY = 1e-20
 _BEYOND = limits.INNER_GAUGE**2 / (1 - limits.INNER_GAUGE**2)
 
 
-class Supports(NamedTuple):
-    """Weights of tracked points in the local fits that measure skin deformation, over the whole gauge length (diameter
-    of the fit) and over its inner part.
-
-    None where compiled kernels run, which do not need them.
-    """
-
-    outer: Support | None
-    inner: Support | None
-
-
 def correct_points(
     start: Tensor,
     points: Tensor,
@@ -51,7 +38,7 @@ def correct_points(
     inverse_warp: Tensor,
     window: int,
     gauge_px: float,
-    supports: Supports | None = None,
+    supports: tuple[Support | None, Support | None] | None = None,
 ) -> CorrectedPoints:
     """Correct the positions of points tracked in K frames, and their covariance, for the deformation of the skin in the
     windows of the templates, which is estimated from the points themselves.
@@ -78,7 +65,7 @@ def correct_points(
             for k in range(len(start))
         ]
         return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
-    supports = supports or fit_supports(start, gauge_px)
+    outer_support, inner_support = supports or fit_supports(start, gauge_px)
     # Put components before points, (K, 4, N): ONNX runtimes are slow if the last axis is short.
     identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
     inverse, of = inverse_warp.flatten(2).mT.contiguous().unflatten(1, (2, 2)), numbers.mT.contiguous()
@@ -95,10 +82,10 @@ def correct_points(
         return warp, products(warp.unflatten(1, (2, 2)), inverse).flatten(1, 2) - identity
 
     moved = points - start
-    expected, outer = neighbour_planes(start, moved, gauge_px, supports.outer)
+    expected, outer = neighbour_planes(start, moved, gauge_px, outer_support)
     moved = moved - leaning(warp_and_unknown(outer)[1])
-    gradient, beyond = _extrapolated(start, moved, outer, gauge_px, supports)
-    bulge = _bulge(start, gradient, window, gauge_px, supports.outer)
+    gradient, beyond = _extrapolated(start, moved, outer, gauge_px, inner_support)
+    bulge = _bulge(start, gradient, window, gauge_px, outer_support)
     warp, unknown = warp_and_unknown(gradient)
     off = leaning(beyond.flatten(2).mT)
     return CorrectedPoints(
@@ -110,22 +97,23 @@ def correct_points(
     )
 
 
-def fit_supports(start: Tensor, gauge_px: float) -> Supports:
+def fit_supports(start: Tensor, gauge_px: float) -> tuple[Support | None, Support | None]:
     """Return the weights of points at positions (1 or B, N, 2) px in the local fits around each of them, over the gauge
-    length `gauge_px` (diameter of the fit) and over its inner part.
+    length `gauge_px` (diameter of the fit) and over its inner part; None where compiled kernels run, which do not need
+    them.
     """
-    return Supports(neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px))
+    return neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px)
 
 
 def _extrapolated(
-    start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, supports: Supports
+    start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, support: Support | None
 ) -> tuple[Tensor, Tensor]:
     """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge length of 0 from fits over the whole and the
     inner gauge length, and what the extrapolation adds to the inner gradients.
 
     `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
     """
-    _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, supports.inner)
+    _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, support)
     valid = finite(inner - outer)
     beyond = torch.where(valid, _BEYOND * (inner - outer), 0.0)
     return torch.where(valid, inner, outer) + beyond, beyond

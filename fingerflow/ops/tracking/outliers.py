@@ -1,7 +1,5 @@
 """Detection of tracked points that deviate from their neighbours, or are far more uncertain than their neighbours."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -12,41 +10,17 @@ from fingerflow.ops.tensors import finite
 _LEAST = 1e-30
 
 
-class Neighbours(NamedTuple):
-    """The k nearest neighbours of each of N points, nearest first, with which the outlier test compares the point.
-
-    Attributes:
-        number: (P, k, N) int64, indices of the neighbours.
-        offset: (P, k, N, 2) from the point to the neighbour; 0 where not `within`.
-        within: (P, k, N), 1 where the neighbour has a position no farther away than half the gauge length, else 0.
-    """
-
-    number: Tensor
-    offset: Tensor
-    within: Tensor
-
-
-class Outliers(NamedTuple):
-    """Outlier flags (B, N) bool of tracked points: deviation from the neighbours, and excessive uncertainty.
-
-    Both are False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
-
-    Attributes:
-        off_neighbours: the displacement disagrees with every local plane through its neighbours.
-        uncertain: the standard deviation is far above that of the neighbours.
-    """
-
-    off_neighbours: Tensor
-    uncertain: Tensor
-
-
-def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
-    """Return the nearest neighbours of each point, among the points within half the gauge length, with which the
+def find_neighbours(positions: Tensor, gauge_length: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the k nearest neighbours of each point, among the points within half the gauge length, with which the
     outlier test compares the point.
 
     Args:
         positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
         gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
+
+    Returns:
+        Of the neighbours, nearest first: their indices (P, k, N) int64; their offsets (P, k, N, 2) from the point, 0
+        where one has no position within half the gauge length; and (P, k, N), 1 where it has one, else 0.
 
     Raises:
         ValueError: fewer than 2 points.
@@ -62,10 +36,12 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
     number, within = nearest.indices.mT.contiguous(), nearest.values.mT.contiguous() < torch.inf
     there = positions.gather(1, number.flatten(1)[..., None].expand(-1, -1, 2)).unflatten(1, number.shape[1:])
     offset = (there - positions[:, None]).contiguous()
-    return Neighbours(number, torch.where(within[..., None], offset, 0.0), within.to(positions.dtype))
+    return number, torch.where(within[..., None], offset, 0.0), within.to(positions.dtype)
 
 
-def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Tensor) -> Outliers:
+def find_outliers(
+    neighbours: tuple[Tensor, Tensor, Tensor], displacement: Tensor, position_std: Tensor
+) -> tuple[Tensor, Tensor]:
     """Flag points whose displacement or uncertainty differs greatly from that of their neighbours.
 
     A point i and a neighbour j agree if both lie on one plane of slope G to within their standard deviations. Their
@@ -89,6 +65,11 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
         neighbours: from :func:`find_neighbours`, for P = B, or P = 1 for all frames.
         displacement: (B, N, 2) in the unit of the positions; NaN where it is unknown.
         position_std: (B, N) standard deviation of a component.
+
+    Returns:
+        Flags (B, N) bool, of points that are off their neighbours: the displacement disagrees with every local plane
+        through these; and of uncertain points, whose standard deviation is far above that of the neighbours. Both are
+        False where the displacement or its deviation is unknown, or where fewer than five neighbours are known.
     """
     index, offset, within = neighbours
     # (P, k, N), broadcast over frames. Contiguous: interleaved pairs would not be vectorised.
@@ -123,7 +104,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
         for part in _gather_neighbours(index, 1 / disagreement, 1 / sure)
     )
     judged = valid & (number >= limits.LEAST_NEIGHBOURS)
-    return Outliers(
+    return (
         (judged & (disagreement > limits.MOST_DISAGREEMENT * usual)).squeeze(1),
         (judged & (sure > limits.MOST_UNCERTAINTY * usual_deviation)).squeeze(1),
     )

@@ -26,6 +26,10 @@ class FrameStamp(NamedTuple):
     record: Array
 
 
+#: Stamp of a frame, and its live values by name.
+LiveFrame = tuple[FrameStamp, Mapping[str, float]]
+
+
 class Output(Protocol):
     """Interface of an output, which sends the live values of frames to a receiver; a thread of its own calls it."""
 

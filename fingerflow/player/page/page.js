@@ -1,4 +1,9 @@
 "use strict";
+// The token stands in the address that opens the page; only pages of this very address can read its session storage.
+const token = new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("token") || "";
+sessionStorage.setItem("token", token);
+history.replaceState(null, "", location.pathname);
+const ask = (path, method = "GET") => fetch(path, { method, headers: { "X-Fingerflow": token } });
 const $ = id => document.getElementById(id);
 const TYPES = { uint8: Uint8Array, float32: Float32Array };
 const LEAST_RANGE = 0.001;  // of divergence: below it, noise would be coloured
@@ -258,13 +263,13 @@ function say(state, sentence, behind = "") {
 
 async function refresh() {
   try {
-    shown ||= await (await fetch("shown")).json();
-    const answer = await fetch("live");
+    const answer = await ask("live");
     if (answer.status == 403) {  // another player answers here, whose token this page does not have
       say("closed", "This page belongs to an earlier stream: open the address that the player has printed.");
       return;
     }
     if (!answer.ok) throw new Error(answer.status);
+    shown ||= await (await ask("shown")).json();
     const units = Object.entries(shown).map(([name, one]) => [name, inPercent ? { ...one, ...one.percent } : one]);
     const live = { ...unpack(await answer.arrayBuffer()), shown: Object.fromEntries(units) };
     $("unit").hidden = !live.shown.divergence.percent;
@@ -290,5 +295,5 @@ async function refresh() {
   setTimeout(refresh, 66);
 }
 $("unit").onclick = () => { inPercent = !inPercent; if (over) refresh(); };
-$("restart").onclick = () => fetch("restart", { method: "POST", headers: { "X-Fingerflow": "1" } });
+$("restart").onclick = () => ask("restart", "POST");
 refresh();

@@ -60,7 +60,8 @@ def _open_recorded(path: Path, first: int) -> Source:
         ) from None
     for sentence in recording.warnings:
         log.warning("%s: %s", path, sentence)
-    return RecordedFrames(_recorded(recording, first), recording.close)
+    times = () if recording.times is None else recording.times[first:]
+    return RecordedFrames(_recorded(recording, first), recording.close, times)
 
 
 def _recorded(recording: Recording, first: int) -> Iterator[Array]:

@@ -3,7 +3,7 @@
 import logging
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol
 
 from fingerflow.engines.engine import Array
@@ -19,7 +19,7 @@ class Source(Protocol):
     """
 
     live: bool  # True if frames arrive at the pace of a camera, whether or not a buffer is free
-    stamp: float  # s, time of the last frame by the clock of the camera; NaN if the camera gives none
+    stamp: float  # s, time of the last frame by the clock of the camera or in the recording; NaN if there is none
 
     def read(self) -> Array | None:
         """Return the next frame (H, W); None after the last frame."""
@@ -28,19 +28,23 @@ class Source(Protocol):
         """Close the file or camera."""
 
 
+ENDING = (KeyboardInterrupt, SystemExit)  # what a module of a user may raise outside of the main thread
 OpenSource = Callable[[int], Source]  # function from the number of the next frame to the opened source
 
 
 class RecordedFrames:
     """Source of frames (H, W) that an iterator reads from a file; `close` closes the file."""
 
-    live, stamp = False, math.nan
+    live = False
 
-    def __init__(self, frames: Iterator[Array], close: Callable[[], None] = lambda: None) -> None:
-        self._frames, self.close = frames, close
+    def __init__(
+        self, frames: Iterator[Array], close: Callable[[], None] = lambda: None, times: Iterable[float] = ()
+    ) -> None:
+        self._frames, self.close, self._times, self.stamp = frames, close, iter(times), math.nan
 
     def read(self) -> Array | None:
         """Return the next frame (H, W); None after the last frame."""
+        self.stamp = float(next(self._times, math.nan))
         return next(self._frames, None)
 
 

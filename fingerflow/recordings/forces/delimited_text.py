@@ -9,35 +9,37 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.forces.force_table import ForceTable, split_unit
-from fingerflow.recordings.forces.preamble import find_separator, is_numeric, is_read, split_cells, without_preamble
+from fingerflow.recordings.forces.preamble import without_preamble
+from fingerflow.schema.delimited import decimal_point, find_separator, is_numeric, is_read, split_cells
+from fingerflow.schema.text_file import read_text
+
+_MOST_BYTES = 1 << 30
 
 
 def read_table(path: Path) -> ForceTable:
     """Return all columns of a delimited text file with forces.
 
-    The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
-    separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.
-    Without a heading the columns are column_1, column_2, ...
+    The heading is the first line that is neither a comment nor part of the preamble, or the comment just above the
+    numbers if it has as many cells; a line of units may follow. Its separator is a semicolon, else a tab, else a comma,
+    else blanks; a comma that does not separate is a decimal comma. Cells may be quoted. Without a heading the columns
+    are column_1, column_2, ...
+
+    Raises FingerflowError for numbers that may have thousands marks, and for anything besides numbers, with the line.
     """
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
+    text = read_text(path, "export the forces again", _MOST_BYTES, "latin-1")
     table = ForceTable(path, {})
     text, table.sample_rate, table.start = without_preamble(path, text)
-    lines = (line for line in re.finditer(r"[^\r\n]+", text) if is_read(line.group()))
+    lines = (line for line in re.finditer(r"[^\n]+", text) if is_read(line.group()))
     first = next(lines, None)
     if first is None:
         raise FingerflowError(f"{path}: has no line besides comments")
-    heading = first.group()
-    separator = find_separator(heading)
-    if separator is None:
-        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # removes the blank before a unit, which is not a separator
-    split = split_cells(heading, separator)
+    separator, split = _split(first.group())
     sample: re.Match[str] | None = first
     if is_numeric(split):
+        above = _split(text[: first.start()].rstrip().rpartition("\n")[2].lstrip("#%/ "))[1]
         names = [f"column_{number + 1}" for number in range(len(split))]
+        if len(above) == len(split) and not any(is_numeric([cell]) for cell in above):
+            names, table.units, _ = _heading(path, above, "", separator)
     else:
         sample = next(lines, None)
         names, table.units, has_units = _heading(path, split, "" if sample is None else sample.group(), separator)
@@ -45,7 +47,7 @@ def read_table(path: Path) -> ForceTable:
     if sample is None:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = text[sample.start() :]
-    if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
+    if not body.endswith("\n") and len(body.splitlines()) > 1:
         # Some programs do not end their last line; but the file may also have been cut off within it.
         *complete, last = body.splitlines()
         whole = len(split_cells(last, separator)) == len(names)
@@ -54,29 +56,28 @@ def read_table(path: Path) -> ForceTable:
             f"{path}: the last line has no line break, so its last number may be cut off: the line is "
             f"{'read' if whole else 'incomplete and left out'}. Copy the file again if it was longer"
         )
-    if separator != ",":
-        body = body.replace(",", ".")
+    if re.search(r"^\s*(?:[#%]|//)", body, re.MULTILINE):
+        body = "\n".join(filter(is_read, body.splitlines()))
+    stated = separator
+    if '"' in body:
+        body, separator = "\n".join("\t".join(split_cells(line, separator)) for line in body.splitlines()), "\t"
+    try:
+        body = body if separator == "," else decimal_point(body, stated)
+    except ValueError as error:
+        raise FingerflowError(f"{path}: {error}") from None
     try:
         numbers = _numbers(body, separator, len(names))
-    except ValueError:
-        # Remove comments among the samples. Filtering lines takes as long as reading, so it is done only if reading
-        # fails.
-        try:
-            numbers = _numbers("\n".join(filter(is_read, body.splitlines())), separator, len(names))
-        except ValueError as error:
-            cells = sample.group().rstrip(", ;\t").count(separator or " ") + 1
-            if separator == "," and cells > len(names):
-                raise FingerflowError(
-                    f"{path}: {sample.group().strip()!r} has {cells} cells below {len(names)} names {names}. If the "
-                    "comma is a decimal one, separate the columns by semicolons or tabs; else name every column"
-                ) from None
-            raise FingerflowError(
-                f"{path}: below the heading {split} there is something besides numbers ({first_line(error)}); leave "
-                "numbers and comments only"
-            ) from None
+    except ValueError as error:
+        raise FingerflowError(f"{path}: {_fault(body, separator, names) or first_line(error)}") from None
     for name, column in zip(names, numbers.T, strict=True):
         table.columns[name] = np.ascontiguousarray(column)
     return table
+
+
+def _split(line: str) -> tuple[str | None, list[str]]:
+    """Return the separator of a line and its cells; a blank before a unit does not separate."""
+    separator = find_separator(line)
+    return separator, split_cells(line if separator else re.sub(r"\s+([(\[])", r"\1", line), separator)
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
@@ -84,11 +85,37 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
     line has `columns` numbers.
     """
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
-        body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
+        body = re.sub(rf"{separator}+[ ]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
     if numbers.shape[1] != columns:
         raise ValueError(f"{numbers.shape[1]} cells a line")
     return numbers
+
+
+def _fault(body: str, separator: str | None, names: list[str]) -> str:
+    """Return what in the table is no number, with the line, as the end of a sentence; "" if every cell is a number."""
+    for line in filter(is_read, body.splitlines()):
+        cells = [cell.strip() for cell in line.split(separator)]
+        if len(cells) > len(names) and separator == "," and is_numeric(cells):
+            return (
+                f"{line.strip()!r} has {len(cells)} cells below {len(names)} names {names}. If the comma is a decimal "
+                "one, or a thousands mark, separate the columns by semicolons or tabs; else name every column"
+            )
+        wrong = next((pair for pair in zip(names, cells, strict=False) if not is_numeric(pair[1:])), None)
+        if len(cells) < len(names) or any(cells[len(names) :]):
+            return f"{line.strip()!r} has {len(cells)} cells, the heading {len(names)}; remove what is no sample"
+        if wrong is not None:
+            name, cell = wrong
+            if re.search(r"\d[:/-]\d", cell):
+                return (
+                    f"column {name!r} has {cell!r}, a date or time of day; export the time in seconds, or leave the "
+                    "column out and give the sample_rate"
+                )
+            return (
+                f"column {name!r} is {repr(cell) + ', no number,' if cell else 'empty'} in {line.strip()!r}; write nan "
+                "there, or leave the column or the line out"
+            )
+    return ""
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 class ForceTable:
     """Table of all columns of a force file with the values as stored, before force channels are selected and converted.
 
-    `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `warnings`:
-    sentences for the user.
+    `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `clocks`:
+    (sample interval, time of the first sample), s, of columns that state their own; `warnings`: sentences for the user.
     """
 
     path: Path
@@ -21,6 +21,7 @@ class ForceTable:
     units: dict[str, str] = field(default_factory=dict)
     sample_rate: float | None = None
     start: float = 0.0
+    clocks: dict[str, tuple[float, float]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64], unit: object = None) -> None:

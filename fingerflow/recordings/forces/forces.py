@@ -13,6 +13,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.low_pass import low_pass
 
 Samples = NDArray[np.float64]
+_LEAST_SAMPLES = 4  # within the frames, from which their forces can be interpolated at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,13 @@ class Forces:
                 f"{self.path}: frame times are one finite number a frame, in s; an array {targets.shape} was given"
             )
         self._check_overlap(targets)
+        within = int(np.sum((self.times >= targets.min()) & (self.times <= targets.max())))
+        if within < _LEAST_SAMPLES < targets.size:
+            raise FingerflowError(
+                f"{self.path}: only {within} samples of the forces, which last {np.ptp(self.times):g} s, lie within "
+                f"the {targets.size} frames of {np.ptp(targets):g} s: is the unit of the times right? Write it in the "
+                "heading, 'time (ms)', or give the sample_rate"
+            )
         # Samples that are not finite count as missing; channels that lack the same samples are filtered together.
         lacking: dict[bytes, list[str]] = {}
         for name, values in self.channels.items():

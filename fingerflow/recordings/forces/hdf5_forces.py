@@ -11,7 +11,7 @@ from fingerflow.recordings.guard.file_checks import reading
 
 
 def read_table(path: Path) -> ForceTable:
-    """Return all numeric vectors of an HDF5 file as columns, each named by the path in the file.
+    """Return all numeric vectors and columns of tables in an HDF5 file as columns, each named by the path in the file.
 
     `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
     """
@@ -22,6 +22,11 @@ def read_table(path: Path) -> ForceTable:
         def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
             if (rate := number_attribute(item, "sample_rate", path)) is not None:
                 rates.add(rate)
+            if isinstance(item, h5py.Dataset) and item.ndim == 1 and item.dtype.names:
+                rows = read_whole(item, path)
+                for field in item.dtype.names:
+                    if item.dtype[field].kind in "iuf":
+                        table.add(f"{name}/{field}", rows[field])
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
                 unit = item.attrs.get("units", item.attrs.get("unit"))
                 table.add(name, read_whole(item, path), unit.decode("latin-1") if isinstance(unit, bytes) else unit)

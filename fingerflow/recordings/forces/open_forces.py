@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.force_table import ForceTable
 from fingerflow.recordings.forces.forces import Forces
-from fingerflow.recordings.guard.file_checks import check_file, reading
+from fingerflow.recordings.guard.file_checks import reading
+from fingerflow.schema.text_file import check_file
 
 READER_OF = {
     ".csv": "delimited_text",
@@ -31,7 +32,7 @@ TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e
 TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # with standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
-TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
+TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 SAME_RATE = 0.01  # relative difference up to which two rates count as equal
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
@@ -76,6 +77,7 @@ def open_forces(
         selected[trigger] = trigger
     if not selected:
         raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
+    _use_clock(table, list(selected.values()), time_column)
     if time_column is None:  # times follow from the sample rate and the number of samples
         count = len(table.columns[next(iter(selected.values()))])
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
@@ -129,6 +131,35 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
             f"{table.path}: states {stated:g} Hz, and its times {time!r} are {measured:g} Hz apart; the times count"
         )
     return times, time
+
+
+def _use_clock(table: ForceTable, columns: list[str], time_column: str | None) -> None:
+    """Set rate and start of a table to those of the selected columns; raise FingerflowError if these have different
+    clocks, or other times in their group of the file than the selected ones.
+    """
+    clocks = {column: table.clocks[column] for column in columns if column in table.clocks}
+    steps, starts = zip(*clocks.values() or [(1.0, 0.0)], strict=True)
+    if max(np.ptp(steps), np.ptp(starts)) > SAME_RATE * min(steps):
+        listed = ", ".join(f"{name!r} every {step:g} s from {start:g} s" for name, (step, start) in clocks.items())
+        raise FingerflowError(
+            f"{table.path}: its channels run on different clocks ({listed}); export them with one clock, or leave out "
+            "those of another"
+        )
+    if clocks:
+        table.sample_rate, table.start = 1.0 / steps[0], starts[0]
+    if time_column is None:
+        return
+    for name in filter(_is_time, table.columns):
+        beside = [column for column in columns if _group(column) == _group(name) != _group(time_column)]
+        if beside and not np.array_equal(table.columns[name], table.columns[time_column]):
+            raise FingerflowError(
+                f"{table.path}: {beside[0]!r} has times of its own, {name!r}, which differ from {time_column!r}; "
+                "export both with the same times"
+            )
+
+
+def _group(column: str) -> str:
+    return re.sub(r"[^./]*$", "", column)
 
 
 def _check_sample_rate(table: ForceTable, sample_rate: float) -> None:

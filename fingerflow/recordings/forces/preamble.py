@@ -1,11 +1,11 @@
 """Removal of preambles before the table in a text file, such as the header of a LabVIEW measurement file."""
 
 import re
-from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
+from fingerflow.schema.delimited import find_separator, is_numeric, is_read, split_cells
 
 _END_OF_HEADER = "***End_of_Header***"
 _LOOKED_AT = 400  # number of lines within which the table must begin
@@ -67,39 +67,17 @@ def _read_labview(path: Path, text: str) -> tuple[str, float | None, float]:
 
     body = body.partition("\n")[2].lstrip("\r\n")
     body = re.sub(r"[\t,;]Comment[ \t]*(?=\r?\n)", "", body, count=1)
+    for key in ("X0", "Delta_X"):
+        if len(set(stated.get(key, ()))) > 1:
+            raise FingerflowError(
+                f"{path}: its channels run on different clocks ({key} is {', '.join(stated[key])}); write those that "
+                "belong together to one file"
+            )
     step, start = number("Delta_X"), number("X0") or 0.0
-    if stated.get("X_Columns", ["One"])[0] == "No":
+    columns = stated.get("X_Columns", ["One"])[0]
+    if columns == "Multi":
+        raise FingerflowError(f"{path}: each channel has its own times (X_Columns Multi); write one X column")
+    if columns == "No":
         body = re.sub(r"^(?:X_Value)?[\t,;]", "", body, flags=re.MULTILINE)
         return body, None if not step else 1 / step, start
     return re.sub(r"^X_Value", "time", body, count=1), None, 0.0
-
-
-def is_read(line: str) -> bool:
-    """Return whether a line of text is a heading or data, that is, neither blank nor a comment."""
-    begun = line.lstrip()
-    return bool(begun) and not begun.startswith(("#", "%", "//"))
-
-
-def find_separator(line: str) -> str | None:
-    """Return the separator between the cells of a line: comma, semicolon or tab, or None if blanks separate them."""
-    if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
-        return "\t" if "\t" in line else None
-    return next((mark for mark in (";", "\t", ",") if mark in line), None)
-
-
-def split_cells(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a line, stripped of blanks and quotes; empty cells at the end of the line are dropped."""
-    cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
-
-
-def is_numeric(cells: Sequence[str]) -> bool:
-    """Return whether all non-empty cells of a line are numbers; False if all cells are empty."""
-    try:
-        for cell in filter(None, cells):
-            float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return any(cells)

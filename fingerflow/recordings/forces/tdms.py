@@ -15,8 +15,7 @@ from fingerflow.recordings.guard.file_checks import reading
 def read_table(path: Path) -> ForceTable:
     """Return the columns of a TDMS file, named by channel, or by group/channel if two channels have one name.
 
-    The rate is 1 / `wf_increment`, the first sample is at `wf_start_offset`. Raises FingerflowError for channels with
-    different clocks.
+    The rate is 1 / `wf_increment`; the first sample is at `wf_start_offset` after the channel's `wf_start_time`.
     """
     try:
         from nptdms import TdmsFile
@@ -27,28 +26,20 @@ def read_table(path: Path) -> ForceTable:
     check_in_child_process(path, "TDMS")
     # Open the file without reading the data: the stated sizes are compared with the file's size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
-        table, clocks = _columns(path, file)
+        table = _columns(path, file)
         if file.file_status.incomplete_final_segment:
             table.warnings.append(f"{path}: its last segment is incomplete; the samples in it are read")
-    if len(clocks) > 1:
-        steps = ", ".join(f"{step:g} s from {start:g} s" for step, start in sorted(clocks))
-        raise FingerflowError(
-            f"{path}: its channels run on different clocks ({steps}); export those that belong together"
-        )
-    if clocks:
-        increment, table.start = clocks.pop()
-        table.sample_rate = 1.0 / increment
     return table
 
 
-def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
-    """Return a table of all numeric channels in an open TDMS file, and the set of their clocks: (sample interval, time
-    of the first sample) in s.
+def _columns(path: Path, file: Any) -> ForceTable:
+    """Return a table of all numeric channels in an open TDMS file with their clocks, which begin at the earliest
+    `wf_start_time`.
     """
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
     table = ForceTable(path, {})
-    clocks: set[tuple[float, float]] = set()
+    waves: dict[str, Any] = {}
     size = path.stat().st_size
     for channel in channels:
         if len(channel) < 2 or channel.dtype is None or np.dtype(channel.dtype).kind not in "iuf":
@@ -65,6 +56,14 @@ def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]
         unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or None
         table.add(name, values, {"Newtons": "N", "Volts": "V"}.get(str(unit), unit))
         if channel.properties.get("wf_increment"):
-            clock = channel.properties["wf_increment"], channel.properties.get("wf_start_offset", 0.0)
-            clocks.add((float(clock[0]), float(clock[1])))
-    return table, clocks
+            waves[name] = channel.properties
+    begins = {name: np.datetime64(wave["wf_start_time"]) for name, wave in waves.items() if "wf_start_time" in wave}
+    for name, wave in waves.items():
+        late = (begins[name] - min(begins.values())) / np.timedelta64(1, "s") if name in begins else 0.0
+        table.clocks[name] = float(wave["wf_increment"]), float(wave.get("wf_start_offset", 0.0)) + late
+    if 0 < len(begins) < len(waves):
+        lacking = ", ".join(name for name in waves if name not in begins)
+        table.warnings.append(f"{path}: {lacking} state no start time, and are taken to begin with the first channel")
+    if table.clocks:
+        table.sample_rate = 1.0 / next(iter(table.clocks.values()))[0]
+    return table

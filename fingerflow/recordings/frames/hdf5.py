@@ -10,11 +10,13 @@ import h5py
 import numpy as np
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.open_forces import SAME_RATE, TO_SECONDS
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5
+from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often holds several frames and should be unpacked only once
+_TIMES = ("time", "times", "timestamp", "timestamps", "t")  # names of data sets, without "frame" and underscores
 NEVER_WRITTEN = "was never written"
 
 
@@ -50,12 +52,13 @@ def _frame(frames: h5py.Dataset, index: int) -> Frames:
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
     frames = _chosen(path, file, dataset)
     check_stored_size(frames, path)
-    rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
+    stated, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
     dtype = grey_dtype(frames.dtype, path)
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
     lacking = _incomplete_frames(path, frames)
     count = len(lacking) - int(np.argmin(lacking[::-1]))  # number of frames up to the last complete one
+    stamps, rate, warnings = _time_stamps(path, frames, stated)
     description = Description(
         path=path,
         count=count,
@@ -64,10 +67,39 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
         dtype=dtype,
         bit_depth=None if depth is None else int(depth),
         frame_rate=rate,
+        time_stamps=None if stamps is None else stamps[:count],
+        warnings=warnings,
         metadata={"dataset": frames.name},
         unreadable={int(index): NEVER_WRITTEN for index in np.flatnonzero(lacking[:count])},
     )
     return description, frames
+
+
+def _time_stamps(path: Path, frames: h5py.Dataset, rate: float | None) -> tuple[Any, float | None, tuple[str, ...]]:
+    """Return times (N,) s of frames from the data set beside them that holds one time a frame, or None if these are
+    evenly spaced or there are none; the frame rate; and warnings.
+    """
+    for name in frames.parent:
+        item = frames.parent.get(name) if name.lower().replace("_", "").removeprefix("frame") in _TIMES else None
+        if not isinstance(item, h5py.Dataset) or item.shape != frames.shape[:1]:
+            continue
+        if item.dtype.kind not in "iuf" or len(item) < 2:
+            continue
+        unit = item.attrs.get("units", item.attrs.get("unit", ""))
+        seconds = TO_SECONDS.get(unit.decode("latin-1") if isinstance(unit, bytes) else str(unit))
+        values = read_whole(item, path).astype(np.float64 if item.dtype.kind == "f" else np.int64)
+        stamps = (values - values[0]) * (seconds or 1.0)
+        steps = np.diff(stamps)
+        if not (np.isfinite(stamps).all() and np.all(steps > 0)):
+            return None, rate, (f"the times of frames in {item.name} do not increase, and are not used",)
+        measured = 1.0 / float(np.median(steps))
+        if seconds is None and not (rate and abs(measured / rate - 1) <= SAME_RATE):
+            unused = f"the times of frames in {item.name} are not used, as their attribute units states none of"
+            return None, rate, (f"{unused} {', '.join(TO_SECONDS)}",)
+        even = np.max(np.abs(stamps * measured - np.arange(len(stamps)))) <= SAME_RATE
+        warning = f"the file states {rate} Hz, and the times in {item.name} are {measured:g} Hz apart; the times count"
+        return None if even else stamps, measured, (warning,) * bool(rate and abs(measured / rate - 1) > SAME_RATE)
+    return None, rate, ()
 
 
 def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:

@@ -3,6 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from decimal import Decimal
 from functools import partial
 from pathlib import Path
 
@@ -13,8 +14,15 @@ from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import DamagedFrame, Description, FileRecording, Frames
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.recordings.guard.claimed_sizes import impossible_picture
-from fingerflow.recordings.guard.file_checks import check_file
+from fingerflow.schema.text_file import check_file
 
+_EXIF_BYTES = 1 << 17  # at the begin of a file, where its EXIF data lie
+# Tag Orientation (274) of TIFF and EXIF, a number of 16 bits, in either byte order.
+_ORIENTATION = re.compile(
+    rb"(?s)(?:Exif\0\0|eXIf|\A)(?:II\*\0.*?\x12\x01\x03\0\x01\0\0\0(.)|MM\0\*.*?\x01\x12\0\x03\0\0\0\x01\0(.))"
+)
+# A number in a name: a sign, unless behind a digit, decimals and an exponent, each if there is one.
+_NUMBER = re.compile(r"((?<!\d)[-+]?\d+(?:\.\d+)?(?:[eE][-+]\d+)?)")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")
 
@@ -35,6 +43,8 @@ def open_frames(path: Path) -> FileRecording:
         files, warnings = _sort_files(path)
     there = [file for file in files if file is not None]
     first = _read_image(there[0])
+    with there[0].open("rb") as opened:
+        turned = _ORIENTATION.search(opened.read(_EXIF_BYTES))
     description = Description(
         path=path,
         count=len(files),
@@ -43,6 +53,7 @@ def open_frames(path: Path) -> FileRecording:
         lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
         warnings=warnings,
         unreadable={index: "has no file" for index, file in enumerate(files) if file is None},
+        orientation="1" if turned is None else str((turned[1] or turned[2])[0]),
         metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
     return FileRecording(description, partial(_read_numbered, files, description))
@@ -110,44 +121,75 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
 
 def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     """Return the image files of a folder ordered by number, with None for missing numbers, and a list of warnings."""
-    files = _list_images(folder)
-    numbers = _numbers([file.name for file in files])
+    files, numbers = _numbered(list_images(folder))
     if len(numbers) < 2:
         return list(files), ()
-    steps = np.diff(numbers)
+    whole = all(number == int(number) for number in numbers)
+    warnings: tuple[str, ...] = ()
+    if not whole:
+        warnings = (
+            f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "
+            "they are not used; give the frame rate in recording.frame_rate",
+        )
+    finest = Decimal(1).scaleb(min(int(number.normalize().as_tuple().exponent) for number in numbers))
+    counts = [int(number / finest) if not whole else int(number) for number in numbers]
+    steps = np.diff(counts)
     if not steps.all():
         same = int(np.argmin(steps))
         raise FingerflowError(
             f"{folder}: {files[same].name} and {files[same + 1].name} have the same number; leave one of them in it"
         )
     step = int(steps.min())
-    missing = (numbers[-1] - numbers[0]) // step + 1 - len(numbers)
+    missing = (counts[-1] - counts[0]) // step + 1 - len(counts)
     uneven = bool((steps % step).any())
     if not (missing or uneven):
-        return list(files), ()
+        return list(files), warnings
     gap = int(np.argmax(steps > step))
     where = f"the first between {files[gap].name} and {files[gap + 1].name}"
     if uneven or missing > len(files):
-        return list(files), (f"the numbers of the images have gaps, {where}; they are read as consecutive frames",)
+        gaps = f"the numbers of the images have gaps, {where}; they are read as consecutive frames"
+        return list(files), (gaps, *warnings)
     placed: list[Path | None] = [None] * (len(files) + missing)
-    for number, file in zip(numbers, files, strict=True):
-        placed[(number - numbers[0]) // step] = file
-    return placed, (f"{missing} of {len(placed)} images are missing by their numbers, {where}: no frames there",)
+    for count, file in zip(counts, files, strict=True):
+        placed[(count - counts[0]) // step] = file
+    lacking = f"{missing} of {len(placed)} images are missing by their numbers, {where}: no frames there"
+    return placed, (lacking, *warnings)
 
 
-def _numbers(names: list[str]) -> list[int]:
-    """Return the frame number in each file name, if the names differ in one number only; otherwise an empty list."""
-    parts = [re.split(r"(\d+)", name) for name in names]
-    if len({(len(part), tuple(part[::2])) for part in parts}) > 1:
-        return []
-    varying = [position for position in range(1, len(parts[0]), 2) if len({int(part[position]) for part in parts}) > 1]
-    if len(varying) > 1 or (not varying and len(names) < 2):
-        return []
-    position = varying[0] if varying else len(parts[0]) - 2
-    return [int(part[position]) for part in parts] if position > 0 else []
+def _numbered(files: list[Path]) -> tuple[list[Path], list[Decimal]]:
+    """Return image files in the order of the numbers in their names, and the number of each if the names differ in one
+    number only; otherwise an empty list.
+    """
+    parts = [_NUMBER.split(file.stem) for file in files]
+    if len({tuple(part[::2]) for part in parts}) > 1:
+        return sorted(files, key=_natural), []
+    names = parts[0][::2]
+    columns = [_values(text, [part[2 * at + 1] for part in parts]) for at, text in enumerate(names[:-1])]
+    order = sorted(range(len(files)), key=lambda index: [column[index] for column in columns])
+    varying = [column for column in columns if len(set(column)) > 1]
+    if len(varying) > 1 or not columns:
+        return [files[index] for index in order], []
+    column = varying[0] if varying else columns[-1]
+    return [files[index] for index in order], [column[index] for index in order]
 
 
-def _list_images(folder: Path) -> list[Path]:
+def _values(before: str, numbers: list[str]) -> list[Decimal]:
+    """Return the values of the numbers at one position of all names, which follow the text `before`.
+
+    A hyphen behind a letter separates ("img-3") if all names have it; otherwise it is the sign of numbers before a
+    trigger. A point behind a constant number but 0 separates ("cam1.9", "cam1.10") before what may be a counter.
+    """
+    if before[-1:].isalpha() and all(number.startswith("-") for number in numbers):
+        numbers = [number[1:] for number in numbers]
+    wholes, _, digits = zip(*(number.partition(".") for number in numbers), strict=True)
+    counted = all(digit.isdecimal() and digit[0] != "0" for digit in digits) and wholes[0].strip("+-0")
+    if counted and len(set(wholes)) == 1 and len(set(map(len, digits))) > 1:
+        return [Decimal(digit) for digit in digits]
+    return [Decimal(number) for number in numbers]
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Return the images in a folder, without hidden files; raise FingerflowError unless it has images of one format."""
     kinds: dict[str, list[Path]] = defaultdict(list)
     try:
         for file in folder.iterdir():
@@ -161,7 +203,7 @@ def _list_images(folder: Path) -> list[Path]:
         counts = ", ".join(f"{len(files)} {suffix}" for suffix, files in sorted(kinds.items()))
         raise FingerflowError(f"{folder}: has images of several kinds ({counts}); leave only the frames in it")
     (files,) = kinds.values()
-    return sorted(files, key=_natural)
+    return files
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:

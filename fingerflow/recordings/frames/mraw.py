@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, surplus
-from fingerflow.recordings.guard.file_checks import check_file
+from fingerflow.schema.text_file import check_file
 
 HEADERS = (".cihx", ".cih")
 MOST_HEADER_BYTES = 1 << 24  # headers of cameras have 10 kB, or 1 MB with a preview image

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import FileRecording, Recording, possible_rate
-from fingerflow.recordings.guard.file_checks import check_file, reading
+from fingerflow.recordings.guard.file_checks import reading
+from fingerflow.schema.text_file import check_file
 
 # File suffixes by reader. Readers are imported on first use, as video and HDF5 libraries take a second to load.
 READERS = {

@@ -24,6 +24,9 @@ EACH_FRAME_BY_ITSELF = frozenset(
 _PLAYBACK_HZ = 60.0  # Hz, highest stated rate that may be that of playback instead of recording
 _SAME_RATE = 0.01
 
+#: Types of pixels, in either byte order, that readers admit: those of the kernels, and float64, which is rounded.
+PIXEL_TYPES = ("uint8", "uint16", "float32", "float64")
+
 Frames = NDArray[Any]
 
 
@@ -34,7 +37,7 @@ class Description:
     `count`: complete frames in the file; `stated_count`: frames that it should have, if these are more. `bit_depth`:
     None if the file states none. `first_number`: number of the first frame, counted from the trigger, or 0 if the file
     states no trigger. `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `unreadable`:
-    frames known to be damaged, by number, and the reason.
+    frames known to be damaged, by number, and the reason. `orientation`: as the file states it, "1" for none.
     """
 
     path: Path
@@ -51,6 +54,7 @@ class Description:
     has_trigger: bool = False
     lossy: str | None = None
     unreadable: Mapping[int, str] = field(default_factory=dict)
+    orientation: str = "1"
 
 
 class DamagedFrame(FingerflowError):
@@ -207,6 +211,11 @@ class FileRecording(Recording):
         if missing > 0:
             cut = f"truncated: {missing} of {description.stated_count} frames are missing at the end of the file"
             self.warnings = (cut, *self.warnings)
+        if description.orientation != "1":
+            self.warnings += (
+                f"the file states an orientation ({description.orientation}), by which viewers turn or mirror the "
+                "picture; frames are read as stored: check that views and calibration are of them",
+            )
         if description.lossy is not None:
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
@@ -354,13 +363,13 @@ def possible_rate(rate: float) -> bool:
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
     """Return a data type unchanged, after checking that it can hold grey values.
 
-    Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
+    Raises FingerflowError for types that the kernels do not take, among them signed integers, logical and complex
+    values, for which the meaning of zero is ambiguous.
     """
-    if dtype.kind == "f" or (dtype.kind == "u" and dtype.itemsize <= 4):
+    if dtype.name in PIXEL_TYPES:
         return dtype
     raise FingerflowError(
-        f"{path}: pixels are {dtype}, but frames are unsigned integers of 8 to 32 bits or floating point. "
-        "Save them as uint8, uint16 or float32."
+        f"{path}: pixels are {dtype}, but frames are {', '.join(PIXEL_TYPES)}. Save them as uint8, uint16 or float32."
     )
 
 

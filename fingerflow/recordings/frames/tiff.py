@@ -152,9 +152,10 @@ def _describe(
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
     stored = sum(page.databytecounts)
     warnings = list(surplus(min((at for at in headers if at >= end), default=size) - end, max(stored, 1), count))
-    if page.compression == tifffile.COMPRESSION.NONE and not page.is_tiled and stored != frame_bytes:
+    expected = height * -(-width * int(page.bitspersample) // 8)  # packed rows end with a whole byte
+    if page.compression == tifffile.COMPRESSION.NONE and not page.is_tiled and stored != expected:
         warnings.append(
-            f"a frame of {height} x {width} {dtype} has {frame_bytes} bytes, and the file states {stored}: its header "
+            f"a frame of {height} x {width} {dtype} has {expected} bytes, and the file states {stored}: its header "
             "is damaged, or not of these pixels"
         )
     if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
@@ -174,6 +175,7 @@ def _describe(
             frame_rate=_rate(imagej),
             lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
             unreadable=damaged,
+            orientation=str(page.tags.valueof("Orientation", 1)),
             warnings=tuple(warnings),
             metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
         ),

@@ -58,15 +58,22 @@ def open_frames(path: Path) -> VideoRecording:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = []
     # MKV states no number of frames, only the duration in ticks and the number of bytes.
-    lasting = container_seconds * float(rate or 0)
-    if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
-        promised = round(lasting)
+    lasting, spacing = container_seconds * float(rate or 0), float(tick) * float(rate or 0)
+    span = index.count if index.stamps is None else float(index.stamps[-1] - index.stamps[0]) * spacing + 1
+    if not promised and lasting - span > 0.5 + spacing:
+        promised = index.count + round(lasting - span)
     elif not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
         warnings.append(
             f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
             "its colour is dropped"
+        )
+    interlaced, orientation = _first_picture(path)
+    if interlaced:
+        warnings.append(
+            "the video is interlaced: odd and even rows of a frame are half a frame apart, so moving skin is torn; "
+            "record progressive frames"
         )
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
@@ -89,6 +96,7 @@ def open_frames(path: Path) -> VideoRecording:
         warnings=tuple(warnings),
         lossy=lossy,
         unreadable=index.damaged,
+        orientation=orientation,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
     return VideoRecording(description, pixels, index)
@@ -286,6 +294,18 @@ def _reported_errors() -> Iterator[list[str]]:
 def _open(path: Path) -> Any:
     with reading(path, "video"):
         return av.open(str(path), metadata_errors="replace")
+
+
+def _first_picture(path: Path) -> tuple[bool, str]:
+    """Return whether the first picture of a video is interlaced, and the orientation that it states, "1" for none."""
+    try:
+        with _open(path) as container:
+            picture = next(container.decode(video=0))
+    except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
+        return False, "1"  # reported as an unreadable frame
+    matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
+    upright = not matrices or np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1))
+    return picture.interlaced_frame, "1" if upright else "display matrix"
 
 
 def _has_checksums(path: Path) -> bool:

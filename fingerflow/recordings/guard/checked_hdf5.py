@@ -10,7 +10,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.guard.child_process import check_in_child_process
-from fingerflow.recordings.guard.file_checks import check_file, plausible_size, reading
+from fingerflow.recordings.guard.file_checks import plausible_size, reading
+from fingerflow.schema.text_file import check_file
 
 KIND = "HDF5"
 

@@ -1,7 +1,7 @@
 """Conversion of a result to tables with named columns."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,22 +11,18 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
 
-
-class Table(NamedTuple):
-    """Table of R rows and C columns: names (C,) of the columns with shown units, and values as rows (R, C)."""
-
-    names: tuple[str, ...]
-    rows: NDArray[np.float64]
+#: Columns (R,) of a table of R rows, by their names with shown units.
+Table = dict[str, NDArray[Any]]
 
 
 def frame_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     """Return a table with one row per frame: frame number, time, and the variables that have one value or vector per
     frame.
     """
-    columns = {"frame": result["frame"].values, **_component_columns(result["time"])}
+    columns: Table = {"frame": result["frame"].values, **_component_columns(result["time"])}
     for values in _select(result, variables, ("frame",)):
         columns |= _component_columns(values)
-    return Table(tuple(columns), np.column_stack(list(columns.values())))
+    return columns
 
 
 def point_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
@@ -36,13 +32,13 @@ def point_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     A variable of points alone, such as the onset, is repeated in every frame.
     """
     frames, points = _sizes(result)
-    columns: dict[str, NDArray[np.generic]] = {"frame": np.repeat(result["frame"].values, points)}
+    columns: Table = {"frame": np.repeat(result["frame"].values, points)}
     columns |= {name: np.repeat(column, points) for name, column in _component_columns(result["time"]).items()}
     columns["point"] = np.tile(np.arange(points), frames)
     for values in _select(result, variables, ("frame", "point"), ("point",)):
         for name, column in _component_columns(values).items():
             columns[name] = column.reshape(-1) if values.dims[0] == "frame" else np.tile(column, frames)
-    return Table(tuple(columns), np.column_stack(list(columns.values())))
+    return columns
 
 
 def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
@@ -55,7 +51,7 @@ def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
         raise FingerflowError("the result has no position_px, of which tracks are; compute it, or the rows of frames")
     frames, points = _sizes(result)
     position = result["position_px"].values.transpose(1, 0, 2).reshape(-1, 2)
-    columns: dict[str, NDArray[np.generic]] = {
+    columns: Table = {
         "track_id": np.repeat(np.arange(points), frames),
         "t": np.tile(result["frame"].values, points),
         "y": position[:, 1],
@@ -64,8 +60,8 @@ def track_table(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
     named = _select(result, variables, ("frame", "point")) if variables else ()
     for values in named:
         columns |= {name: column.T.reshape(-1) for name, column in _component_columns(values).items()}
-    rows = np.column_stack(list(columns.values()))
-    return Table(tuple(columns), rows[np.isfinite(position).all(1)])
+    tracked = np.isfinite(position).all(1)
+    return {name: column[tracked] for name, column in columns.items()}
 
 
 def _sizes(result: xr.Dataset) -> tuple[int, int]:
@@ -96,7 +92,7 @@ def _select(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[st
             )
 
 
-def _component_columns(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
+def _component_columns(values: xr.DataArray) -> Table:
     """Return the values of a variable, in the unit in which tables show it, as a mapping from column name to values,
     with one column per component.
     """

@@ -51,14 +51,9 @@ class Maps(NamedTuple):
         frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
         coordinates = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
         named = [f"_{component}" for component in self.components] or [""]
-        names = (
-            "frame",
-            "time (s)",
-            "x (mm)",
-            "y (mm)",
-            *(self.unit.heading(f"{self.name}{component}") for component in named),
-        )
-        return Table(names, np.column_stack([*coordinates, *(self.values[frame, :, row, column].T)]))
+        headings = (self.unit.heading(f"{self.name}{component}") for component in named)
+        columns = *coordinates, *self.values[frame, :, row, column].T
+        return dict(zip(("frame", "time (s)", "x (mm)", "y (mm)", *headings), columns, strict=True))
 
 
 def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> Maps:

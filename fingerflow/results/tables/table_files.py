@@ -105,8 +105,8 @@ def is_table(path: Path) -> bool:
 
 
 def _write_csv(part: Path, table: Table) -> None:
-    heading = ",".join(table.names)
-    np.savetxt(part, table.rows, delimiter=",", fmt="%.9g", header=heading, comments="", encoding="utf-8")
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=",".join(table), comments="", encoding="utf-8")
 
 
 def _write_tiff(part: Path, maps: Maps) -> None:

@@ -1,5 +1,5 @@
 // Scale and transform from pictures of a ring and of a target, and the picture of what was found in them.
-import { say } from "./net.js";
+import { pictureUrl, say } from "./net.js";
 import { browseButton } from "./browser.js";
 import { digits, make } from "./elements.js";
 
@@ -41,8 +41,9 @@ export class CalibrationCard {
     } finally { this.button.disabled = false; }
   }
   // Whether the calibration of the scene has a picture.
-  show(there) {
+  async show(there) {
     this.link.hidden = !there;
-    if (there && !this.image.src) this.link.href = this.image.src = `api/calibration.png?${Date.now()}`;
+    if (!there || this.image.src) return;
+    try { this.link.href = this.image.src = await pictureUrl("api/calibration.png"); } catch (error) { say(error.message); }
   }
 }

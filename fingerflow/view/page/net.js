@@ -1,5 +1,10 @@
 // What is asked of the server: JSON, and answers of JSON with arrays (see packing.py).
 const TYPES = { uint8: Uint8Array, int32: Int32Array, float32: Float32Array, float64: Float64Array };
+// The token stands in the address that opens the page; only pages of this very address can read its session storage.
+const token = new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("token") || "";
+sessionStorage.setItem("token", token);
+history.replaceState(null, "", location.pathname);
+const headers = { "Content-Type": "application/json", "X-Fingerflow": token };
 const box = document.getElementById("error");
 
 export function say(text) {
@@ -19,11 +24,12 @@ async function answered(answer) {
   throw Object.assign(new Error(said.error || "refused"), { asks: said.asks, refused: true });
 }
 
-export const get = async path => (await answered(await fetch(path))).json();
-export const arrays = async path => unpacked(await (await answered(await fetch(path))).arrayBuffer());
+const got = async path => answered(await fetch(path, { headers }));
+export const get = async path => (await got(path)).json();
+export const arrays = async path => unpacked(await (await got(path)).arrayBuffer());
+export const pictureUrl = async path => URL.createObjectURL(await (await got(path)).blob());
 
 async function sent(path, content) {
-  const headers = { "Content-Type": "application/json", "X-Fingerflow": "1" };
   return answered(await fetch(path, { method: "POST", headers, body: JSON.stringify(content) }));
 }
 

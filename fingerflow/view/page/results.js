@@ -278,9 +278,9 @@ export class ResultsView {
       const state = await post("api/report", {});
       $("report").disabled = true;
       $("report-link").replaceChildren();
-      const { failed, to } = await follow("report", state, $("report-progress"));
+      const { failed, to, page } = await follow("report", state, $("report-progress"));
       $("report").disabled = false;
-      if (!failed) $("report-link").replaceChildren(make("a", { href: "report.html", target: "_blank", rel: "noopener", title: to }, "Open the report"));
+      if (!failed) $("report-link").replaceChildren(make("a", { href: page, target: "_blank", rel: "noopener", title: to }, "Open the report"));
     } catch (error) { say(error.message); }
   }
   // Curves.

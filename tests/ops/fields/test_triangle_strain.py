@@ -35,6 +35,24 @@ def test_strain_density_and_energy_are_those_of_each_triangle(measure: str) -> N
     assert (found.strain_std.nan_to_num(0.0) == 0).all()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("left_out", ["triangles", "contact", "displacements", "areas"])
+def test_the_energy_of_nothing_is_not_a_number(left_out: str, dtype: torch.dtype) -> None:
+    points, displacement, triangles = POINTS.to(dtype), moved(2).to(dtype), TRIANGLES
+    in_contact = torch.ones(2, 5, dtype=torch.bool)
+    if left_out == "triangles":
+        triangles, in_contact = TRIANGLES[:0], in_contact[:, :0]
+    elif left_out == "contact":
+        in_contact = ~in_contact
+    elif left_out == "displacements":
+        displacement = torch.full_like(displacement, torch.nan)
+    else:
+        points = points * torch.tensor([1, 0], dtype=dtype)
+    result = triangle_strain(points, triangles, displacement, torch.zeros(2, 7, 2, 2, dtype=dtype), in_contact)
+    assert result.energy.isnan().all()
+    assert result.energy_std.isnan().all()
+
+
 @pytest.mark.parametrize("together", [0.0, 0.6])
 def test_deviations_are_those_of_many_copies(together: float) -> None:
     """The stated deviations agree to 2 % with the scatter of 20,000 copies, whose errors are small and partly common to

@@ -199,6 +199,7 @@ def small(folder: Path, **settings: Any) -> Path:
     return write_small_slip(folder, **({"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3} | settings))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("displacement", ["points", pytest.param("dense_flow", marks=pytest.mark.long)])
 def test_jumps_of_5_px_before_full_slip(displacement: str, tmp_path: Path) -> None:
     """Jumps of 5 px in one frame, at the rim while a quarter to a half of the contact sticks and later of all skin,
@@ -244,6 +245,7 @@ def by_flow(scene: Scene) -> Scene:
     return replace(scene, slip=replace(scene.slip, displacement="dense_flow"))
 
 
+@pytest.mark.long
 def test_dense_flow_is_where_the_skin_went(slip_trials: Path) -> None:
     """Dense flow errs by less than 4 um RMS in all cells of the contact, and states its difference from the points.
     Points shifted by 10 um in x and y show as a difference in every frame, and in a warning.

@@ -133,6 +133,8 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
+            if np.array_equal(still[0], self.recording[0]) and len(still) == len(self.recording) > 1:
+                raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
             whole = [index for index in range(len(part)) if index not in part.unreadable]

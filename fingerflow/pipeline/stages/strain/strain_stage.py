@@ -129,8 +129,8 @@ class StrainStage(Stage):
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
         if self._principal:
-            principal = principal_strains(corrected.strain)
-            both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
+            strains, angle = principal_strains(corrected.strain)
+            both = {"principal_strains": strains, "principal_angle": angle}
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
         deviation = stated.energy_std.cpu().numpy()

@@ -4,17 +4,37 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
-from fingerflow.engines.bundle import GRAPHS as GRAPHS
-from fingerflow.engines.bundle import GraphName as GraphName
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, NumberType, Several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_number
 from fingerflow.schema.scene_check import TableCheck
 from fingerflow.schema.scene_tables import ContactCells, GaugeSettings, PointSettings
+from fingerflow.schema.text_file import read_text
 
+GraphName = Literal[
+    "contact",
+    "threshold",
+    "noise",
+    "detect",
+    "spline",
+    "prepare",
+    "renew",
+    "track",
+    "track_few",
+    "support",
+    "correct",
+    "outliers",
+    "search",
+    "windows",
+    "fields",
+    "fields_entered",
+    "fit",
+]
+#: Graphs of a bundle, in an order in which an engine can run them.
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 _SIDE = NumberType(least=48, most=4096)  # px of a view: counts of pixels are exact in float32 up to 2^24
 
 
@@ -75,14 +95,10 @@ def load_recipe(path: Path) -> Recipe:
         FingerflowError: the file cannot be read, is not valid TOML, or has an unknown key or a value out of range; with
             the file, the line and the key.
     """
+    text = read_text(path, "recipes are TOML files such as export/exact.toml")
     try:
-        text = path.read_text(encoding="utf-8")
         written = tomllib.loads(text)
-    except OSError as error:
-        raise FingerflowError(
-            f"{path} cannot be read ({error.strerror}); recipes are TOML files such as export/exact.toml"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path} is no TOML file: {error}") from None
     return parse_recipe(written, path, text)
 
@@ -94,5 +110,5 @@ def parse_recipe(written: Mapping[str, Any], path: Path = Path("recipe"), text: 
     check, tables = _Check(written, path.parent, "process"), SceneTable(keys=keys_of(Recipe), settings=Recipe)
     check.values = check.table((), tables, written)
     check.check_rules()
-    check.raise_problems(lambda keys: f"{path}, line {line_number(text, keys)}")
+    check.raise_problems(lambda keys: f"{path}, line {line_number(text, keys)}" if text else str(path))
     return tables.build(check.values)

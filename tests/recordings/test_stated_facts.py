@@ -1,0 +1,204 @@
+"""Facts that files state are used, or named in a warning or error; ambiguous text is refused by its cause."""
+
+import os
+import re
+from pathlib import Path
+
+import av
+import cv2
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from nptdms import ChannelObject, TdmsWriter
+
+from fingerflow import open_forces, open_recording
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.forces import Forces
+from fingerflow.schema.text_file import read_text
+from fingerflow.schema.trial_rows import read_rows
+
+TIMES, FORCES = np.arange(0, 0.2, 1e-3), 2 * np.arange(0, 0.2, 1e-3)
+LINES = "".join(f"{time:.3f},{force:.4f}\n" for time, force in zip(TIMES, FORCES, strict=True))
+GERMAN = "time (s);Fz (N)\n" + LINES.replace(",", ";").replace(".", ",")
+HEADING = "time (s),Fz (N)\n"
+READ = {
+    "UTF-16": (HEADING + LINES).encode("utf-16"),
+    "UTF-16 with tabs": (HEADING + LINES).replace(",", "\t").encode("utf-16"),
+    "UTF-32": (HEADING + LINES).encode("utf-32"),
+    "German UTF-16": GERMAN.encode("utf-16"),
+    "heading in a comment": ("# " + HEADING + LINES).encode(),
+    "MATLAB comment": ("% made by a program\n%" + HEADING + LINES).encode(),
+    "comment and blanks": ("# time (s) Fz (N)\n" + LINES.replace(",", " ")).encode(),
+    "quoted decimal commas": (HEADING + re.sub(r"(\d)\.(\d+)", r'"\1,\2"', LINES)).encode(),
+    "quoted cells": (HEADING + re.sub(r"([\d.]+)", r'"\1"', LINES)).encode(),
+    "a comma in a quoted name": ('"time (s)","Fz (N)","Fx, left (N)"\n' + re.sub("\n", ",0\n", LINES)).encode(),
+}  # fmt: skip
+REFUSED = {
+    "points and commas": ("time (s)\tFz (N)\n0.001\t1,234\n0.002\t1,235\n", "'0.001' beside '1,234'.*thousands"),
+    "German thousands": ("time (s);Fz (N)\n0,001;1.234\n0,002;1.235\n", "thousands"),
+    "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),
+    "either, with points": ("time (ms);Fz (mN)\n0;1.234\n1;12.365\n", "'1.234' may be decimal"),
+    "quoted thousands": ('time (s),Fz (mN)\n0.001,"1,234"\n0.002,"1,235"\n', "thousands"),
+    "millions": ("time (ms)\tFz (mN)\n0\t1,234,567\n1\t1,234,568\n", "thousands"),
+    "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
+    "date": (HEADING + "2024-05-01,1\n2024-05-02,1\n", "a date or time of day.*sample_rate"),
+    "time with hours": ("time (s)\tFz (N)\n1:02.5\t1\n1:02.6\t1\n", "a date or time of day"),
+    "footer": (HEADING + LINES + "End of file\n", "'End of file' has 1 cells"),
+    "statistics": (HEADING + LINES + "mean,1.2\n", "'time' is 'mean', no number"),
+    "empty": ("time (s),Fz (N),temp (V)\n0,1,2\n1,1,\n", "'temp' is empty"),
+    "no number": (HEADING + "0,1\n1,#N/A\n", "'Fz' is '#N/A'"),
+    "binary": (HEADING + "0,1\n\0,1\n", "is binary"),
+}
+
+
+@pytest.mark.parametrize("case", READ)
+def test_spellings_of_tables_are_read(case: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(READ[case])
+    forces = open_forces(tmp_path / "a.csv", channels={"f": "Fz"})
+    np.testing.assert_allclose(forces.channels["f"], FORCES, atol=1e-9)
+    np.testing.assert_allclose(forces.times, TIMES, atol=1e-9)
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_ambiguous_tables_are_refused_by_their_cause(case: str, tmp_path: Path) -> None:
+    text, cause = REFUSED[case]
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(FingerflowError, match=cause):
+        open_forces(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("case", ["pipe", "device", "folder", "HDF5", "long"])
+def test_what_is_no_text_ends_in_a_sentence(case: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    {
+        "pipe": lambda: os.mkfifo(path),
+        "device": lambda: path.symlink_to("/dev/zero"),
+        "folder": path.mkdir,
+        "HDF5": lambda: h5py.File(path, "w").close(),
+        "long": lambda: path.write_bytes(bytes(1 << 25)),
+    }[case]()
+    for read in (read_rows, open_forces, lambda path: read_text(path, "name another")):
+        with pytest.raises(FingerflowError, match=r"a\.csv: (is|has more than)"):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "warns"),
+    [
+        (["i_-12", "i_-2", "i_-1"], "gaps"),
+        (["-2", "-1", "0", "1"], ""),
+        (["Img-0002", "Img-0001", "Img+0000", "Img+0001"], ""),
+        (["img-1", "img-2", "img-10"], "gaps"),
+        (["t=0.05", "t=0.5", "t=1", "t=1.5"], "decimal"),
+        (["t_0.1", "t_0.25", "t_0.3"], "decimal"),
+        (["t_5e-2", "t_1e-1", "t_2e-1"], "decimal"),
+        (["cam1.8", "cam1.9", "cam1.10"], ""),
+        (["a1_-1", "a1_2", "a2_-5"], ""),
+    ],
+)
+def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, tmp_path: Path) -> None:
+    for grey, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((16, 24), grey, np.uint8))
+    recording = open_recording(tmp_path)
+    whole = [index for index in range(len(recording)) if index not in recording.unreadable]
+    assert [recording[index][0, 0] for index in whole] == list(range(len(names)))
+    assert warns in " ".join(recording.warnings)
+    assert bool(warns) == bool(recording.warnings)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64", ">f4", ">u2"])
+def test_pixel_types_that_are_admitted(dtype: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((2, 16, 24), dtype))
+    assert open_recording(tmp_path / "a.npy")[0].sum() == 384
+
+
+@pytest.mark.parametrize("dtype", ["uint32", "float16", "longdouble", "uint64", "int8", "bool"])
+def test_pixel_types_that_are_refused(dtype: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((2, 16, 24), dtype))
+    with pytest.raises(FingerflowError, match="frames are uint8, uint16, float32, float64"):
+        open_recording(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit", "rate", "warns"),
+    [
+        (np.arange(5) * 2.0, "ms", 500.0, ""),
+        (np.arange(5) * 2_000_000 + (1 << 60), "ns", 500.0, ""),
+        (np.array([0.0, 2, 4, 8, 10]), "ms", 500.0, ""),
+        (np.arange(5) * 2.0, "", None, "not used"),
+        (np.array([0.0, 2, 1, 8, 10]), "ms", None, "do not increase"),
+    ],
+)
+def test_times_of_frames_in_hdf5(stamps: np.ndarray, unit: str, rate: float | None, warns: str, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/frames"] = np.zeros((5, 16, 24), np.uint8)
+        file["run/frame_times"] = stamps
+        if unit:
+            file["run/frame_times"].attrs["units"] = unit
+    recording = open_recording(tmp_path / "a.h5")
+    assert recording.frame_rate == (None if rate is None else pytest.approx(rate))
+    if rate is not None:
+        np.testing.assert_allclose(recording.times, (stamps - stamps[0]) * (1e-9 if unit == "ns" else 1e-3), atol=1e-9)
+    assert bool(warns) == bool(recording.warnings)
+    assert warns in " ".join(recording.warnings)
+
+
+@pytest.mark.parametrize(("late_ms", "step"), [(100, 1e-3), (3, 1e-3), (0, 2e-3)])
+def test_clocks_of_tdms_channels(late_ms: int, step: float, tmp_path: Path) -> None:
+    begin = np.datetime64("2024-05-01T12:00:00")
+    with TdmsWriter(tmp_path / "a.tdms") as writer:
+        for name, interval, late in (("Fz", 1e-3, 0), ("ttl", step, late_ms)):
+            times = {"wf_increment": interval, "wf_start_time": begin + np.timedelta64(late, "ms")}
+            writer.write_segment([ChannelObject(name, name, FORCES, times | {"unit_string": "N"})])
+    np.testing.assert_allclose(open_forces(tmp_path / "a.tdms", ["Fz"]).times, TIMES, atol=1e-9)
+    with pytest.raises(FingerflowError, match=r"different clocks.*'ttl' every"):
+        open_forces(tmp_path / "a.tdms", ["Fz"], trigger="ttl")
+
+
+def test_tables_and_times_of_groups_in_hdf5(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        rows = np.zeros(200, [("time", "f8"), ("Fz", "f4"), ("note", "S4")])
+        rows["time"], rows["Fz"] = TIMES, FORCES
+        file["daq/forces"] = rows
+        file["sync/time"], file["sync/ttl"] = TIMES + 0.1, FORCES
+    options = {"time": "daq/forces/time", "units": {"daq/forces/Fz": "N"}}
+    forces = open_forces(tmp_path / "a.h5", {"f": "daq/forces/Fz"}, **options)
+    np.testing.assert_allclose(forces.channels["f"], FORCES, rtol=1e-6)
+    with pytest.raises(FingerflowError, match="'sync/ttl' has times of its own"):
+        open_forces(tmp_path / "a.h5", {"f": "daq/forces/Fz"}, trigger="sync/ttl", **options)
+
+
+@pytest.mark.parametrize(("orientation", "warns"), [(1, False), (3, True), (6, True), (2, True)])
+def test_orientation_that_a_picture_states(orientation: int, warns: bool, tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (16, 24)).astype(np.uint8)
+    tag = [("Orientation", "H", 1, orientation, True)]
+    tifffile.imwrite(tmp_path / "a.tif", image, photometric="minisblack", extratags=tag)
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0" + bytes([orientation]) + bytes(6)
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg[2:])
+    for name in ("a.tif", "a.jpg"):
+        assert any("orientation" in warning for warning in open_recording(tmp_path / name).warnings) == warns
+
+
+@pytest.mark.parametrize("drop", [(), (4, 5), (1,), (7,)])
+def test_dropped_frames_in_a_video_are_not_missing_at_its_end(drop: tuple[int, ...], tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mkv"), "w") as file:
+        stream = file.add_stream("ffv1", rate=100)
+        stream.width, stream.height, stream.pix_fmt = 40, 24, "gray"
+        for number in sorted({*range(10)} - {*drop}):
+            frame = av.VideoFrame.from_ndarray(np.full((24, 40), number, np.uint8), format="gray")
+            frame.pts = number
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    recording = open_recording(tmp_path / "a.mkv")
+    assert not any("missing" in warning or "interlaced" in warning for warning in recording.warnings)
+    assert recording.times is not None
+    assert recording.times[-1] == pytest.approx(0.09, abs=0.002)
+
+
+@pytest.mark.parametrize("scale", [1000.0, 1e6, 50.0])
+def test_a_wrong_unit_of_the_times_is_named(scale: float) -> None:
+    forces = Forces(Path("a.csv"), np.arange(200) * scale / 100, {"f": FORCES}, {"f": "N"})
+    with pytest.raises(FingerflowError, match=r"samples of the forces, which last .*'time \(ms\)'"):
+        forces.resample(np.arange(300) / 300)
