@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from bench.papers.printed import Interval, Obtained, Row, exactly, likely, rounded
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, put_in, rounded
 from bench.papers.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, friction_ratio, load_ratio
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
@@ -305,11 +305,12 @@ _DURATIONS = rounded(130, 150, 280, 310, digit=10)
 _SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # the printed percentages are truncated, not rounded
 
 ROWS: tuple[Row[Slides], ...] = (
-    Row("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),
-    Row("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2), _outcomes),
-    Row("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
-    Row("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
-    Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
+    put_in("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),
+    put_in("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2),
+        _outcomes),
+    put_in("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
+    put_in("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
+    put_in("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
     Row("A6", "corridor", "±5 %", "2b", exactly(0.05),
         lambda _: Obtained(f"±{100 * CORRIDOR:g} %", exactly(CORRIDOR))),
     Row("A7", "existence threshold", "d² > 0.05", "2b", exactly(0.05), _existence),
@@ -327,5 +328,5 @@ ROWS: tuple[Row[Slides], ...] = (
     Row("A19", "equal friction", "d² = 1 - (T/N)/μk", "2.1", (), _equal_friction),
     Row("A20", "earlier model", "exponent 2/3", "2.1", exactly(2 / 3), _tada),
     Row("A21", "condition for a minimal area", "μk < μs (body); μk > μs (abstract)", "1, 2.1", (), _condition),
-    Row("A22", "curve shape", "no parabolic decay", "3", (), _shape),
+    put_in("A22", "curve shape", "no parabolic decay", "3", (), _shape),
 )  # fmt: skip

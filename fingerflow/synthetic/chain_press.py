@@ -37,8 +37,8 @@ class ChainPress(SyntheticScene):
 
     Args:
         friction: coefficient between skin and glass.
-        parameters: of the chain, "paper" or "lab"; the contact with "lab" is half as large.
-        softness: divisor of the parameters' stiffnesses.
+        parameters: of the chain: "paper", "lab", with half the contact, or "fitted", whose pulp stiffens.
+        softness: divisor of the stiffnesses of the tissue.
         force: at the end of the rise, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.

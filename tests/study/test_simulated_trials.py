@@ -70,9 +70,10 @@ def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
 
 
 def test_contact_areas_are_those_printed(presses: Presses) -> None:
-    """Apparent and real areas over participants, and the effect of vibration on both, agree with B5 to B9."""
-    # Two groups of different sensitivity need twice the printed spread of apparent areas.
-    areas = (presses.gross_contact_area, 70.1, 10.2), (presses.real_contact_area, 23.7, 4.5)
+    """Apparent areas over participants are those of the design, real areas and the effect of vibration on both those of
+    B6 to B9.
+    """
+    areas = (presses.gross_contact_area, 60.5, 3.7), (presses.real_contact_area, 23.7, 4.5)
     for area, mean, deviation in areas:
         own = _by_participant(presses, area)
         assert own.mean() == pytest.approx(mean, rel=0.02)
