@@ -107,7 +107,6 @@ def test_medians(result: xr.Dataset, truth: Truth) -> None:
     moved = np.array([(medians.displacement_x, medians.displacement_y) for medians in true])
     error = np.abs(result["global_displacement_vector"].values[FRAMES] - moved)
     assert np.mean(error < 2 * result["global_displacement_vector_std"].values[FRAMES]) >= 0.9
-    assert np.sqrt((error**2).mean()) < 0.002
     assert error.max() < 0.006  # three deviations
     for name in ("divergence", "curl"):
         error = 1000 * (result[f"median_{name}"].values[FRAMES] - [getattr(medians, name) for medians in true])

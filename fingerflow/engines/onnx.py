@@ -127,7 +127,10 @@ class OnnxEngine:
         return found
 
     def prepare(self, key: Images | _OnnxTemplates, points: Array, warp: Array | None = None) -> _OnnxTemplates:
-        frame = key.key if isinstance(key, _OnnxTemplates) else self._key_frame(key)
+        if isinstance(key, _OnnxTemplates):
+            frame = key.key
+        else:
+            frame = _KeyFrame(key.copy(), float(self._sessions["noise"]({"topography_view": key})["noise"][0]))
         track, noise = self._sessions["track"], np.array([frame.noise], np.float32)
         if not len(points):
             return _OnnxTemplates({}, frame, track)
@@ -141,9 +144,6 @@ class OnnxEngine:
         shared = {"spline": frame.spline, "noise": noise}
         arrays = self._in_pieces("renew", {"points": points[None], "warp": warp[None]}, shared)
         return _OnnxTemplates(arrays, frame, track)
-
-    def _key_frame(self, image: Images) -> _KeyFrame:
-        return _KeyFrame(image.copy(), float(self._sessions["noise"]({"topography_view": image})["noise"][0]))
 
     def track(
         self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None

@@ -48,9 +48,9 @@ def read_text(path: Path, remedy: str, most: int = MOST_SETTINGS, fallback: str 
     Raises FingerflowError for a file that is missing, a pipe, a device, larger than `most`, or not text.
     """
     try:
-        check_file(path)
-        with path.open("rb") as file:
-            data = file.read(most + 1)
+        size = check_file(path)
+        with path.open("rb") as file:  # Python reserves as many bytes as are to be read
+            data = file.read(min(max(size, MOST_SETTINGS), most) + 1)
     except (OSError, FingerflowError) as error:
         reason = error if isinstance(error, FingerflowError) else f"{path}: cannot be read ({first_line(error)})"
         raise FingerflowError(f"{reason}; {remedy}") from None

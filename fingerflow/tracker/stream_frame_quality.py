@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,27 +25,18 @@ _STEPS = 64  # number of latest steps between usable frames from which ordinary 
 _REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy
 _RETURNS = 3  # number of jumps and returns in the last `_RECENT` frames from which on the finger counts as vibrating
 _KNOWN, _RECENT = 8, 16  # frames after which repetitions are judged, and frames over which they are counted
-# Of a frame that shows the trial: largest share of its squared distance from the last usable frame that a frame behind
-# it has from it; or largest change of the means of parts of a view, in units of the mean.
-_AGREES, _PARTS = 0.4, 0.12
-# Of noise: least difference of neighbouring pixels in that of the last usable frame, and in units of the mean; least
-# share of its square in that of independent pixels. Lines, and pixels of a line, at which it is measured.
-_ROUGHER, _ROUGH, _UNCORRELATED, _SAMPLES = 2.0, 0.3, 0.15, (24, 48)
-_NEIGHBOURS = ((0, 0), (1, 0), (0, 1))  # (x, y) of a pixel and of its neighbours along and across lines
 _LIT = 0.3  # share of the mean light: lines of the empty glass with less are not checked
 
 
 class Picture(NamedTuple):
     """Frame under comparison: its status as determined from the frame alone, sampled pixels of its views, the contact
-    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), the number of the frame, and
-    neighbouring pixels of the views (`_neighbours`).
+    view first, the hash by which exact copies are recognised (`frame_copies.frame_key`), and the number of the frame.
     """
 
     status: int
     samples: PixelSamples
     key: bytes
     number: int
-    neighbours: Array
 
     def squared_distance(self, before: Picture) -> Array:
         """Return the squared image distances (rows,) of this frame from an earlier one, the rows of all views in
@@ -63,10 +53,9 @@ class FrameCheck:
     - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
       compared, and only if no more than a fifth of the last frames repeat others.
     - Jumps and returns: the rule of a recording (`frame_jumps.is_jump`). A frame far from the last usable one is
-      deferred, with those behind it, until the image returns or `LONGEST` frames have passed. Then it counts if it is a
-      picture of the trial (`_is_picture`), as the motion of the skin or a change that stays, and those behind it are
-      judged anew: however long noise or torn frames last. After three returns in the last 16 frames a finger is taken
-      to vibrate, and such frames count. Frames deferred at the end do not count.
+      deferred, with those behind it, until the image returns or `LONGEST` frames have passed: then it counts, as the
+      motion of the skin, or a change that stays, and those behind it are judged anew. After three returns in the last
+      16 frames a finger is taken to vibrate, and such frames count. Frames deferred at the end do not count.
 
     `process` also knows later frames: the motion behind a jump, and which of two equal frames is the copy.
 
@@ -83,7 +72,6 @@ class FrameCheck:
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: Picture | None = None  # latest usable frame
-        self._refused = 0  # number of the latest frame behind it that is no picture of the trial
         self._without_lines = 0  # number of consecutive frames with dark lines
         self._deferred: list[Picture] = []
         self._steps: deque[Array] = deque(maxlen=_STEPS)
@@ -106,8 +94,9 @@ class FrameCheck:
             status = _SATURATED
         elif (self._lit & (lines < self._least)).any():
             status = _JUMPS
-        key = frame_key([contact, *(blocks for blocks, _ in rest)])
-        return Picture(status, PixelSamples.sample(*images), key, number, _neighbours(images))
+        return Picture(
+            status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]), number
+        )
 
     def update(self, picture: Picture) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
@@ -149,15 +138,11 @@ class FrameCheck:
         if frame.number - self._deferred[0].number < LONGEST:
             self._deferred.append(frame)
             return [], None
-        # The image does not return: the first deferred frame is decided, and those behind it are judged again.
+        # The image does not return, so the first deferred frame is usable; the frames behind it are judged again.
         first, *rest = self._deferred
         self._deferred = []
-        if self._is_picture(first, [*rest, frame]):
-            decided = [USABLE]
-            self._count(first, self._step_to(first))
-        else:
-            decided = [_JUMPS]
-            self._refused = first.number
+        self._count(first, self._step_to(first))
+        decided = [USABLE]
         for later in rest:
             before, status = self._judged(later)
             decided += before if status is None else [*before, status]
@@ -214,36 +199,14 @@ class FrameCheck:
         last usable one.
         """
         assert self._last is not None
-        if frame.number - max(self._last.number, self._refused) > LONGEST + 1:
+        if frame.number - self._last.number > LONGEST + 1:
             return False
         first, *rest = [step_frame for step_frame in self._deferred if step_frame.status == USABLE]
         into, latest, within = first.squared_distance(self._last), first, np.zeros_like(self._steps[0])
         for step_frame in rest:
             within, latest = np.maximum(within, step_frame.squared_distance(latest)), step_frame
         out_of, between = (frame.squared_distance(step_frame) for step_frame in (latest, self._last))
-        ways = JumpDistances(into, out_of, between, within, self._usual())
-        return is_jump(ways, self._ordinary()) and _resemble(frame, self._last)
-
-    def _is_picture(self, first: Picture, behind: Sequence[Picture]) -> bool:
-        """Return whether a frame far from the last usable one shows the trial: a frame `behind` it agrees with it, or
-        it is no noise and resembles the last usable frame, or each frame resembles the next, as moving skin does and
-        torn frames do not.
-        """
-        assert self._last is not None
-        later = [frame for frame in behind if frame.status == USABLE]
-        far = _AGREES * _distances(first, self._last)
-        if any((_distances(frame, first) < far).all() for frame in later):
-            return True
-        if self._is_noise(first):
-            return False
-        return _resemble(first, self._last) or all(_resemble(*pair) for pair in pairwise((first, *later)))
-
-    def _is_noise(self, frame: Picture) -> bool:
-        """Return whether neighbouring pixels of all views differ as those of noise, unlike in the last usable frame."""
-        assert self._last is not None
-        (before, _), (roughness, uncorrelated) = _roughness(self._last), _roughness(frame)
-        limit = np.fmax(_ROUGHER * before, _ROUGH)
-        return bool(((roughness > limit) & (uncorrelated > _UNCORRELATED)).all(0).any())
+        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._ordinary())
 
     def _usual(self) -> Array:
         """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
@@ -256,44 +219,6 @@ class FrameCheck:
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)
         return Ordinary.estimate(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
-
-
-def _distances(frame: Picture, before: Picture) -> Array:
-    """Return the squared distances (views,) of the patterns of whole views."""
-    distances: Array = squared_distances(frame.samples, before.samples)[:, -2]
-    return distances
-
-
-def _resemble(frame: Picture, other: Picture) -> bool:
-    """Return whether the means over 4 x 4 parts of all views are about those of another frame, in units of the mean."""
-    return bool((np.abs(_means(frame) - _means(other)).mean((1, 2)) < _PARTS).all())
-
-
-def _means(frame: Picture) -> Array:
-    pattern = frame.samples.pattern
-    lines, pixels = (size // 4 for size in pattern.shape[1:])
-    parts = pattern[:, : 4 * lines, : 4 * pixels].reshape(len(pattern), 4, lines, 4, pixels)
-    means: Array = parts.mean((2, 4))
-    return means
-
-
-def _neighbours(images: Sequence[Array]) -> Array:
-    """Return some pixels of views (1, H, W), and their neighbours along and across lines, as (views, 3, n)."""
-    down, along = (max(1, side // samples) for side, samples in zip(images[0].shape[1:], _SAMPLES, strict=True))
-    corners = [
-        image[0, y : y - 1 or None : down, x : x - 1 or None : along] for image in images for x, y in _NEIGHBOURS
-    ]
-    return np.stack(corners).reshape(len(images), len(_NEIGHBOURS), -1)
-
-
-def _roughness(frame: Picture) -> Array:
-    """Return the root mean square difference of neighbouring pixels, in units of the mean, and its square in units of
-    twice their variance, which is 1 for noise: (2, views, directions), along and across lines.
-    """
-    pixels = frame.neighbours.astype(np.float32)
-    square = np.square(pixels[:, 1:] - pixels[:, :1]).mean(2)
-    mean, variance = pixels[:, :1].mean(2), pixels[:, :1].var(2)
-    return np.stack((np.sqrt(square) / np.fmax(mean, 1e-6), square / np.fmax(2 * variance, 1e-6)))
 
 
 def _blocks(view: Array) -> tuple[Array, Array]:

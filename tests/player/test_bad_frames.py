@@ -177,27 +177,6 @@ def test_what_stays_is_the_new_state(small: Small) -> None:
     assert np.isfinite(played.records["real_contact_area"][43:]).all()
 
 
-@pytest.mark.parametrize("fault", ["noise", "noise over the picture", "lines in another order", "torn"])
-def test_a_long_fault_counts_in_no_number(fault: str, small: Small) -> None:
-    """Eight frames in a row that are no pictures of the trial, though none of them returns in time, are excluded; all
-    others count, with the areas of the clean run.
-    """
-    random, frames = np.random.default_rng(1), small.frames.copy()
-    for k in range(30, 38):
-        added = random.normal(0, 60, frames[k].shape) if "over" in fault else random.integers(0, 256, frames[k].shape)
-        order = random.permutation(HEIGHT if "lines" in fault else HEIGHT // 8)
-        if "noise" in fault:
-            frames[k] = np.clip(added + ("over" in fault) * frames[k], 0, 255)
-        else:
-            frames[k] = frames[k].reshape(len(order), -1)[order].reshape(frames[k].shape)
-    live = small.play(frames).records
-    assert _status_of(live) == dict.fromkeys(range(30, 38), "jumps_and_returns")
-    _assert_unknown(live, [*range(30, 38)])
-    good = np.setdiff1d(np.arange(FRAMES), range(30, 38))
-    np.testing.assert_array_equal(live["real_contact_area"][good], small.clean.records["real_contact_area"][good])
-    assert (live["status"][-1] == small.clean.records["status"][-1]).mean() > 0.99
-
-
 def test_a_stream_without_usable_frames_or_contact_says_so(small: Small, capsys: pytest.CaptureFixture[str]) -> None:
     """The player says so where all frames are dark, and where no frame shows a contact."""
     small.play(np.full_like(small.frames[:8], 8))

@@ -284,9 +284,9 @@ def test_tdms_without_a_rate_and_with_two_clocks(tmp_path):
         open_forces(tmp_path / "b.tdms")
 
 
-@pytest.mark.parametrize(("module", "name", "extra"), [("pymatreader", "a.mat", "mat"), ("nptdms", "a.tdms", "tdms")])
-def test_missing_extra_says_how_to_install_it(tmp_path, monkeypatch, module, name, extra):
+@pytest.mark.parametrize(("module", "name"), [("pymatreader", "a.mat"), ("nptdms", "a.tdms")])
+def test_missing_extra_says_how_to_install_it(tmp_path, monkeypatch, module, name):
     monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"x")
-    with pytest.raises(FingerflowError, match=rf"pip install .*\[{extra}\]"):
+    with pytest.raises(FingerflowError, match=f"pip install {module}"):
         open_forces(tmp_path / name)

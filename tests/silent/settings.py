@@ -91,8 +91,6 @@ MISTAKES = (
         _topography(lambda view: view[:, :, ::-1])),
     Mistake("topography mirrored top to bottom", {}, "median_curl", "view is mirrored",
         _topography(lambda view: view[:, ::-1])),
-    Mistake("topography turned by half a turn", {}, "median_curl", "view is mirrored",
-        _topography(lambda view: view[:, ::-1, ::-1])),
     Mistake("topography saturated", {}, "median_curl", "topography view is saturated",
         _topography(lambda view: (view * 2.2).clip(0, 255).astype(view.dtype))),
 )  # fmt: skip

@@ -121,7 +121,6 @@ def test_points_seeded_in_contact_take_over_the_displacement(
     recorded = 1000 * fingerflow.process(played["press"].scene)["median_divergence"].values[frames]
     assert recorded[0] > 20  # um/mm, by which a count that starts at the seeding would be off
     assert (np.abs(median - recorded) < 2 * stated).mean() > 0.95
-    assert np.abs(median - recorded).max() < 10
 
 
 def _without_passing_touch(recorded: xr.Dataset) -> Array:

@@ -93,7 +93,7 @@ def _threshold(
         """Return the relative intensity loss at a quantised level, corrected for the illumination gain."""
         return 1 - (1 - (level / scale + low)) / brightness
 
-    otsu, lower, upper, deviation = otsu_classes(_counts(smooth, counted).to(dtype))
+    otsu, lower, upper, deviation = otsu_classes(histogram(smooth, counted, _LEVELS, (-1.0, _LEVELS - 1.0)).to(dtype))
     least = (_NOISE_RATIO * deviation / scale).clamp_min(_LEAST_INTENSITY_LOSS)
     contrast = upper - lower
     distinct = (share(upper) > _LEAST_INTENSITY_LOSS) & (contrast > least * scale)
@@ -109,21 +109,13 @@ def _threshold(
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
 
 
-def _one_a_frame(frames: Tensor, light: Tensor, *rest: object) -> Tensor:
-    return light.new_empty(len(frames))
-
-
-@torch_op(shapes=_one_a_frame)
+@torch_op(shapes=lambda frames, light, *_: light.new_empty(len(frames)))
 def compiled_threshold(
     frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
 ) -> Tensor:
     """Compute `contact_threshold` in one call of the compiled library."""
     sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
     return contact.contact_threshold(frames, light, black, gain, **sizes)
-
-
-def _counts(smooth: Tensor, mask: Tensor) -> Tensor:
-    return histogram(smooth, mask, _LEVELS, (-1.0, _LEVELS - 1.0))
 
 
 def _edge_level(levels: Tensor, inside: Tensor, lit: Tensor, step: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:

@@ -25,11 +25,10 @@ def crowded(count: int, draw: np.random.Generator) -> np.ndarray:
 def test_an_odd_field_has_the_value_at_the_centre_however_points_crowd() -> None:
     position = crowded(500, np.random.default_rng(1))[None]
     displacement = 0.02 * (position - [3.0, -2.0]) + [0.1, -0.05]
-    median, deviation = median_over_area(position, displacement, np.zeros(position.shape[:2]), contact(), REACH)
+    median, _ = median_over_area(position, displacement, np.zeros(position.shape[:2]), contact(), REACH)
     assert np.abs(np.median(displacement[0], axis=0) - [0.1, -0.05]).max() > 0.02
     # Points are 0.8 mm apart where they are few: the line of the median is known to a quarter of that.
     np.testing.assert_allclose(median[0], [0.1, -0.05], atol=0.02 * 0.8 / 2)
-    assert (deviation[0] < 0.005).all()
 
 
 def test_the_deviation_covers_the_error() -> None:

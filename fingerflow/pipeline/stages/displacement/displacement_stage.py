@@ -188,9 +188,7 @@ class DisplacementStage(Stage):
     def finish(self) -> None:
         length = np.linalg.norm(self._vector, axis=1)
         # Without a displacement its direction is unknown, and the error is that of any component.
-        direction = np.divide(
-            self._vector, length[:, None], where=length[:, None] > 0, out=np.full_like(self._vector, 0.5**0.5)
-        )
+        direction = np.where(length[:, None] > 0, self._vector / np.maximum(length, 1e-12)[:, None], 0.5**0.5)
         self.results.put("global_displacement_vector", self._vector, self._attributes)
         self.results.put("global_displacement_vector_std", self._vector_std)
         self.results.put("global_displacement", length, self._attributes)

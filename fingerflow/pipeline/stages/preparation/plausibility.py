@@ -125,7 +125,7 @@ def check_exposure(brighter: float, darker: float, frame: int) -> list[str]:
     return [
         f"frame {frame} is {change} than background.frames in {share:.0%} of the contact view: the empty glass was "
         f"recorded at another exposure, gain or light, or the recording begins in full contact. Contact and areas are "
-        f"wrong; record the empty glass again with the camera settings of the recording"
+        f"wrong; record the empty glass again with the camera settings of the recording, and check [views.contact]"
     ]
 
 
