@@ -221,9 +221,10 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
     displacement = at.position - reference
     force = chains.contact[..., None] * (-z).clamp_min(0)
     touching = force > CONTACT_N
-    length = _between_neighbours(x)
+    (length,) = torch.gradient(x, dim=-1)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]
-    slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
+    moved, spacing = torch.gradient(torch.stack((displacement[..., 0], reference[..., 0])), dim=-1)[0]
+    slope = moved / spacing
     # Hoop strain u / x: the odd part of u about the axis, divided by the distance from it; on the axis it is the slope.
     across = reference[..., 0] - reference[..., 0].flip(-1)
     opposite = displacement[..., 0] - displacement[..., 0].flip(-1)
@@ -268,15 +269,6 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
     left, right = touching[..., :-1], touching[..., 1:]
     partial = torch.where(left, beyond(here, before), beyond(after, behind))
     return torch.where(left & right, 1.0, torch.where(left | right, partial, 0.0))
-
-
-def _between_neighbours(values: Tensor) -> Tensor:
-    """Return half the difference between the values (..., N) of each element's two neighbours; at both ends, the
-    difference to the only neighbour.
-    """
-    inside = (values[..., 2:] - values[..., :-2]) / 2
-    ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
-    return torch.cat((ends[0], inside, ends[1]), -1)
 
 
 def weighted_median(values: Tensor, weights: Tensor) -> Tensor:

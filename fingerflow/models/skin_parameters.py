@@ -36,15 +36,9 @@ class SkinParameters:
         The link stiffness is inverse to the element length, all else is proportional to it.
         """
         finer = (count - 1) / 500
-        return replace(
-            self,
-            membrane_stiffness=self.membrane_stiffness * finer,
-            tissue_stiffness=self.tissue_stiffness / finer,
-            shear_stiffness=self.shear_stiffness / finer,
-            contact_stiffness=self.contact_stiffness / finer,
-            damping=self.damping / finer,
-            friction_stiffness=self.friction_stiffness / finer,
-        )
+        shared = "tissue_stiffness", "shear_stiffness", "contact_stiffness", "damping", "friction_stiffness"
+        parts = {name: getattr(self, name) / finer for name in shared}
+        return replace(self, membrane_stiffness=self.membrane_stiffness * finer, **parts)
 
     def softer(self, times: float) -> "SkinParameters":
         """Return a skin of the same membrane on softer tissue, whose stiffnesses are divided by ``times``."""

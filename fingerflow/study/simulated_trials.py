@@ -1,7 +1,7 @@
 """Simulated trials of a study: random parameters of each press, and the answers of a simulated observer.
 
 A trial is a two-interval forced choice of Willemet et al. 2021: a reference press without vibration, and a comparison
-press at one of seven amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
+press at one of six amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
 values of that paper's supplement.
 """
 
@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from fingerflow.models.skin_chain import weighted_median
 from fingerflow.synthetic import Camera, ChainPress
@@ -33,16 +34,17 @@ class Design:
 
     Attributes:
         participants: the second half of them has softer skin.
-        trials: pairs of presses of each participant in each condition.
-        amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
+        trials: pairs of presses of each participant in each condition: F(5,70) and F(6,1593) of B54 and B42 fit 15
+            participants, six amplitudes beside the reference, and nine pairs.
+        amplitudes: µm of vibration of the comparison, one per condition; the reference has none.
         friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
             angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
         softness: of firmer and softer skin, divisors of the stiffnesses of the fitted tissue; the membrane is that of
-            literature. The apparent area at the peak is 61 ± 4 mm² over participants (print: 70.1 ± 4.5, B5); softer
-            tissue comes nearer, but stores more energy than print says (B50).
-        force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
-            over the mean time is 3.7). Gamma distributed, as a normal one would be negative in every ninth trial.
+            literature. Together with the forces they have the printed spread of apparent areas (B5).
+        force: mean of the peak force, N (B34), and standard deviations of its logarithm over participants, over the
+            pairs of one, and between the presses of a pair, in force and in time (not printed: force does not predict
+            answers, B37, so pairs are alike).
         force_range: N, outside of which a trial is drawn again (B34).
         time_to_peak: mean and standard deviation, s (B35), normal.
         duration: shortest and longest time from first contact to the last frame, s (B36).
@@ -58,18 +60,22 @@ class Design:
             and amplitude is -0.28, B7).
         feels: what the observer compares between the two presses, at the peak of the force.
         noise: standard deviation of that difference as perceived: of divergences, and of areas in mm² (not printed).
+        felt_rate: N/s, rate r of the force at which evidence counts by 1 - 1/e, as 1 - exp(-rate / r) (B39: faster
+            presses are answered better).
+        cues: weights, in standard deviations of the noise, of a smaller force angle (1/rad) and of a larger
+            displacement of the finger (1/mm): a quarter for their usual differences (B41, B45).
         frame_rate: frames per second; the lab has 300 (B12).
         mm_per_px: of the contact view (B12): skin that is spread by low friction is lost in coarser pictures.
         view_px: side of either view, both are square.
         seed: of all random numbers.
     """
 
-    participants: int = 16
-    trials: int = 14
-    amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-    friction: tuple[float, float] = (0.5, 0.16)
-    softness: tuple[float, float] = (1.0, 2.2)
-    force_rate: tuple[float, float] = (3.6, 3.0)
+    participants: int = 15
+    trials: int = 9
+    amplitudes: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+    friction: tuple[float, float] = (0.4, 0.15)
+    softness: tuple[float, float] = (0.7, 1.4)
+    force: tuple[float, float, float, float] = (5.5, 0.45, 0.25, 0.12)
     force_range: tuple[float, float] = (1.0, 18.0)
     time_to_peak: tuple[float, float] = (1.47, 0.39)
     duration: tuple[float, float] = (1.0, 2.5)
@@ -80,7 +86,9 @@ class Design:
     real_area_fall: float = 0.38
     real_area_noise: float = 0.4
     feels: Felt = "divergence"
-    noise: tuple[float, float] = (0.003, 3.0)
+    noise: tuple[float, float] = (0.006, 3.0)
+    felt_rate: float = 3.0
+    cues: tuple[float, float] = (2.5, 1.8)
     frame_rate: float = 20.0
     mm_per_px: float = 0.0325
     view_px: int = 512
@@ -144,7 +152,7 @@ def draw_presses(design: Design) -> Presses:
     participant = np.repeat(np.arange(design.participants), per_person.size)
     count = amplitude.size
     soft = design.is_soft()[participant]
-    force, time = _draw_kinematics(design, draw, count)
+    force, time = _draw_kinematics(design, draw, participant)
     hold = draw.uniform(*design.hold, count)
     friction = design.friction_for(amplitude)
     angle = np.radians(design.load_angle(amplitude)) * draw.gamma(4.0, 0.25, count)
@@ -172,13 +180,17 @@ def answer_table(design: Design, reference: Presses, comparison: Presses) -> NDA
     """Return the answers (T,) of a simulated observer in T trials, given the two presses of each: True if the
     comparison press felt more slippery.
 
-    More divergence, or less real contact, is felt as more slippery.
+    More divergence, or less real contact, is felt as more slippery, the better the faster the press; a smaller angle
+    and a larger displacement are felt so a little.
     """
     by_area = design.feels == "real_contact_area"
     difference = getattr(comparison, design.feels) - getattr(reference, design.feels)
+    evidence = (-difference if by_area else difference) / design.noise[by_area]
+    evidence *= -np.expm1(-comparison.force / comparison.time_to_peak / design.felt_rate)
+    moved = (np.hypot(*presses.shift.T) for presses in (comparison, reference))
+    other = reference.angle - comparison.angle, next(moved) - next(moved)
     draw = np.random.default_rng((design.seed, 1))
-    felt = (-difference if by_area else difference) + design.noise[by_area] * draw.standard_normal(difference.size)
-    return np.asarray(felt > 0)
+    return np.asarray(evidence + design.cues @ np.array(other) + draw.standard_normal(difference.size) > 0)
 
 
 def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
@@ -218,19 +230,27 @@ def median_divergence(press: ChainPress) -> float:
     return float(weighted_median(torch.from_numpy(field[finite]), torch.from_numpy(radius[finite])))
 
 
-def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> tuple[Values, Values]:
-    """Sample at random the peak forces (N) and times to peak (s) of `count` presses."""
-    mean, deviation = design.force_rate
-    shape = (mean / deviation) ** 2
-    force, time = np.empty(count), np.empty(count)
-    left = np.arange(count)
+def _draw_kinematics(
+    design: Design, draw: np.random.Generator, participant: NDArray[np.int64]
+) -> tuple[Values, Values]:
+    """Sample at random the peak forces (N) and times to peak (s) of presses, two in a pair."""
+    mean, of_person, of_pair, within = design.force
+    deviations = np.array((of_person, of_pair, within / math.sqrt(2)))
+    # Quantiles in place of random numbers, in turns of firmer and softer skin: few people are a small sample.
+    ranks = np.concatenate((np.arange(1, design.participants, 2), np.arange(0, design.participants, 2)))
+    person = ndtri((ranks + 0.5) / design.participants)
+    middle = math.log(mean) - deviations @ deviations / 2 + of_person * person
+    force, time = np.empty((2, participant.size // 2, 2))
+    left = np.arange(len(force))
     while left.size:
-        time[left] = draw.normal(*design.time_to_peak, left.size)
-        force[left] = time[left] * draw.gamma(shape, mean / shape, left.size)
-        low, high = design.force_range
-        longest = design.duration[1] - design.hold[0]
-        left = left[(force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)]
-    return force, time
+        alike = np.exp(deviations[2] * draw.standard_normal((2, left.size, 2)))
+        shared = middle[participant[::2][left]] + of_pair * draw.standard_normal(left.size)
+        force[left] = np.exp(shared)[:, None] * alike[0]
+        time[left] = draw.normal(*design.time_to_peak, (left.size, 1)) * alike[1]
+        (low, high), longest = design.force_range, design.duration[1] - design.hold[0]
+        out = (force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)
+        left = left[out.any(1)]
+    return force.ravel(), time.ravel()
 
 
 def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: int) -> Values:
