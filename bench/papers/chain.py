@@ -13,9 +13,8 @@ import torch
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
-from torch import Tensor
 
-from fingerflow.models.skin_chain import CONTACT_N, TOLERANCE_M, PressedChain, follow, weighted_median
+from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow, weighted_median
 from fingerflow.models.skin_onset import FIRST_FRAME_M, SinceOnset, since_onset
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
@@ -28,7 +27,6 @@ DEPTH_MM = 2.0  # mm, depth over which the paper assumes uniform strain (equatio
 _ELEMENTS = 1001  # twice the paper's number: contact grows by whole elements, which is visible in rates
 _SLOPE_S = 0.12  # s, interval of the line fit of a rate, in which contact grows by some elements
 _DILATED_M = 8 * 32.5e-6  # m, the printed dilation of the contact, 8 px
-_PATH_TIMES, _FEW_ELEMENTS, _RATE_N_S = 129, 251, 3.6  # of the presses to a force
 
 
 @dataclass(frozen=True)
@@ -96,22 +94,10 @@ def simulate_presses(
 
     The contact of the skin chain has the area printed in the paper.
     """
-    return _pressed(friction, torch.linspace(0, 1.0, times, dtype=torch.float64), 3.0, 1.0, elements)
-
-
-def simulate_to(force: float, friction: Sequence[float], softness: float) -> SimulatedPresses:
-    """Simulate presses to a force (N) at the printed mean rate, of skin whose tissue is divided by `softness`, with
-    many times at small forces.
-    """
-    time = force / _RATE_N_S * torch.linspace(0, 1, _PATH_TIMES, dtype=torch.float64) ** 1.5
-    return _pressed(friction, time, force, softness, _FEW_ELEMENTS)
-
-
-def _pressed(friction: Sequence[float], time: Tensor, most: float, softness: float, elements: int) -> SimulatedPresses:
-    force, skin = most * time / time[-1], PARAMETERS["fitted"].softer(softness)
-    coefficients = torch.tensor(friction, dtype=torch.float64)
-    tolerance = TOLERANCE_M if elements == _ELEMENTS else 5e-7
-    chain = follow(coefficients, time, force[:, None], parameters=skin, elements=elements, tolerance_m=tolerance)
+    time = torch.linspace(0, 1.0, times, dtype=torch.float64)
+    force = 3.0 * time
+    skin = PARAMETERS["fitted"]
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, parameters=skin, elements=elements)
     return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
 
 

@@ -5,19 +5,19 @@ that were rendered as pictures.
 """
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.interpolate import make_interp_spline
 
-from bench.papers.chain import SimulatedPresses, energy_mj, simulate_to, strain_percent
+from bench.papers.chain import SimulatedPresses, energy_mj, strain_percent
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.manifest import REFERENCE
-from fingerflow.study.row import FORCE_GRID
-from fingerflow.study.simulated_trials import Design, Presses, answer_table
-from fingerflow.study.table import differences
+from fingerflow.study.row import CURVES, FORCE_GRID
+from fingerflow.study.simulated_trials import Design, Presses, answer_table, simulate_skin
+from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED
 
 Values = NDArray[np.float64]
@@ -31,7 +31,11 @@ _OF_SKIN = ("gross_contact_area", "divergence", "curl", "strain", "strain_energy
 def simulate_skins(design: Design) -> Skins:
     """Simulate presses to the largest force, of both kinds of skin at the friction of every amplitude."""
     friction = tuple(design.friction_for(np.array((0.0, *design.amplitudes))))
-    return {softness: simulate_to(design.force_range[1], friction, softness) for softness in design.softness}
+    skins = {}
+    for softness in design.softness:
+        force, chain = simulate_skin(friction, softness, design.force_range[1])
+        skins[softness] = SimulatedPresses(friction, chain.time[:, 0].numpy(), force, chain)
+    return skins
 
 
 class Experiment:
@@ -43,9 +47,11 @@ class Experiment:
 
     def __init__(self, design: Design, presses: Presses, skins: Skins, analysis: str) -> None:
         self.presses, self._design = presses, design
-        levels = (0.0, *design.amplitudes)
-        self._skins = [(float(softness), levels.index(amplitude)) for softness, amplitude in zip(
-            np.asarray(design.softness)[presses.soft.astype(int)], presses.amplitude, strict=True)]  # fmt: skip
+        softness = np.take(design.softness, presses.soft.astype(int)).tolist()
+        self._skins = [
+            (soft, int(np.abs(np.subtract(skins[soft].friction, friction)).argmin()))
+            for soft, friction in zip(softness, presses.friction, strict=True)
+        ]
         self._curves = {softness: _curves_of(skin, analysis) for softness, skin in skins.items()}
 
     def against_force(self, metric: str, force: Values) -> Values:
@@ -108,21 +114,16 @@ class Experiment:
         """
         import pandas as pd
 
-        parts = []
-        for metric in (*_OF_SKIN, "real_contact_area", *_RATES):
-            values = pd.DataFrame(self.against_force(metric, FORCE_GRID), columns=FORCE_GRID)
-            keys = [self.presses.amplitude, self.presses.participant]
-            trials = values.groupby(keys[0]).count().stack()
-            people = values.groupby(keys).mean().groupby(level=0)
-            found = pd.DataFrame({"mean": people.mean().stack(), "spread": people.std().stack(),
-                                  "participants": people.count().stack(), "trials": trials})  # fmt: skip
-            found["reach"] = stats.t.ppf(0.975, found["participants"] - 1) * found["spread"]
-            parts.append(found.rename_axis(["condition", "normal_force_N"]).reset_index().assign(metric=metric))
-        found = pd.concat(parts, ignore_index=True)
-        half = found["trials"] >= found.groupby(["metric", "condition"])["trials"].transform("max") / 2
-        found = found[half & (found["participants"] > 1)]
-        reach = found["reach"] / np.sqrt(found["participants"])
-        return found.assign(low=found["mean"] - reach, high=found["mean"] + reach)
+        people = [SimpleNamespace(participant=who, condition=f"{level:g}")
+                  for who, level in zip(self.presses.participant, self.presses.amplitude, strict=True)]  # fmt: skip
+        tables = []
+        for names in (dict.fromkeys(CURVES), {source: rate for rate, source in _RATES.items()}):
+            series = {name: self.against_force(other or name, FORCE_GRID) for name, other in names.items()}
+            trials = [SimpleNamespace(curves={name: values[k] for name, values in series.items()})
+                      for k in range(len(people))]  # fmt: skip
+            rows: Any = list(zip(people, trials, strict=True))
+            tables.append(pd.DataFrame(averaged(rows)).replace({"metric": {k: v for k, v in names.items() if v}}))
+        return pd.concat(tables, ignore_index=True).astype({"condition": float})
 
 
 def _curves_of(presses: SimulatedPresses, analysis: str) -> dict[str, Values]:

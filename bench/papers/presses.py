@@ -1,7 +1,7 @@
 """Simulated experiment of Willemet et al. 2021: recordings of a study of presses, its results and statistics."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,12 +30,11 @@ from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
-_TRUTHS = 8  # number of trials whose deformation is compared with the truth
 _LEAST_N = 3.0  # N, least peak force of presses that figures show
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(trials=1)
-_QUICK = Design(participants=2, trials=1)
+_QUICK = Design(participants=2, trials=1, amplitudes=(1.0, 3.0))
 _RESAMPLES = {False: 2000, True: 400}
 
 
@@ -128,24 +127,6 @@ class PressStudy:
         return np.asarray(own.loc[places, column].to_numpy(float))
 
     @cached_property
-    def errors(self) -> tuple[Values, Values]:
-        """Return the errors, measured minus true, of the median displacement (T, 2) mm and the median divergence (T,)
-        over the contact at the largest force of T presses.
-
-        An error is the measured value minus the simulated truth. T is at most 8; divergence has no unit.
-        """
-        moved, spread = [], []
-        for entry, result in self.evenly_spaced(_TRUTHS):
-            frame = int(np.nanargmax(result["normal_force"]))
-            truth = self.truth_of(entry).truth.medians(frame)
-            displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
-            moved.append(np.nanmedian(displacement, axis=0) - np.array((truth.displacement_x, truth.displacement_y)))
-            spread.append(float(result["median_divergence"][frame]) - truth.divergence)
-        both = np.array(moved), np.array(spread)
-        known = np.isfinite(both[0]).all(1) & np.isfinite(both[1])
-        return both[0][known], both[1][known]
-
-    @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
         """Return two presses of one participant with similar largest forces (3 N or more): at high and at low friction.
 
@@ -167,13 +148,6 @@ class PressStudy:
         result = self.result_of(entry)
         assert result is not None
         return TypicalPress(result, self.manifest.build_scene(entry))
-
-    def evenly_spaced(self, most: int) -> Iterator[tuple[TrialEntry, xr.Dataset]]:
-        """Yield at most `most` presses, evenly spaced in the list of all, with their results."""
-        step = max(1, len(self.manifest.trials) // most)
-        for entry in self.manifest.trials[::step][:most]:
-            if (result := self.result_of(entry)) is not None:
-                yield entry, result
 
 
 def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
