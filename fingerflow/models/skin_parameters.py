@@ -93,8 +93,8 @@ def parameter_set(parameters: "str | SkinParameters") -> SkinParameters:
     for field in fields(parameters):
         value = torch.as_tensor(getattr(parameters, field.name))
         from_zero = field.name in ("friction_exponent", "stiffening")
-        allowed = (value >= 0 if from_zero else value > 0) & (value < math.inf)
+        allowed, limits = (value >= 0, "0 or more") if from_zero else (value > 0, "positive")
+        allowed = allowed & (value < math.inf)
         if not bool(allowed.all()):
-            limits = "0 or more" if from_zero else "positive"
             raise ValueError(f"{field.name} is {value[~allowed].flatten()[0].item():g}: it must be {limits}")
     return parameters
