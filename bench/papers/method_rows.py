@@ -25,7 +25,7 @@ from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.plot.rounding import format_uncertainty
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 from fingerflow.synthetic import SyntheticScene
 
@@ -281,7 +281,7 @@ _STUCK = (
 
 def _exclusion(study: PressStudy) -> Obtained:
     left_out = study.statistics.get("observer", {}).get("left_out", 0)
-    return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.counted.used} trials left out", exactly(MOVED_MM))
+    return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.used} trials left out", exactly(MOVED_MM))
 
 
 _INSTRUMENT = "a property of the instrument, a Fabry-Perot tribometer; nothing of the simulation depends on it"

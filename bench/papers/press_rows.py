@@ -24,8 +24,8 @@ from fingerflow.models.observer import (
     spearman,
 )
 from fingerflow.models.observer.printed import BIN
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.supplement import OBSERVED
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.statistics import correlate_with_answers
 

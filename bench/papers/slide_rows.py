@@ -18,8 +18,8 @@ from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_a
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.recordings import open_forces
+from fingerflow.schema.rounding import format_uncertainty
 
 Values = NDArray[np.float64]
 _EXACT = 1e-6  # largest relative error of quadratures and roots

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
 from fingerflow.models.observer.psychometric import SHARE
 from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
-from fingerflow.plot.rounding import format_interval
+from fingerflow.schema.rounding import format_interval
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
