@@ -315,7 +315,7 @@ def _strain_gain(study: PressStudy) -> Obtained:
 
 def _exclusion(study: PressStudy) -> Obtained:
     left_out = study.statistics.get("observer", {}).get("left_out", 0)
-    return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.counted.used} trials left out", exactly(MOVED_MM))
+    return Obtained(f"{MOVED_MM:g} mm; {left_out} of {study.sample.used} trials left out", exactly(MOVED_MM))
 
 
 _INSTRUMENT = "a property of the instrument, a Fabry-Perot tribometer; nothing of the simulation depends on it"

@@ -65,7 +65,7 @@ def _curve(study: PressStudy, letter: str, metric: str) -> SheetPanel:
 
 
 def _count(study: PressStudy) -> str:
-    used = study.sample.counted.used
+    used = study.sample.used
     people = study.frame["participant"].nunique()
     return f"{used} answered trials, {len(study.measured)} presses of {people} participants"
 

@@ -45,13 +45,13 @@ def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depth
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
     receptor = RECEPTOR_DEPTHS_M[-1]
-    full = stress(1e-3 * y, 1e-3 * z[:, None], edges[-1], pressure[-1], traction[-1])
+    _, sigma_z, _ = stress(1e-3 * y, 1e-3 * z[:, None], edges[-1], pressure[-1], traction[-1])
     series = stress(1e-3 * y, receptor, edges, pressure, traction)
-    strain_y, strain_z = viscoelastic_strain(series.sigma_y, series.sigma_z, torch.from_numpy(presses.time))
+    strain_y, strain_z = viscoelastic_strain(*series[:2], torch.from_numpy(presses.time))
     return Depth(
         place=y.numpy(),
         map_depth=z.numpy(),
-        sigma_z=1e-3 * full.sigma_z.numpy(),
+        sigma_z=1e-3 * sigma_z.numpy(),
         receptor_stress=1e-3 * torch.stack(series)[:, -1].numpy(),
         strain_y=strain_y.numpy(),
         strain_z=strain_z.numpy(),

@@ -53,8 +53,8 @@ def write_study_report(
     """
     import pandas as pd
 
-    tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves).map(plain_cell)
+    trials_path, curves_path = write_tables(manifest)
+    frame, curves = pd.read_parquet(trials_path), pd.read_csv(curves_path).map(plain_cell)
     sample = read_sample(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
 
@@ -74,7 +74,7 @@ def write_study_report(
         study=manifest.path.parent.name,
         rows=_rows(manifest, frame),
         shown=[(name, NUMBERS[name].axis_label) for name in _SHOWN if name in frame],
-        counted=sample.counted,
+        counted=statistics["counted"],
         statuses=frame["status"].value_counts().to_dict(),
         answered=sample.answered,
         figures=figures,

@@ -145,7 +145,7 @@ def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
     study = load_manifest(tmp_path)
     assert study.design == "forced choice"
     run_study(study, workers=1, progress=False)
-    table = pd.read_csv(write_tables(study).csv)
+    table = pd.read_csv(write_tables(study)[0].with_suffix(".csv"))
     assert (table["status"] == "measured").all()
     drawn = draw_presses(design)
     assert np.abs(table["max_force"] / table["true_force"] - 1).max() < 0.03

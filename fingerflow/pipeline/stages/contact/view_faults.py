@@ -94,34 +94,27 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
         return []
     return [
         f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
-        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse and medians are of the densest "
-        f"part alone where the two are apart, and of both where they have merged. Leave the other out by "
-        f"views.contact.region, or press with one finger"
+        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
+        f"of the densest part alone (at ellipse_center) where the two are apart, of both where they merge. Leave the "
+        f"other out by views.contact.region, or press with one finger"
     ]
 
 
 def check_sweat(touching: Mask, period_px: float) -> list[str]:
     """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
-    between the ridges.
+    between the ridges: the share covered by discs 1.1 ridge periods in diameter which lie within the mask (a
+    morphological opening).
 
     `touching` is the real contact mask; `period_px` is the ridge period.
     """
-    count = int(touching.sum())
-    share = solid_share(touching, period_px) if count else 0.0
+    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
+    share = float(solid.sum() / max(touching.sum(), 1))
     if not _SOLID < share < _ALL_SOLID:
         return []
     return [
         f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease fills "
         f"the valleys there and counts as contact. Dry finger and glass"
     ]
-
-
-def solid_share(touching: Mask, period_px: float) -> float:
-    """Return the share of a real contact mask that is wider than a ridge: that covered by discs 1.1 ridge periods in
-    diameter which lie within the mask (a morphological opening).
-    """
-    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
-    return float(solid.sum() / touching.sum())
 
 
 def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:

@@ -419,7 +419,8 @@ def check_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: in
         return []
     return [
         f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: the "
-        f"strain is known in less than half of the area of the triangles there. Their points are lost (status says why)"
+        f"strain is known in less than half of the area of the triangles there, or in none within half a gauge length "
+        f"of the border. Their points are lost (status says why), or seeded in too small a [stream] region"
     ]
 
 

@@ -26,7 +26,7 @@ from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, SeededPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
-from fingerflow.tracker.points import Points, join
+from fingerflow.tracker.points import MOST_FRAMES, Points, join
 
 _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
@@ -117,8 +117,9 @@ class TrackingStage(Stage):
             return
         margin = batch.result(ContactStage).density_margin
         images = batch.images(self.inputs, self._view)
-        numbers = np.arange(len(images))
-        for run in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
+        numbers, changes = np.arange(len(images)), np.flatnonzero(np.diff(self._usable[batch.indices])) + 1
+        # New skin is searched, and windows are compared, where templates are checked.
+        for run in np.split(numbers, np.union1d(changes, numbers[MOST_FRAMES::MOST_FRAMES])):
             indices = batch.indices[run]
             if self._usable[indices[0]]:
                 self._step_through(images[run[0] : run[-1] + 1], indices, margin[run[0] : run[-1] + 1])
