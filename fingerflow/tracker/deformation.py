@@ -98,7 +98,7 @@ class Deformation:
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             bias = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
-            if np.nan_to_num(since.onset).any():
+            if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
                 gauge = self._engine.settings.gauge_length_mm
                 bias += np.square(_COMMON / gauge) * np.nanmedian(since.variance[rows], axis=1, keepdims=True)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
