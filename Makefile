@@ -51,7 +51,7 @@ $(BIN)/python:
 
 # The compiled kernels are part of the install: their sources count like the list of dependencies.
 KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) $(wildcard fingerflow/kernels/median_*.py)
-KERNELS += $(wildcard fingerflow/kernels/interface.h fingerflow/kernels/declarations.py fingerflow/kernels/tracking_limits.py fingerflow/kernels/contact_sizes.py)
+KERNELS += $(wildcard fingerflow/kernels/declarations.py fingerflow/kernels/tracking_limits.py fingerflow/kernels/contact_sizes.py)
 
 $(VENV)/installed: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .

@@ -18,7 +18,6 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
-HEADERS = Path("fingerflow/kernels")  # of interface.h, which Python reads too
 # The first line of a source that is compiled once an instruction set; some need no exact agreement between the sets.
 EXACT = "// build: each instruction set"
 ROUNDED = f"{EXACT}, fused"
@@ -66,7 +65,7 @@ class BuildKernels(build_ext):
             names = names[: sets_of_this_processor(self.compiler.compiler_so[:1])]
         macros = [("FINGERFLOW_X86", "1")] if ON_X86 else []
         once = [*macros, ("FINGERFLOW_SETS", str(len(names)))]
-        includes = [str(KERNELS), str(HEADERS), str(folder)]
+        includes = [str(KERNELS), str(folder)]
         headers = b"".join(path.read_bytes() for where in includes for path in sorted(Path(where).glob("*.h")))
 
         hot = (EXACT, ROUNDED)

@@ -80,8 +80,9 @@ void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* li
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down, std::int64_t along, std::int64_t rows,
-                            std::int64_t columns, float* blocks, float* lines, int threads) {
+// Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
+void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,
+    std::int64_t columns, float* blocks /* (batch, rows, columns) */, float* lines /* (batch, (height - down / 2 + down - 1) / down) */, int threads) {
     using namespace fingerflow;
     const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
     const std::int64_t lines_read = read(frames->height, down), across = read(frames->width, along);

@@ -7,9 +7,11 @@
 
 #include "interface.h"
 
-void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
-                                  std::int64_t radius, std::int64_t side, unsigned char* real_contact_mask,
-                                  float* density_margin, float* numbers, float* gains, int threads) {
+// Contact of frames in one call, as fingerflow/graphs/contact_graph.py has it: the gains (batch) of the light from blocks of
+void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits /* (batch) */, int size /* from 1 to 15 by 2 */,
+    std::int64_t block /* from 8 by 8 */, std::int64_t radius /* from 1 to 255 */, std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */,
+    unsigned char* real_contact_mask /* bool (batch, 1, height, width) */, float* density_margin /* (batch, 1, -(-height / side), -(-width / side)) */,
+    float* numbers /* (batch, 7) */, float* gains /* (batch) */, int threads) {
     fingerflow_illumination_gain(given, block, gains, threads);
     std::vector<float> shares(static_cast<std::size_t>(given->frames.batch));
     for (std::size_t frame = 0; frame < shares.size(); ++frame) {

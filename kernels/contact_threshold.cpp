@@ -275,8 +275,10 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size, const std::uint16_t* table,
-                                  std::int64_t radius, std::int64_t side, std::int64_t stride, float* thresholds, int threads) {
+// Relative intensity losses (batch) at the edges of ridges in contact (fingerflow/ops/contact/contact_threshold.py),
+void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains /* (batch) */, int size /* from 1 to 15 by 2 */,
+    const std::uint16_t* table /* (entries) optional */, std::int64_t radius /* from 1 to 255 */,
+    std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */, std::int64_t stride /* from 1 */, float* thresholds /* (batch) */, int threads) {
     using namespace fingerflow;
     const auto find = [&](std::int64_t frame, int own) {
         thresholds[frame] = Frame(*given, frame, size, table, radius, side, stride, own).threshold(gains[frame]);

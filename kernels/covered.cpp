@@ -7,9 +7,10 @@
 
 #include "interface.h"
 
-void fingerflow_covered(const float* density_margin, std::int64_t batch, std::int64_t down, std::int64_t across,
-                        std::int64_t side, const float* points, std::int64_t count, const float* transform,
-                        unsigned char* covered) {
+// Whether (batch, count) regions of density margins (batch, cells down, cells across) on cells of `side` px cover points
+void fingerflow_covered(const float* density_margin /* (batch, 1, down, across) */, std::int64_t batch, std::int64_t down /* from 1 */,
+    std::int64_t across /* from 1 */, std::int64_t side /* from 1 */, const float* points /* (batch, count, 2) */, std::int64_t count,
+    const float* transform /* (2, 3) */, unsigned char* covered /* bool (batch, count) */) {
     const auto middle = static_cast<float>(side - 1) / 2, each = static_cast<float>(side);
     const auto last_row = static_cast<float>(down), last_column = static_cast<float>(across);
     const std::int64_t right = std::min<std::int64_t>(1, across - 1), below = across * std::min<std::int64_t>(1, down - 1);

@@ -1,5 +1,5 @@
 // Entries of the library: a block of memory that Python packed is unpacked to the arguments of a function of
-// interface.h, and exceptions become status codes. generate_entries.py writes one entry for each function.
+// the library, and exceptions become status codes. generate_entries.py writes one entry for each function.
 #pragma once
 
 #include <cstdint>

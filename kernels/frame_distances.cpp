@@ -44,8 +44,10 @@ namespace fingerflow {
 FINGERFLOW_OTHER_SETS(distances_of_pair)
 }  // namespace fingerflow
 
-void fingerflow_frame_distances(const float* now, const float* before, std::int64_t pairs, std::int64_t lines, std::int64_t pixels,
-                                std::int64_t bands, float most, float* distances, int threads) {
+// Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
+void fingerflow_frame_distances(const float* now /* (pairs, lines, pixels) */, const float* before /* (pairs, lines, pixels) */, std::int64_t pairs,
+    std::int64_t lines, std::int64_t pixels /* from 1 */, std::int64_t bands /* from 1 where bands <= lines */, float most,
+    float* distances /* (pairs, bands + 1) */, int threads) {
     using namespace fingerflow;
     parallel_for(pairs, threads, [&](std::int64_t pair) {
         const std::int64_t first = pair * lines * pixels;

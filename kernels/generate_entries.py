@@ -1,22 +1,22 @@
-"""Generator of the entries of the library, one for each function of `fingerflow/kernels/interface.h`."""
+"""Generator of the entries of the library, one for each function that Python calls, and of its interface as text."""
 
 import runpy
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parent.parent / "fingerflow" / "kernels"
+FOLDER = Path(__file__).resolve().parent
 GENERATES = "entries.cpp"
 
 
 def source() -> str:
-    """Return an exported `enter_<name>` for each function, and the digest of the interface."""
-    declarations = runpy.run_path(str(FOLDER / "declarations.py"))
-    header = (FOLDER / "interface.h").read_text(encoding="utf-8")
-    lines = ['#include "entry.h"', '#include "interface.h"', ""]
-    for name in declarations["read"](header):
-        arguments = f"(&fingerflow_{name}, packed)"
-        lines.append(
-            f"FINGERFLOW_EXPORT int enter_{name}(const void* packed) {{ return fingerflow::enter{arguments}; }}"
-        )
-    digest = declarations["digest"](header)
-    lines += ["", f'FINGERFLOW_EXPORT const char* fingerflow_digest() {{ return "{digest}"; }}', ""]
-    return "\n".join(lines)
+    """Return an exported `enter_<name>` for each function, the interface and its digest."""
+    declarations = runpy.run_path(str(FOLDER.parent / "fingerflow" / "kernels" / "declarations.py"))
+    interface = declarations["interface"](FOLDER)
+    lines = ['#include "entry.h"', interface]
+    for name in declarations["read"](interface):
+        entered = f"return fingerflow::enter(&fingerflow_{name}, packed);"
+        lines.append(f"FINGERFLOW_EXPORT int enter_{name}(const void* packed) {{ {entered} }}")
+    texts = {"digest": declarations["digest"](interface), "interface": interface}
+    for name, text in texts.items():
+        literals = "\n".join(f'R"~({line} )~"' for line in text.splitlines())  # compilers limit the length of each
+        lines.append(f"FINGERFLOW_EXPORT const char* fingerflow_{name}() {{ return {literals}; }}")
+    return "\n".join(lines) + "\n"

@@ -15,7 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fingerflow.kernels.median_network import MedianProgram, Step, median_program
-from fingerflow.kernels.median_rows import COMPILED_SIZES, Read, RowOrder
+from fingerflow.kernels.median_rows import COMPILED_SIZES, RowOrder
 
 DIFFERENCES = 0.4  # share of operations that go by a difference
 GENERATES = "median_networks.h"
@@ -40,8 +40,8 @@ class Placement(RowOrder):
         for step in self.steps:
             assert step.columns >= 0
             passes[step.result] = max(
-                passes[plane] + (read.columns > 0 and plane not in self.inputs) if read.age == 0 else 0
-                for plane, read in self.operands(step)
+                passes[plane] + (columns > 0 and plane not in self.inputs) if age == 0 else 0
+                for plane, age, columns in self.operands(step)
             )
         return passes
 
@@ -49,18 +49,18 @@ class Placement(RowOrder):
         """Return how many tiles beyond the last one of a row each plane is computed for."""
         spans = dict.fromkeys(self.leads, 0)
         for step in reversed(self.program.steps):
-            for plane, read in self.operands(step):
-                spans[plane] = max(spans[plane], spans[step.result] + read.columns)
+            for plane, _, columns in self.operands(step):
+                spans[plane] = max(spans[plane], spans[step.result] + columns)
         return spans
 
     def _scratch(self) -> tuple[dict[int, int], int]:
         """Return the slots of planes that a later pass over the same row reads, and their number."""
         last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
         for step in self.steps:
-            for plane, _ in self.operands(step):
-                own = plane not in self.ring_slots and plane not in self.inputs
-                if own and self.passes[step.result] > self.passes[plane]:
-                    last_pass[plane] = max(last_pass.get(plane, 0), self.passes[step.result])
+            for plane, _, _ in self.operands(step):
+                later = self.passes[step.result]
+                if later > self.passes[plane] and plane not in (*self.ring_slots, *self.inputs):
+                    last_pass[plane] = max(last_pass.get(plane, 0), later)
         free: list[int] = []
         busy: list[tuple[int, int]] = []  # (last pass, slot)
         slots: dict[int, int] = {}
@@ -68,11 +68,8 @@ class Placement(RowOrder):
         for plane in sorted(last_pass, key=lambda plane: (self.passes[plane], plane)):
             free += sorted(slot for last, slot in busy if last < self.passes[plane])
             busy = [(last, slot) for last, slot in busy if last >= self.passes[plane]]
-            if free:
-                slot = free.pop()
-            else:
-                slot, count = count, count + 1
-            slots[plane] = slot
+            slot = slots[plane] = free.pop() if free else count
+            count = max(count, slot + 1)
             busy.append((last_pass[plane], slot))
         return slots, count
 
@@ -114,33 +111,32 @@ def network_source(program: MedianProgram) -> str:
 def _pass_source(place: Placement, number: int) -> list[str]:
     steps = [step for step in place.steps if place.passes[step.result] == number]
     span = max(place.spans[step.result] for step in steps)
-    loaded: dict[tuple[int, Read], str] = {}
+    loaded: set[str] = set()
     body: list[str] = []
     ages: set[int] = set()
     input_lines: set[int] = set()
 
-    def value(plane: int, read: Read) -> str:
-        in_register = plane not in place.inputs and read == (0, 0) and place.passes[plane] == number
-        if in_register:
-            return f"v{plane}"
-        if (plane, read) not in loaded:
-            name = f"a{plane}_{read.age}_{read.columns}"
+    def value(plane: int, age: int, columns: int) -> str:
+        if plane not in place.inputs and (age, columns) == (0, 0) and place.passes[plane] == number:
+            return f"v{plane}"  # in a register
+        name = f"a{plane}_{age}_{columns}"
+        if name not in loaded:
             if plane in place.inputs:
-                line = place.line(plane, read.age)
+                line = place.line(plane, age)
                 input_lines.add(line)
-                where = f"i{line} + x + {read.columns}"
+                where = f"i{line} + x + {columns}"
             elif plane in place.ring_slots:
-                ages.add(read.age)
-                where = f"r{read.age} + {place.ring_slots[plane]} * kStride + x + {read.columns}"
+                ages.add(age)
+                where = f"r{age} + {place.ring_slots[plane]} * kStride + x + {columns}"
             else:
-                where = f"scratch + {place.scratch[plane]} * kStride + x + {read.columns}"
+                where = f"scratch + {place.scratch[plane]} * kStride + x + {columns}"
             body.append(f"            const Value {name} = L::load({where});")
-            loaded[plane, read] = name
-        return loaded[plane, read]
+            loaded.add(name)
+        return name
 
     by_difference = _by_difference(steps)
     for step in steps:
-        first, second = (value(plane, read) for plane, read in place.operands(step))
+        first, second = (value(*operand) for operand in place.operands(step))
         function = "lesser" if step.operation == "minimum" else "greater"
         arguments = f"{first}, {second}"
         if step.result in by_difference:

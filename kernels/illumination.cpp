@@ -29,8 +29,9 @@ void divide(const Pixel* frame, const float* light, const float* black, float le
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients, unsigned char* known,
-                          int threads) {
+// Light over that of the empty glass, (frame - black) / light, and where it is known
+void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least /* (lights) */, float* quotients /* (batch, 1, height, width) */,
+    unsigned char* known /* bool (batch, 1, height, width) */, int threads) {
     using namespace fingerflow;
     const Frames& frames = given->frames;
     const std::int64_t width = frames.width, pixels = frames.height * width;

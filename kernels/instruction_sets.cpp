@@ -54,7 +54,8 @@ InstructionSet instruction_set() {
 
 }  // namespace fingerflow
 
-void fingerflow_limit_instruction_set(int most, std::int32_t* taken) {
+// The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
+void fingerflow_limit_instruction_set(int most /* from -1 */, std::int32_t* taken /* (1) */) {
     const int widest = fingerflow::widest();
     *taken = most < 0 || most > widest ? widest : most;
     fingerflow::chosen.store(*taken);

@@ -142,9 +142,9 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
-                                int threads) {
-    if (wide)
+void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int points_kind,
+    int threads) {
+    if (points_kind)
         fingerflow::Fits<double>(*given, radius, least_spread).run(threads);
     else
         fingerflow::Fits<float>(*given, radius, least_spread).run(threads);

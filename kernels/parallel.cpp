@@ -184,6 +184,7 @@ void run_pieces(std::int64_t pieces, int threads, void (*call)(const void*, std:
 
 }  // namespace fingerflow
 
-void fingerflow_inject_fault(int fault, std::int64_t piece, int thread) {
+// For tests: faults and threads of parallel.h, by their numbers.
+void fingerflow_inject_fault(int fault, std::int64_t piece /* from -1 */, int thread) {
     fingerflow::inject_fault(static_cast<fingerflow::Fault>(fault), piece, static_cast<fingerflow::Thread>(thread));
 }

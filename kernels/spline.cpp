@@ -51,7 +51,8 @@ namespace fingerflow {
 FINGERFLOW_OTHER_SETS(spline_rows)
 }  // namespace fingerflow
 
-void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients, int threads) {
+// Spline coefficients (batch, height, width), contiguous (fingerflow/ops/filters/spline.py).
+void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients /* (batch, 1, height, width) */, int threads) {
     using namespace fingerflow;
     const std::int64_t height = frames->height, width = frames->width;
     for_bands(frames->batch, height, 32, threads, [&](std::int64_t frame, std::int64_t top, std::int64_t bottom) {

@@ -652,11 +652,13 @@ void fingerflow_find_templates(const fingerflow_found_templates* given, int thre
     share_out(some, given->place, given->recordings * given->points, given->points, given->frames.height, given->window, threads);
 }
 
-void fingerflow_find_pairs(const fingerflow_frames* previous, const void* current, std::int64_t points, float* start,
-                           const float* inverse_warp, const float* variance, int window, int gain_offset, int rounds,
-                           float* place, float* speed, float rounding, float forward_backward_limit,
-                           float mismatch_limit, float* numbers, float* found, float* error, float* covariance,
-                           unsigned char* status, float* estimate, int threads) {
+// Both at once, of images and as many others with the same strides, points at rest in place: samples are kept nowhere.
+void fingerflow_find_pairs(const fingerflow_frames* previous /* 4 x 4 whole */, const void* current /* previous (batch, 1, height, width) */,
+    std::int64_t points, float* start /* (batch, points, 2) updated */, const float* inverse_warp /* (batch, points, 2, 2) optional */,
+    const float* variance /* (batch) */, int window /* from 5 to 4095 by 2 */, int gain_offset, int rounds, float* place /* (batch, points, 2) updated */,
+    float* speed /* (batch, points, 2) updated optional */, float rounding, float forward_backward_limit, float mismatch_limit,
+    float* numbers /* (batch, points, 32) */, float* found /* (batch, points, 2) */, float* error /* (batch, points) */,
+    float* covariance /* (batch, points, 2, 2) */, unsigned char* status /* (batch, points) */, float* estimate /* (batch, points, 2) */, int threads) {
     using namespace fingerflow;
     const std::int64_t batch = previous->batch;
     Frames frames = *previous;

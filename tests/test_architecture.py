@@ -21,7 +21,7 @@ _TABLE = {
     "kernels": "",  # works on NumPy arrays and tensors without importing torch
     "tensors": "kernels",  # the kernels as ops of torch, in fingerflow/kernels/tensors
     "ops": "kernels tensors",
-    "graphs": "kernels ops",
+    "graphs": "kernels ops schema",
     "engines": "errors kernels schema",  # works on NumPy arrays
     "torch_engine": "engines errors graphs kernels ops schema tensors",  # see `_room`
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings

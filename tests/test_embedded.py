@@ -23,8 +23,8 @@ from torch.utils._pytree import tree_leaves, tree_map
 from fingerflow import ops
 from fingerflow.export.build import build_graphs
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.outlier_limits import NEIGHBOURS
 from fingerflow.ops.contact import apparent_contact, otsu
-from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.track_points import in_passes
 from fingerflow.schema.recipe import GRAPHS, Recipe, load_recipe
 from tests.embedded import CASES, expected, scene, tensors_of, without_a_case
@@ -443,7 +443,7 @@ def small(recipe: Recipe) -> Recipe:
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
     """Yield the graphs of a recipe by name; inputs have the shapes and types of the outputs of earlier graphs."""
-    beside = find_neighbours(torch.rand(1, COUNT, 2, generator=torch.Generator().manual_seed(0)), 1.0)
+    neighbours = torch.zeros(1, NEIGHBOURS, COUNT)
     view = torch.zeros(1, 1, HEIGHT, WIDTH)
     points = torch.zeros(1, COUNT, 2)
     known = {
@@ -457,7 +457,8 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "among": points[..., 0].to(torch.bool),
         **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), torch.ones(1, 2)),
         **dict.fromkeys(("ellipse_angle", "gauge_length", "threshold"), torch.ones(1)),
-        **dict(zip(("neighbour_number", "neighbour_offset", "neighbour_within"), beside, strict=True)),
+        **{"neighbour_number": neighbours.int(), "neighbour_within": neighbours},
+        "neighbour_offset": torch.zeros(1, NEIGHBOURS, COUNT, 2),
     }
     for name, graph in build_graphs(recipe).items():
         step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)

@@ -45,13 +45,13 @@ def compute_strains_at_depth(presses: SimulatedPresses, places: int = 101, depth
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
     receptor = RECEPTOR_DEPTHS_M[-1]
-    full = stress(1e-3 * y, 1e-3 * z[:, None], edges[-1], pressure[-1], traction[-1])
+    _, sigma_z, _ = stress(1e-3 * y, 1e-3 * z[:, None], edges[-1], pressure[-1], traction[-1])
     series = stress(1e-3 * y, receptor, edges, pressure, traction)
-    strain_y, strain_z = viscoelastic_strain(series.sigma_y, series.sigma_z, torch.from_numpy(presses.time))
+    strain_y, strain_z = viscoelastic_strain(*series[:2], torch.from_numpy(presses.time))
     return Depth(
         place=y.numpy(),
         map_depth=z.numpy(),
-        sigma_z=1e-3 * full.sigma_z.numpy(),
+        sigma_z=1e-3 * sigma_z.numpy(),
         receptor_stress=1e-3 * torch.stack(series)[:, -1].numpy(),
         strain_y=strain_y.numpy(),
         strain_z=strain_z.numpy(),
@@ -91,7 +91,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
     """Draw figure S10 C: normal stress (kPa) inside the skin at full load, with receptors as black dots."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
-    for one, friction in zip(axes, (LOW, HIGH), strict=True):
+    for one, friction in zip(axes, (min(presses.friction), HIGH), strict=True):
         values = depth.sigma_z[presses.friction.index(friction)]
         image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="YlOrRd_r", vmin=lowest, vmax=0)
         for down in RECEPTOR_DEPTHS_M:

@@ -35,6 +35,7 @@ from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build_graphs
+from fingerflow.export.portable import PortableSession
 from fingerflow.export.write_bundle import write_graph
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.ops.tracking.corners import detect_corners
@@ -114,8 +115,7 @@ def _inputs(scene: Press) -> dict[str, Tensor]:
 
 
 def _corners(view: Tensor, recipe: Recipe) -> Tensor:
-    border = recipe.tracking.window_px // 2 + 4
-    return detect_corners(view, recipe.tracking.points, 6.0, window=5, border=border).points
+    return detect_corners(view, recipe.tracking.points, 6.0, window=5, border=recipe.tracking.window_px // 2 + 4).points
 
 
 def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
@@ -124,18 +124,18 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     light, black = glass_light(known["empty"], known["dark"])
     tensors = known | {"light": light, "black": black}
     if "points" in tensors:
-        key = {**tensors, "topography_view": tensors["topography_before"]}
-        for graph in (graphs["noise"], graphs["prepare"]):
-            key |= graph.run(key)
-        tensors = {**key, "topography_view": tensors["topography_view"], "prediction": tensors["points"]}
+        tensors |= {"prediction": tensors["points"]}
+        for graph in ("noise", "prepare"):
+            tensors |= PortableSession(graphs[graph])({**tensors, "topography_view": tensors["topography_before"]})
     with tempfile.TemporaryDirectory() as folder:
-        write_graph(recipe, name, graphs[name], tuple(tensors[one] for one in graphs[name].inputs), Path(folder))
+        inputs = [torch.as_tensor(tensors[one]) for one in graphs[name].inputs]
+        write_graph(recipe, name, graphs[name], tuple(inputs), Path(folder))
         file = Path(folder) / f"{name}.onnx"
         nodes = sum(node.op_type != "Constant" for node in onnx.load(file).graph.node)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
     # In one piece, as the graphs give them: a transposed view would be copied in every run.
-    feed = {one.name: np.ascontiguousarray(tensors[one.name].numpy()) for one in session.get_inputs()}
+    feed = {one.name: np.ascontiguousarray(tensors[one.name]) for one in session.get_inputs()}
     outputs = [one.name for one in session.get_outputs()]
     return nodes, lambda: dict(zip(outputs, session.run(outputs, feed), strict=True))

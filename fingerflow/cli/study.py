@@ -68,7 +68,7 @@ def run(
         return
     summary = run_study(loaded, scheduler, workers, only, retry_failed)
     typer.echo(str(summary))
-    typer.echo(f"table: {write_tables(loaded).trials}")
+    typer.echo(f"table: {write_tables(loaded)[0]}")
     if summary.interrupted:
         raise typer.Exit(INTERRUPTED)
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fingerflow.engines.contact_view import covers, glass_light
-from fingerflow.engines.engine import STEP, Array, Engine, EnteredPoints, FrameEllipse
+from fingerflow.engines.engine import Array, Corrected, Engine, EnteredPoints, FrameEllipse, TrackedPoints
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
 
@@ -30,8 +30,6 @@ _MARGIN = 8  # px, distance of the tracking windows from the border of the view
 _SEMI_AXES = np.array([0.36, 0.3])  # of the contact, in widths and heights of the view
 _UNKNOWN = 7  # every 7th point has the position NaN, as a lost point has
 _FEW, _MOST_FEW = 3, 16  # every 3rd point, at most 16, is among `BuiltIn.few`
-# Frames computed, alternating between two: more than an engine or ONNX Runtime computes before it replays a CUDA graph.
-_TURNS = 4
 _MOTIONS = "numbers", "reversed"  # names in bundle.json
 _DIGITS = 8  # significant digits of the numbers in bundle.json
 _FLIPS = 0.01  # largest share of the values that may be finite in one of both results and NaN in the other
@@ -43,39 +41,26 @@ _ROUGH = np.float32(0.5)  # px along x and y, by which points are put off their 
 _CERTAIN, _UNCERTAIN = np.float32(0.02), np.float32(0.5)  # px, deviations of positions
 
 
-class Tolerance(NamedTuple):
-    """Tolerance of the self-test: the largest difference that rounding can cause, with its unit.
-
-    If `relative`, it is a share of the value.
-    """
-
-    most: float
-    unit: str
-    relative: bool = False
-
-
-_PX, _SHARE = Tolerance(1e-3, "px"), Tolerance(1e-3, "of itself", relative=True)
-_STRAIN = Tolerance(5e-5, "m/m")
-#: Largest differences to the expected results. Positions of engines differ by up to 2e-5 px; 1e-3 px is guaranteed. A
-#: cell at the border may be in contact for one engine only.
+_RELATIVE = "of itself"  # unit of a share of the value
+_PX, _SHARE, _STRAIN = (1e-3, "px"), (1e-3, _RELATIVE), (5e-5, "m/m")
+#: Largest differences to the expected results that rounding explains, with their units. Positions of engines differ by
+#: up to 2e-5 px; 1e-3 px is guaranteed. A cell at the border may be in contact for one engine only.
 TOLERANCES = {
-    **dict.fromkeys(("real_area_px", "gross_area_px"), _SHARE),
-    **dict.fromkeys(("center", "semi_axes"), Tolerance(0.1, "px")),
-    "axis": Tolerance(0.01, ""),  # cosine and sine of twice the angle, of which pi more is the same axis
-    **dict.fromkeys(("threshold", "illumination_gain"), Tolerance(1e-3, "")),
-    "covered": Tolerance(0.0, ""),
-    "noise": _SHARE,
+    **dict.fromkeys(("real_area_px", "gross_area_px", "noise"), _SHARE),
+    **dict.fromkeys(("center", "semi_axes"), (0.1, "px")),
+    "axis": (0.01, ""),  # cosine and sine of twice the angle, of which pi more is the same axis
+    **dict.fromkeys(("threshold", "illumination_gain"), (1e-3, "")),
+    **dict.fromkeys(("covered", "off_neighbours", "uncertain"), (0.0, "")),
     **dict.fromkeys(("found", "found_alone", "found_updated", "corrected"), _PX),
     # The frame has no noise: the residual, on which the deviation is based, is a difference of nearly equal sums.
-    "deviation": Tolerance(0.05, "of itself", relative=True),
-    "warp": Tolerance(5e-4, "px/px"),
-    **dict.fromkeys(("off_neighbours", "uncertain"), Tolerance(0.0, "")),
-    "searched": Tolerance(0.05, "px"),
-    "windows": Tolerance(0.1, "grey levels"),
-    "seeded": Tolerance(0.05, "of the points"),
+    "deviation": (0.05, _RELATIVE),
+    "warp": (5e-4, "px/px"),
+    "searched": (0.05, "px"),
+    "windows": (0.1, "grey levels"),
+    "seeded": (0.05, "of the points"),
     **dict.fromkeys(("fields", "fields_entered", "median", "median_entered", "fit"), _STRAIN),
-    "known_share": Tolerance(0.01, ""),
-    **dict.fromkeys(("fields_std", "median_std", "fit_std"), Tolerance(0.02, "of itself", relative=True)),
+    "known_share": (0.01, ""),
+    **dict.fromkeys(("fields_std", "median_std", "fit_std"), (0.02, _RELATIVE)),
 }
 
 
@@ -145,10 +130,10 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference
 
 
 def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str, Array]]) -> list[Difference]:
-    """Check that an engine gives the expected results of a built-in frame and of its reversed motion, computed in
-    turns; return the differences.
+    """Check that an engine gives the expected results of a built-in frame and then of its reversed motion; return the
+    differences.
 
-    A recorded graph that reads the first frame for ever, or a kernel that always computes wrongly, gives others.
+    An engine that returns the results of the first frame for ever, or a kernel that computes wrongly, gives others.
 
     Args:
         engine: to be checked.
@@ -159,36 +144,34 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
         FingerflowError: a result is not that of its frame.
     """
     largest = dict.fromkeys(expected[0], 0.0)
-    for turn in range(_TURNS):
-        shown = frame.reversed() if turn % 2 else frame
+    for shown, stated in zip((frame, frame.reversed()), expected, strict=True):
         numbers = numbers_of(engine, shown)
-        for name, theirs in expected[turn % 2].items():
-            worst, said = _difference(name, numbers[name], theirs)
-            if worst > TOLERANCES[name].most:
+        for name, theirs in stated.items():
+            worst, message = _difference(name, numbers[name], theirs)
+            if worst > TOLERANCES[name][0]:
                 raise FingerflowError(
                     f"engine {engine.described}: its numbers of the built-in frame are not the expected ones ({name} "
-                    f"{said}), so that none of its numbers can be trusted here; choose another engine or another "
+                    f"{message}), so that none of its numbers can be trusted here; choose another engine or another "
                     "provider"
                 )
             largest[name] = max(largest[name], worst)
-    return [Difference(name, worst, TOLERANCES[name].most, TOLERANCES[name].unit) for name, worst in largest.items()]
+    return [Difference(name, worst, *TOLERANCES[name]) for name, worst in largest.items()]
 
 
 def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
     """Return by how much a result differs from the expected one, in the unit of its tolerance and in words."""
-    tolerance = TOLERANCES[name]
+    most, unit = TOLERANCES[name]
     if name == "seeded" and theirs.shape[1:] == ours.shape[1:]:
-        apart = np.abs(ours[:, None] - theirs).max(-1) if len(ours) and len(theirs) else np.ones((1, 1))
-        worst = float(1 - np.mean(apart.min(1) < _BESIDE) * min(len(ours), len(theirs)) / max(len(ours), len(theirs)))
-        return worst, f"differ for {worst:.0%} {tolerance.unit}"
-    known = np.isfinite(ours), np.isfinite(theirs)
-    if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
-        return math.inf, f"is known elsewhere, {known[0].sum()} for {known[1].sum()} times"
-    apart, both = np.abs(ours - theirs), known[0] & known[1]
-    if tolerance.relative:
-        apart = apart / np.maximum(np.abs(theirs), 1e-6)
-    worst = float(np.max(apart[both], initial=0.0))
-    return worst, f"is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
+        distance = np.abs(ours[:, None] - theirs).max(-1) if len(ours) and len(theirs) else np.ones((1, 1))
+        count = sorted((len(ours), len(theirs)))
+        worst = float(1 - np.mean(distance.min(1) < _BESIDE) * count[0] / count[1])
+        return worst, f"differ for {worst:.0%} {unit}"
+    valid = np.isfinite(ours), np.isfinite(theirs)
+    if ours.shape != theirs.shape or np.mean(valid[0] != valid[1]) > _FLIPS:
+        return math.inf, f"is known elsewhere, {valid[0].sum()} for {valid[1].sum()} times"
+    distance = np.abs(ours - theirs) / (np.maximum(np.abs(theirs), 1e-6) if unit == _RELATIVE else 1)
+    worst = float(np.max(distance[valid[0] & valid[1]], initial=0.0))
+    return worst, f"is off by {worst:.2g} {unit}, where rounding explains {most:g}"
 
 
 def both_numbers_of(engine: Engine, frame: BuiltIn) -> list[dict[str, Array]]:
@@ -214,14 +197,8 @@ def _rounded(values: Array) -> Any:
 
 def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
     """Return the results that an engine computes for the built-in frame; their names are those of `TOLERANCES`."""
-    return {
-        name: np.asarray(value, np.float64)
-        for name, value in (
-            *_contact_numbers(engine, frame).items(),
-            *_point_numbers(engine, frame).items(),
-            *_field_numbers(engine, frame).items(),
-        )
-    }
+    parts = (part(engine, frame) for part in (_contact_numbers, _point_numbers, _field_numbers))
+    return {name: np.asarray(value, np.float64) for part in parts for name, value in part.items()}
 
 
 def _contact_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
@@ -243,39 +220,41 @@ def _point_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     templates = engine.prepare(engine.images(frame.key[None]), frame.points)
     still, straight = np.zeros_like(frame.expected), np.broadcast_to(np.eye(2, dtype=np.float32), (count, 2, 2)).copy()
     found = engine.track(templates, images, frame.expected, still).found
-    corrected = engine.correct(frame.points, found, templates.numbers, straight)
 
-    start, near, unmoved = frame.points[few], frame.expected[few], still[few]
-    alone = engine.track(templates, images, near, unmoved, few).found.points[0]
+    def correct(points: TrackedPoints) -> Corrected:
+        return engine.correct(frame.points, points, templates.numbers, straight)
+
+    def judge(positions: Array, covariance: Array) -> Corrected:
+        """Judge all points as tracked, at the given positions (N, 2) px."""
+        status, positions = np.zeros_like(found.status), positions[None].astype(np.float32)
+        return correct(found._replace(points=positions, covariance=covariance, status=status))
+
+    corrected = correct(found)
+    start, near = frame.points[few], frame.expected[few]
+    alone = engine.track(templates, images, near, still[few], few).found.points[0]
     stretched = np.broadcast_to(_STRETCH.astype(np.float32), (len(few), 2, 2)).copy()
     templates.update(few, engine.prepare(templates, start, stretched))
-    updated = engine.track(templates, images, frame.expected, still).found.points[0]
-    windows = engine.windows(images, np.zeros(len(few), np.int64), near, stretched, STEP)
     results = {
         "noise": templates.noise,
         "seeded": engine.detect(images, np.ones(frame.key.shape, bool), count),
         "found": found.points[0],
         "found_alone": alone,
-        "found_updated": updated,
+        "found_updated": engine.track(templates, images, frame.expected, still).found.points[0],
         "corrected": corrected.found.points[0],
         "deviation": np.sqrt(corrected.found.variance[0]),
-        "windows": windows.mean(1),
+        "windows": engine.windows(images, np.zeros(len(few), np.int64), near, stretched).mean(1),
     }
-    places = frame.truth[None].copy()
-    places[0, few[::4]] += _AWAY
-    off = found._replace(points=places, covariance=_covariance(frame), status=np.zeros_like(found.status))
-    judged = engine.correct(frame.points, off, templates.numbers, straight)
-    for name, status in (("off_neighbours", TrackStatus.OFF_NEIGHBOURS), ("uncertain", TrackStatus.UNCERTAIN)):
-        results[name] = judged.found.status[0] == status
+    positions = frame.truth.copy()
+    positions[few[::4]] += _AWAY
+    status = judge(positions, _covariance(frame)).found.status[0]
+    results |= {"off_neighbours": status == TrackStatus.OFF_NEIGHBOURS, "uncertain": status == TrackStatus.UNCERTAIN}
     # In a rough field a local fit depends on its weights, which it does not in a uniform stretch; no point of it is an
     # outlier where all are uncertain.
     rough = frame.truth + _ROUGH * np.where(np.indices((count, 2))[0] // (1, 2) % 2, 1, -1)
-    unsure = np.broadcast_to(np.eye(2, dtype=np.float32), (1, count, 2, 2))
-    off = found._replace(points=rough[None].astype(np.float32), covariance=unsure, status=np.zeros_like(found.status))
-    results["warp"] = engine.correct(frame.points, off, templates.numbers, straight).warp[0]
+    results["warp"] = judge(rough, straight[None]).warp[0]
     if engine.settings.search_px:
-        places, returns = engine.search(templates, images, start, near)
-        results["searched"] = np.where(returns[:, None], places, np.nan)
+        positions, returns = engine.search(templates, images, start, near)
+        results["searched"] = np.where(returns[:, None], positions, np.nan)
     return results
 
 
@@ -301,27 +280,22 @@ def _field_numbers(engine: Engine, frame: BuiltIn) -> dict[str, Any]:
     gradient = np.where(among[..., None, None], np.nanstd(moved) * np.eye(2), np.nan).astype(np.float32)
     results: dict[str, Any] = {}
     for name, entered in (("", None), ("_entered", EnteredPoints(among, gradient, None))):
-        found = engine.fields(reference, moved, ellipse, None, entered)
-        of_points = found.divergence[..., None], found.curl[..., None], found.strain, found.shear
+        fields = engine.fields(reference, moved, ellipse, None, entered)
+        of_points = fields.divergence[..., None], fields.curl[..., None], fields.strain, fields.shear
         results[f"fields{name}"] = np.concatenate(of_points, axis=-1)[0]
-        results[f"median{name}"] = found.median[0]
-        results["known_share"] = found.known_share[0]
-    known, gauge = np.isfinite(frame.points[:, 0]), engine.settings.gauge_length_mm
-    fitted = reference[known], moved[:, known], reference[known] + unit
+        results[f"median{name}"] = fields.median[0]
+        results["known_share"] = fields.known_share[0]
+    valid, gauge = np.isfinite(frame.points[:, 0]), engine.settings.gauge_length_mm
+    points = reference[valid], moved[:, valid], reference[valid] + unit, gauge
     covariance = unit**2 * _covariance(frame)
-    _, fit_covariance = engine.fit(*fitted, gauge, covariance[:, known, 0, 0])
-    found = engine.fields(reference, moved, ellipse, covariance)
+    spread: Any = engine.fit(*points, covariance[:, valid, 0, 0])[1]
+    with_std: Any = engine.fields(reference, moved, ellipse, covariance)
     return results | {
-        "fit": engine.fit(*fitted, gauge)[0][0],
-        "fields_std": np.stack([_known(values)[0] for values in (found.divergence_std, found.curl_std)]),
-        "median_std": _known(found.median_std)[0],
-        "fit_std": np.sqrt(np.einsum("qijij->qij", _known(fit_covariance)[0])),
+        "fit": engine.fit(*points)[0][0],
+        "fields_std": np.concatenate((with_std.divergence_std, with_std.curl_std)),
+        "median_std": with_std.median_std[0],
+        "fit_std": np.sqrt(np.einsum("qijij->qij", spread[0])),
     }
-
-
-def _known(values: Array | None) -> Array:
-    assert values is not None
-    return values
 
 
 def built_in(height: int, width: int, bit_depth: int, points: int, window_px: int) -> BuiltIn:
@@ -366,8 +340,7 @@ def spread(height: int, width: int, count: int, margin: int = 0) -> Array:
     """Return points (count, 2) px spread evenly over a view, except for a margin at the border."""
     columns = math.ceil(math.sqrt(count * width / height))
     number, rows = np.arange(count), -(-count // columns)
-    places = []
-    for size, place in ((width, (number % columns + 0.5) / columns), (height, (number // columns + 0.5) / rows)):
-        inside = min(margin, size // 2 - 1)
-        places.append(inside + place * (size - 1 - 2 * inside))
-    return np.stack(places, -1)
+    size = np.array([width, height])
+    inside = np.minimum(margin, size // 2 - 1)
+    share = (np.stack((number % columns, number // columns), -1) + 0.5) / (columns, rows)
+    return inside + share * (size - 1 - 2 * inside)

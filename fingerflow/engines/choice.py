@@ -15,7 +15,7 @@ from fingerflow.kernels.library import is_present
 if TYPE_CHECKING:
     import torch
 
-    from fingerflow.engines.onnx import OnnxEngine
+    from fingerflow.engines.graph_engine import GraphEngine
 
 #: Engines of a recording: "auto" chooses native where it is available and torch elsewhere; the others are chosen by
 #: name.
@@ -111,16 +111,16 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     return engine
 
 
-def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1) -> OnnxEngine:
+def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1) -> GraphEngine:
     """Open the graphs of a bundle with an execution provider; arguments and errors are those of
     `sessions.open_sessions`.
     """
-    from fingerflow.engines.onnx import OnnxEngine
+    from fingerflow.engines.graph_engine import GraphEngine
     from fingerflow.engines.providers import provider_named
     from fingerflow.engines.sessions import open_sessions
 
     sessions = open_sessions(bundle.files, provider, threads)
-    return OnnxEngine(sessions, bundle.engine_settings, bundle.points, f"onnx ({provider_named(provider)})")
+    return GraphEngine(sessions, bundle.engine_settings, bundle.points, f"onnx ({provider_named(provider)})")
 
 
 def _why_not_native(bundle: Bundle) -> str:

@@ -29,8 +29,8 @@ def glass_light(empty: Array, dark: Array | None, inside: Array | None = None) -
     lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
     if inside is not None:
         lit &= inside
-    levels = np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))
-    return GlassLight(*(level[None, None] for level in levels))
+    light, black = np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))
+    return light[None, None], black[None, None]
 
 
 def covers(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -12,39 +11,24 @@ from numpy.typing import NDArray
 from fingerflow.kernels.result_records import EnteredPoints as EnteredPoints
 from fingerflow.kernels.result_records import FrameContact as FrameContact
 from fingerflow.kernels.result_records import FrameEllipse as FrameEllipse
+from fingerflow.kernels.result_records import FrameFields as FrameFields
 from fingerflow.kernels.result_records import TrackedPoints as TrackedPoints
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.schema.scene_tables import ContactCells, FieldSettings, GaugeSettings, PointSettings
+from fingerflow.schema.scene_tables import STEP as STEP
+from fingerflow.schema.scene_tables import EngineSettings as EngineSettings
 
 Array = NDArray[Any]
 
 # Batch size of the graphs that process a subset of the points, and largest number of points that a stream searches for
 # in one round of lost-point recovery.
 ROWS = 64
-STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
 # As integers: NumPy compares an array with a member of an enumeration by calls of Python.
 TRACKED = int(TrackStatus.TRACKED)
 _UNCERTAIN, _OFF_NEIGHBOURS = int(TrackStatus.UNCERTAIN), int(TrackStatus.OFF_NEIGHBOURS)
+# Light of the empty glass above the black level, 0 where the glass is not lit, and this level, the count without light:
+# (1, 1, H, W) float32 each, by `contact_view.glass_light`.
+GlassLight = tuple[Array, Array]
 Images = Any  # frames (K, 1, H, W) as the engine stores them: they have a length and can be sliced by frame
-
-
-@dataclass(frozen=True)
-class EngineSettings(ContactCells, PointSettings, GaugeSettings):
-    """Settings of an engine: those of a scene file that a recipe of a bundle may state too, by the same names, the
-    cells of the contact, and the strain measure.
-    """
-
-    strain: str = FieldSettings.strain
-
-
-class GlassLight(NamedTuple):
-    """Light of the empty glass and black level per pixel (1, 1, H, W), float32, by `contact_view.glass_light`.
-
-    `light` is the signal above `black`, 0 where the glass is not lit; `black` is the count without light.
-    """
-
-    light: Array
-    black: Array
 
 
 class TemplateBuffers(Protocol):
@@ -91,20 +75,6 @@ class Corrected(NamedTuple):
     warp: Array
     shift: Array
     expected: Array
-
-
-class FrameFields(NamedTuple):
-    """Divergence, curl, strain and shear at N points in K frames, and medians over the contact, as `graphs.Fields`."""
-
-    divergence: Array
-    curl: Array
-    strain: Array
-    shear: Array
-    divergence_std: Array | None
-    curl_std: Array | None
-    median: Array
-    median_std: Array | None
-    known_share: Array
 
 
 @runtime_checkable
@@ -181,9 +151,9 @@ class Engine(Protocol):
         """
         ...
 
-    def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
+    def windows(self, images: Images, number: Array, places: Array, warp: Array) -> Array:
         """Sample the grey levels (N, m) in windows around positions `places` (N, 2) px, deformed by the matrices `warp`
-        (N, 2, 2), on a grid of `step` px; `number` (N,) is the frame of each window.
+        (N, 2, 2), on a grid of `STEP` px; `number` (N,) is the frame of each window.
         """
         ...
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from fingerflow.engines.engine import (
+    STEP,
     Array,
     Corrected,
     EngineSettings,
@@ -22,17 +23,19 @@ from fingerflow.engines.engine import (
     TrackedPoints,
     reject_outliers,
 )
-from fingerflow.engines.native_fields import fields_of_frames
 from fingerflow.kernels import tracking
-from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.arrays import KINDS, inverse_2x2
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
-from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
-from fingerflow.kernels.fields import local_gradients
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.fields import area_medians, local_gradients
 from fingerflow.kernels.library import compiled
+from fingerflow.kernels.strain_formulas import curl_variance, divergence_variance, sensitivity_parts, strain_parts
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 from fingerflow.schema.pixel_types import COMPUTED_TYPES
+
+_UNKNOWN = np.float32(np.nan)
 
 
 @dataclass
@@ -69,7 +72,7 @@ class NativeEngine:
         self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
-        return frames.astype(COMPUTED_TYPES[frames.dtype.name], copy=False)[:, None]
+        return frames.astype(COMPUTED_TYPES[KINDS[frames.dtype]], copy=False)[:, None]
 
     def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         radius = self.settings.gross_radius_px
@@ -77,11 +80,11 @@ class NativeEngine:
             unknown = np.full(len(images), np.nan, np.float32)
             gains = self.contact(images, light, unknown).illumination_gain
             sizes = {"median_px": self.settings.median_px, "radius": radius, "stride_px": self.settings.stride_px}
-            threshold = contact_threshold(images, light.light, light.black, gains, **sizes)
+            threshold = contact_threshold(images, *light, gains, **sizes)
         mask, density_margin, numbers, gains = compiled("contact_of_frames")(
             frames=images,
-            light=light.light,
-            black=light.black,
+            light=light[0],
+            black=light[1],
             limits=(1 - threshold).astype(np.float32),
             size=self.settings.median_px,
             block=block_of(radius),
@@ -146,23 +149,17 @@ class NativeEngine:
         search = {"size": size, "reach": reach, "limit": limit}
         return compiled("search_and_return")(key=templates.key, current=image, **positions, **search)
 
-    def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
-        grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": step}
+    def windows(self, images: Array, number: Array, places: Array, warp: Array) -> Array:
+        grid = {"places": places.astype(np.float32), "warp": warp, "reach": self.settings.window_px // 2, "step": STEP}
         return compiled("sample_windows")(images=images, image_index=number, **grid)
 
     def fit(
         self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
     ) -> tuple[Array, Array | None]:
-        arrays = [np.ascontiguousarray(array, np.float64) for array in (points[None], values, queries[None])]
+        places, targets = points.astype(np.float64)[None], queries.astype(np.float64)[None]
         noise = None if variance is None else variance.astype(np.float64)[..., None]
-        radius = gauge / 2
-        found = local_gradients(
-            *(arrays[0], arrays[1], arrays[2], noise),
-            radius=radius,
-            least_spread=MINIMUM_SPREAD * radius,
-            minimum_points=MINIMUM_POINTS,
-        )
-        return found.gradient, found.covariance
+        fit = local_gradients(places, values.astype(np.float64), targets, noise, radius=gauge / 2)
+        return fit.gradient, fit.covariance
 
     def fields(
         self,
@@ -172,11 +169,101 @@ class NativeEngine:
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        return fields_of_frames(
-            *(reference[None], displacement),
-            gauge_length=self.settings.gauge_length_mm,
-            measure=self.settings.strain,
-            ellipse=ellipse,
-            covariance=covariance,
-            entered=entered,
+        reference, measure = reference[None], self.settings.strain
+        batch, count = displacement.shape[:2]
+        gradient, spread = self._gradients(reference, displacement, covariance, entered)
+        median, median_std, known_share = self._medians(reference, displacement, ellipse, covariance, entered)
+        parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
+        fields = _fields(parts, measure)
+        shear = np.empty((batch, count, 2), np.float32)
+        flat = shear.reshape(-1, 2)
+        np.subtract(parts[0], parts[3], out=flat[:, 0])
+        np.add(parts[1], parts[2], out=flat[:, 1])
+        divergence_std = curl_std = None
+        if spread is not None:
+            divergence_std, curl_std = _root(divergence_variance(spread)), _root(curl_variance(spread))
+        divergence, curl = fields[:2].reshape(2, batch, count)
+        strain = np.ascontiguousarray(fields[2:].T).reshape(batch, count, 3)
+        return FrameFields(divergence, curl, strain, shear, divergence_std, curl_std, median, median_std, known_share)
+
+    def _gradients(
+        self, reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
+    ) -> tuple[Array, Array | None]:
+        """Fit displacement gradients (K, N, 2, 2) at N points in K frames over the gauge length; return them, and their
+        covariance if that of the displacements is given. Points that were advected into the contact are left out of the
+        fits, and have their own gradients.
+        """
+        rest = displacement
+        if entered is not None:
+            rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
+        noise = None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
+        fit = local_gradients(reference, rest, reference, noise, radius=self.settings.gauge_length_mm / 2)
+        gradient, spread = fit.gradient, fit.covariance
+        lost = ~np.isfinite(rest[..., 0] + rest[..., 1])
+        gradient[lost] = _UNKNOWN
+        if spread is not None:
+            spread[lost] = _UNKNOWN
+        if entered is not None:
+            # A lost point has no gradient.
+            valid = entered.among & np.isfinite(displacement[..., 0] + displacement[..., 1])
+            gradient[valid] = entered.gradient[valid]
+            if spread is not None and entered.covariance is not None:
+                spread[valid] = entered.covariance[valid]
+        return gradient, spread
+
+    def _medians(
+        self,
+        reference: Array,
+        displacement: Array,
+        ellipse: FrameEllipse,
+        covariance: Array | None,
+        entered: EnteredPoints | None,
+    ) -> tuple[Array, Array | None, Array]:
+        """Compute the medians of divergence, curl and strain over the contact ellipse of each of K frames, their
+        standard deviations, and the share of the ellipse in which the fields are known.
+        """
+        measure = self.settings.strain
+        ellipses = np.empty((len(displacement), 6), np.float32)
+        ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
+        np.cos(ellipse.angle, out=ellipses[:, 4])
+        np.sin(ellipse.angle, out=ellipses[:, 5])
+        among = fields = deviations = None
+        if entered is not None:
+            among = entered.among
+            parts, fields = entered.gradient[among].reshape(-1, 4).T, np.full((*among.shape, 5), _UNKNOWN)
+            fields[among] = _fields(parts, measure).T
+            if covariance is not None:
+                assert entered.covariance is not None, "known where that of the displacements is"
+                deviations = np.full_like(fields, _UNKNOWN)
+                deviations[among] = _field_deviations(parts, entered.covariance[among].reshape(-1, 4, 4), measure)
+        return area_medians(
+            *(reference, displacement, ellipses, covariance, among, fields, deviations),
+            measure=STRAIN_MEASURES.index(measure),
+            radius=self.settings.gauge_length_mm / 2,
         )
+
+
+def _fields(parts: Array, measure: str) -> Array:
+    """Compute divergence, curl, exx, eyy and exy (5, P) at P points from gradients (4, P) with the rows du/dx, du/dy,
+    dv/dx, dv/dy; `measure` names the definition of strain.
+    """
+    ux, uy, vx, vy = parts
+    return np.array((ux + vy, vx - uy, *strain_parts(ux, uy, vx, vy, measure)), np.float32)
+
+
+def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
+    """Return the standard deviations (P, 5) of divergence, curl and strain, by first-order propagation of the
+    covariances `spread` (P, 4, 4) of the gradients `parts` (4, P), as `ops.field_std`.
+    """
+    ux, uy, vx, vy = parts
+    sensitivity = np.empty((parts.shape[1], 20), np.float32)
+    for column, part in enumerate(sensitivity_parts(ux, uy, vx, vy, measure)):
+        sensitivity[:, column] = part
+    rows = sensitivity.reshape(-1, 5, 4)
+    return _root(((rows @ spread) * rows).sum(-1))
+
+
+def _root(variance: Array) -> Array:
+    """Return the square roots of variances; a variance that rounding made negative counts as zero."""
+    result: Array = np.sqrt(np.maximum(variance, 0))
+    return result

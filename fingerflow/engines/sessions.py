@@ -3,40 +3,23 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from fingerflow.engines.providers import CPU, plugin_devices, provider_named
+from fingerflow.engines.providers import CPU, provider_named
 from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
 
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
-_NUMPY = {
-    "tensor(float)": np.float32,
-    "tensor(uint8)": np.uint8,
-    "tensor(uint16)": np.uint16,
-    "tensor(int32)": np.int32,
-    "tensor(int64)": np.int64,
-    "tensor(bool)": np.bool_,
-}
-
-
+_DTYPES = ("float32", "uint8", "uint16", "int32", "int64", "bool")
 log = logging.getLogger("fingerflow.engines")
-
-
-class Input(NamedTuple):
-    """Shape and dtype of an input or output of an ONNX graph."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
 
 
 class GraphSession:
@@ -44,30 +27,25 @@ class GraphSession:
 
     Args:
         device: in whose memory inputs are kept, "cpu" or "cuda".
-        bound: bind inputs and outputs to fixed addresses of the device.
 
     Attributes:
-        inputs: by name.
-        shares_memory: True if a contiguous array and the value that `kept` returns for it share memory: on the CPU.
+        inputs: shapes and dtypes by name.
     """
 
-    def __init__(self, session: ort.InferenceSession, path: Path, device: str, bound: bool) -> None:
+    def __init__(self, session: ort.InferenceSession, path: Path, device: str) -> None:
         self._session, self._path, self._device = session, path, device
-        self.inputs = {one.name: _fixed_size(one, path) for one in session.get_inputs()}
-        outputs = {one.name: _fixed_size(one, path) for one in session.get_outputs()}
-        self._names = list(outputs)
-        self._bound = _BoundSession(session, self.inputs, outputs, device) if bound else None
-        self.shares_memory = not bound and device == "cpu"
+        self.inputs = {value.name: _fixed_size(value, path) for value in session.get_inputs()}
+        self._names = [output.name for output in session.get_outputs()]
 
-    def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
+    def __call__(self, values: Mapping[str, Any]) -> dict[str, Array]:
         """Run the graph on inputs by name and return outputs by name.
 
         An input is an array or a value that `kept` returned.
         """
-        feed = {name: self._array(name, given[name]) for name in self.inputs}
+        feed = {name: self._array(name, values[name]) for name in self.inputs}
         try:
-            # Pass plain arrays if inputs are not bound: binding takes longer than running a small graph.
-            results = self._bound(feed) if self._bound else self._session.run(self._names, feed)
+            # Plain arrays and no binding to addresses, which takes longer than running a small graph.
+            results = self._session.run(self._names, feed)
         except Exception as error:
             raise FingerflowError(
                 f"{self._path}: onnxruntime cannot run it here ({first_line(error)}); choose another provider"
@@ -80,6 +58,10 @@ class GraphSession:
         """
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
+    def updated(self, name: str, value: Any, array: Array, rows: Array) -> Any:
+        """Return the value of `kept` for an array that has changed in some rows; on the CPU they share memory."""
+        return value if self._device == CPU else self.kept(name, array)
+
     def _array(self, name: str, array: Any) -> Any:
         """Return an input as a contiguous array of the graph's dtype; a value from `kept` is returned unchanged."""
         if not isinstance(array, np.ndarray):
@@ -88,37 +70,6 @@ class GraphSession:
         if array.shape != shape or (dtype.kind == "u" and not np.can_cast(array.dtype, dtype, "safe")):
             raise ValueError(f"{self._path}: {name} is {array.dtype} {array.shape}, the graph takes {dtype} {shape}")
         return np.ascontiguousarray(array, dtype)
-
-
-class _BoundSession:
-    """Session whose inputs and outputs have fixed addresses in the memory of a device."""
-
-    def __init__(
-        self, session: ort.InferenceSession, inputs: Mapping[str, Input], outputs: Mapping[str, Input], device: str
-    ) -> None:
-        make = ort.OrtValue.ortvalue_from_shape_and_type
-        self._given, self._found = (
-            {name: make(one.shape, one.dtype, device) for name, one in some.items()} for some in (inputs, outputs)
-        )
-        self._session, self._binding = session, session.io_binding()
-        for name, value in self._given.items():
-            self._binding.bind_ortvalue_input(name, value)
-        for name, value in self._found.items():
-            self._binding.bind_ortvalue_output(name, value)
-        self._latest: dict[str, Any] = {}
-        self._lock = threading.Lock()
-
-    def __call__(self, feed: Mapping[str, Any]) -> list[Array]:
-        """Run the session on inputs by name and return copies of the outputs; an input made by `GraphSession.kept` is
-        copied only if it is new, an array at each call.
-        """
-        with self._lock:
-            for name, value in feed.items():
-                if isinstance(value, np.ndarray) or self._latest.get(name) is not value:
-                    self._given[name].update_inplace(value)
-                    self._latest[name] = value
-            self._session.run_with_iobinding(self._binding)
-            return [np.array(value.numpy()) for value in self._found.values()]
 
 
 def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> dict[str, GraphSession]:
@@ -133,7 +84,7 @@ def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int =
     Raises:
         FingerflowError: the provider is not installed or does not run here, or a file is not what its name says.
     """
-    full, on_gpu = provider_named(provider), provider in _ON_GPU
+    full = provider_named(provider)
     sessions = {}
     for name, path in files.items():
         session = _open_session(path, provider, full, threads)
@@ -141,7 +92,7 @@ def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int =
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        sessions[name] = GraphSession(session, path, "cuda" if on_gpu else CPU, bound=on_gpu)
+        sessions[name] = GraphSession(session, path, "cuda" if provider in _ON_GPU else CPU)
     return sessions
 
 
@@ -160,11 +111,8 @@ def _open_session(path: Path, provider: str, full: str, threads: int) -> ort.Inf
     chosen: list[Any] = [(full, of_provider)]
     if full != provider_named(CPU):
         chosen.append(provider_named(CPU))
-    devices = plugin_devices(full)
-    if devices:
-        options.add_provider_for_devices(devices[:1], {})
     try:
-        session = ort.InferenceSession(path, options, providers=None if devices else chosen)
+        session = ort.InferenceSession(path, options, providers=chosen)
     except Exception as error:
         what = "export it again" if provider == CPU else f"provider {provider!r} fails: choose another"
         raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None
@@ -182,10 +130,12 @@ def _share_memory() -> None:
     ort.create_and_register_allocator(ort.OrtMemoryInfo("Cpu", *kinds), None)
 
 
-def _fixed_size(argument: Any, path: Path) -> Input:
-    if not all(isinstance(size, int) for size in argument.shape) or argument.type not in _NUMPY:
+def _fixed_size(argument: Any, path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and the dtype of an input of a graph."""
+    dtype = argument.type.removeprefix("tensor(").removesuffix(")").replace("float", "float32")
+    if not all(isinstance(size, int) for size in argument.shape) or dtype not in _DTYPES:
         raise FingerflowError(
             f"{path}: {argument.name} is {argument.type} {argument.shape}; the engine needs fixed sizes: export the "
             "bundle with them"
         )
-    return Input(tuple(argument.shape), np.dtype(_NUMPY[argument.type]))
+    return tuple(argument.shape), np.dtype(dtype)

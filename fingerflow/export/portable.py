@@ -1,16 +1,14 @@
 """Portable form of the ops: a torch mode that selects it, and graphs that run in it like a session."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-if TYPE_CHECKING:
-    from fingerflow.export.build import Graph
+from fingerflow.engines.torch import TorchSession
+from fingerflow.graphs.engine_graphs import Graph
 
 
 class Portable(TorchDispatchMode):
@@ -25,22 +23,18 @@ class Portable(TorchDispatchMode):
         return operation(*arguments, **(named or {}))
 
 
-class PortableSession:
-    """Graph that torch runs, with the interface of `engines.sessions.GraphSession`.
+class PortableSession(TorchSession):
+    """Graph that torch runs in its portable form, which ONNX can express.
 
     Attributes:
         inputs: tensors of the latest call, by name.
     """
 
-    shares_memory = True
-
-    def __init__(self, graph: "Graph") -> None:
-        self.graph = graph
+    def __init__(self, graph: Graph) -> None:
+        super().__init__(graph, torch.device("cpu"))
         self.inputs: dict[str, Tensor] = {}
 
-    def kept(self, name: str, array: NDArray[Any]) -> NDArray[Any]:
-        return array
-
-    def __call__(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        self.inputs = {name: torch.from_numpy(np.ascontiguousarray(inputs[name])) for name in self.graph.inputs}
-        return {name: tensor.numpy() for name, tensor in self.graph.run(self.inputs).items()}
+    def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        self.inputs = {name: self.kept(name, inputs[name]) for name in self.graph.inputs}
+        with torch.inference_mode(), Portable():
+            return super().__call__(self.inputs)

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 
 from fingerflow.engines.engine import Array, EngineSettings, Images
-from fingerflow.engines.onnx import OnnxEngine
-from fingerflow.engines.torch import TorchEngine
-from fingerflow.export.build import Graph, build
+from fingerflow.engines.graph_engine import GraphEngine
+from fingerflow.engines.torch import TorchEngine, images_on
 from fingerflow.export.standard_model import need_packages, standard_model
+from fingerflow.graphs.engine_graphs import Graph, engine_graphs
 
 _EXPORT = threading.Lock()  # torch exports one graph at a time
 
@@ -29,8 +29,8 @@ def recording_engine(settings: EngineSettings, threads: int) -> RecordingEngine:
     return RecordingEngine(settings, threads)
 
 
-class RecordingEngine(OnnxEngine):
-    """`OnnxEngine` for recordings: several frames a call, and any number of points.
+class RecordingEngine(TorchEngine):
+    """Engine of exported graphs for recordings: several frames a call, and any number of points.
 
     `detect` and `fit` are those of torch: each number of points would need a graph of its own, and `fit` is computed in
     float64.
@@ -40,18 +40,17 @@ class RecordingEngine(OnnxEngine):
         threads: inside an operator.
     """
 
+    fixed = True
+    images = GraphEngine.images
+
     def __init__(self, settings: EngineSettings, threads: int) -> None:
-        graphs = build(settings, points=1)
-        super().__init__({name: ExportedGraph(graph, threads) for name, graph in graphs.items()}, settings)
-        self._torch = TorchEngine(settings, torch.device("cpu"))
+        super().__init__(settings, torch.device("cpu"))
+        graphs = engine_graphs(settings, points=1)
+        self._sessions = {name: ExportedGraph(graph, threads) for name, graph in graphs.items()}
+        self.name, self.described = "onnx", "onnx (CPUExecutionProvider)"
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
-        return self._torch.detect(self._torch.images(image[:, 0]), mask, count)
-
-    def fit(
-        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
-    ) -> tuple[Array, Array | None]:
-        return self._torch.fit(points, values, queries, gauge, variance)
+        return super().detect(images_on(torch.device("cpu"), image[:, 0]), mask, count)
 
 
 class ExportedGraph:
@@ -60,13 +59,14 @@ class ExportedGraph:
     A call of K frames is K runs; inputs of one frame are the same in all of them.
     """
 
-    shares_memory = True
-
     def __init__(self, graph: Graph, threads: int) -> None:
         self._graph, self._threads = graph, threads
         self._sessions: dict[Any, Any] = {}
 
     def kept(self, name: str, array: Array) -> Array:
+        return array
+
+    def updated(self, name: str, value: Array, array: Array, rows: Array) -> Array:
         return array
 
     def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Array]:

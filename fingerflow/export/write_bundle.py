@@ -21,14 +21,15 @@ from tqdm import tqdm
 from fingerflow import __version__
 from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import Difference, built_in, check_engine, expected_of, numbers_of
-from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.sessions import open_sessions
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
-from fingerflow.export.build import UNITS, Graph, build_graphs
+from fingerflow.export.build import UNITS, build_graphs
 from fingerflow.export.carried_modules import carry_modules
 from fingerflow.export.portable import Portable, PortableSession
 from fingerflow.export.standard_model import need_packages, standard_model
+from fingerflow.graphs.engine_graphs import Graph
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT, COORDINATES
 from fingerflow.schema.recipe import GraphName, Recipe, load_recipe
 from fingerflow.schema.unfinished import finish, unfinished
@@ -62,7 +63,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         views, settings = recipe.views, bundle_settings(asdict(recipe))
         size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
         sessions = {name: PortableSession(graph) for name, graph in build_graphs(recipe).items()}
-        numbers_of(OnnxEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
+        numbers_of(GraphEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
         for name in tqdm(recipe.export.graphs, "export", disable=not progress):
             write_graph(recipe, name, sessions[name].graph, tuple(sessions[name].inputs.values()), part)
         with torch.inference_mode(), Portable():
@@ -88,7 +89,7 @@ def verify(
     """
     files = {str(name): folder / f"{name}.onnx" for name in recipe.export.graphs}
     opened: dict[Any, Any] = {**sessions, **open_sessions(files)}
-    return check_engine(OnnxEngine(opened, bundle_settings(asdict(recipe)), recipe.tracking.points), expected)
+    return check_engine(GraphEngine(opened, bundle_settings(asdict(recipe)), recipe.tracking.points), expected)
 
 
 def as_text(rows: list[Difference]) -> str:

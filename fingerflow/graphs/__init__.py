@@ -2,19 +2,19 @@
 
 from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.fields_graph import Fields, FieldsGraph
+from fingerflow.graphs.fields_graph import FieldsGraph
 from fingerflow.graphs.image_steps import MedianFilter, NormalizeIllumination
 from fingerflow.graphs.track import KeyGraph, TrackGraph
-from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse
+from fingerflow.kernels.result_records import EnteredPoints, FrameContact, FrameEllipse, FrameFields
 
 __all__ = [
     "ContactGraph",
     "DetectGraph",
     "EnteredPoints",
-    "Fields",
     "FieldsGraph",
     "FrameContact",
     "FrameEllipse",
+    "FrameFields",
     "KeyGraph",
     "MedianFilter",
     "NormalizeIllumination",

@@ -47,16 +47,7 @@ class ContactGraph(nn.Module):
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
         mask = real_contact_mask(frames, light, black, share, self.median_px)
         region = apparent_contact(mask, self.gross_radius_px, self.cell_px, light.dtype)
-        return FrameContact(
-            mask,
-            region.covered_px,
-            region.area_px,
-            region.center,
-            region.semi_axes,
-            region.angle,
-            region.density_margin,
-            gain,
-        )
+        return region._replace(illumination_gain=gain)
 
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
         """Measure the contact threshold (B,): the relative intensity loss at the edges of ridges in contact.

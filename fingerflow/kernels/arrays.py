@@ -34,11 +34,6 @@ class _DtypeNames(dict[Any, str]):
 KINDS = _DtypeNames()
 
 
-def kind(array: Shaped) -> str:
-    """Return the name of an array's dtype, such as "uint8" or "float32"; non-native byte orders have other names."""
-    return KINDS[array.dtype]
-
-
 def empty(like: Any, dtype: str, shape: tuple[int, ...]) -> Any:
     """Return an uninitialised tensor on the device of the tensor `like`."""
     return like.new_empty(shape, dtype=getattr(sys.modules["torch"], dtype))
@@ -93,7 +88,7 @@ def limits_of(array: Any) -> tuple[int, int]:
     if isinstance(array, np.ndarray):
         return int(array.min()), int(array.max())
     # The minimum of uint16 is not implemented in torch.
-    least, greatest = (array.int() if kind(array) == "uint16" else array).aminmax()
+    least, greatest = (array.int() if KINDS[array.dtype] == "uint16" else array).aminmax()
     return int(least), int(greatest)
 
 

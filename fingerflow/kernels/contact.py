@@ -1,7 +1,7 @@
 """Kernels of the contact view: median, contact mask, illumination gain, histogram, apparent contact, its threshold.
 
 Frames (B, 1, H, W) are of `declarations.FRAME_KINDS`, other images and numbers per frame float32. What does not fit the
-declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 import functools

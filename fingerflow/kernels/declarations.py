@@ -1,16 +1,14 @@
-"""Parser of `interface.h`: arrays and numbers of each compiled function, and a hash of the interface.
+"""Parser of the interface of the library: arrays and numbers of each compiled function, and a hash.
 
-Only the standard library is imported, as the build of the library reads the header by this file too.
+Only the standard library is imported, as the build of the library reads its sources by this file too.
 """
 
-import functools
 import hashlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-HEADER = Path(__file__).with_name("interface.h")
 FRAME_KINDS = ("uint8", "uint16", "int32", "float32")  # in the order of the codes of kernels/pixels.h
 _CODES = {"std::int64_t": "q", "std::int32_t": "i", "int": "i", "float": "f", "double": "d"}  # of Python's `struct`
 _LARGEST = {"q": (1 << 63) - 1, "i": (1 << 31) - 1}  # whole numbers by code
@@ -24,6 +22,7 @@ _DTYPES = {
 }
 # Sources of constants that Python and C++ share: limits of tracking, sizes for the contact, median networks and tables.
 _SHARED = ("tracking_limits.py", "contact_sizes.py", "median_network.py", "median_rows.py")
+_DEFINED = re.compile(r"^void (fingerflow_\w+\()[^;{]*\)(?= \{)", re.MULTILINE)
 _HIDDEN = str.maketrans({",": "\0", ";": "\1"})  # separators within comments
 _SHOWN = str.maketrans({"\0": ",", "\1": ";"})
 
@@ -95,21 +94,25 @@ class Function(NamedTuple):
         return [field for field in self.fields if field.name not in left_out]
 
 
-@functools.cache
-def declared() -> dict[str, Function]:
-    """Return the functions of `interface.h` by name, as `read` does, which parses it once."""
-    return read(HEADER.read_text(encoding="utf-8"))
+def interface(folder: Path) -> str:
+    """Return the interface of the sources in a folder: the text of `interface.h`, and the declaration of each function
+    that it lacks and a source defines at the begin of a line.
+    """
+    header = (folder / "interface.h").read_text(encoding="utf-8").partition("#pragma once")[2]
+    sources = (path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.cpp")))
+    defined = (match for source in sources for match in _DEFINED.finditer(source))
+    text = "\n".join((header, *(f"{match[0]};" for match in defined if match[1] not in header)))
+    return re.sub(r"[ \t]*//[^\n]*", "", text)
 
 
-def read(header: str) -> dict[str, Function]:
-    """Return the functions of a header by name, without the prefix `fingerflow_`.
+def read(interface: str) -> dict[str, Function]:
+    """Return the functions of an interface by name, without the prefix `fingerflow_`.
 
     Raises:
         ValueError: a type that cannot be packed, an array without a shape, or a name that stands twice among the
             arguments of a function.
     """
-    text = re.sub(r"//[^\n]*", "", header)
-    text = re.sub(r"/\*.*?\*/", lambda comment: comment[0].translate(_HIDDEN), text, flags=re.DOTALL)
+    text = re.sub(r"/\*.*?\*/", lambda comment: comment[0].translate(_HIDDEN), interface, flags=re.DOTALL)
     structures = dict(re.findall(r"struct (\w+) \{(.*?)\};", text, re.DOTALL))
     functions = {}
     for name, arguments in re.findall(r"void fingerflow_(\w+)\((.*?)\);", text, re.DOTALL):
@@ -117,17 +120,17 @@ def read(header: str) -> dict[str, Function]:
         fields = tuple(field for part in parts for field in part)
         names = [field.name for field in fields]
         if twice := {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"fingerflow_{name} of interface.h has {sorted(twice)} twice: give one another name")
+            raise ValueError(f"fingerflow_{name} has {sorted(twice)} twice: give one another name")
         codes = ("".join(field.code if isinstance(field, NumberField) else "P" for field in part) for part in parts)
         # "0q" goes on to a multiple of 8 bytes, where the next argument begins.
         functions[name] = Function(fields, "@" + "0q".join(codes))
     return functions
 
 
-def digest(header: str) -> str:
-    """Return a hash of the declarations and shared constants; a library built with another hash is not used."""
+def digest(interface: str) -> str:
+    """Return a hash of an interface and the shared constants; a library built with another hash is not used."""
     shared = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SHARED]
-    return hashlib.sha256("\n".join((re.sub(r"//[^\n]*", "", header), *shared)).encode()).hexdigest()[:16]
+    return hashlib.sha256("\n".join((*interface.split(), *shared)).encode()).hexdigest()[:16]
 
 
 def _fields(line: str, structures: dict[str, str]) -> Iterator[ArrayField | NumberField]:
@@ -136,12 +139,12 @@ def _fields(line: str, structures: dict[str, str]) -> Iterator[ArrayField | Numb
     """
     start = re.match(r"\s*(const )?((?:unsigned )?[\w:]+)(.*)", line, re.DOTALL)
     if start is None:
-        raise ValueError(f"interface.h declares {line.strip()!r}: a type and a name are expected")
+        raise ValueError(f"a kernel declares {line.strip()!r}: a type and a name are expected")
     constant, kind, rest = start.groups()
     for declarator in rest.split(","):
         parts = re.fullmatch(r"\s*(\*?)\s*(\w+)\s*(?:/\*(.*?)\*/)?\s*", declarator, re.DOTALL)
         if parts is None:
-            raise ValueError(f"interface.h declares {line.strip()!r}: perhaps *, and a name are expected")
+            raise ValueError(f"a kernel declares {line.strip()!r}: perhaps *, and a name are expected")
         address, name, comment = parts[1], parts[2], (parts[3] or "").translate(_SHOWN)
         if kind == "fingerflow_frames":
             yield from _frames(name, comment)
@@ -153,7 +156,7 @@ def _fields(line: str, structures: dict[str, str]) -> Iterator[ArrayField | Numb
         elif kind in _CODES:
             yield _number(name, _CODES[kind], comment)
         else:
-            raise ValueError(f"interface.h declares {line.strip()!r}: of numbers there are {sorted(_CODES)}")
+            raise ValueError(f"a kernel declares {line.strip()!r}: of numbers there are {sorted(_CODES)}")
 
 
 def _frames(name: str, comment: str) -> Iterator[ArrayField | NumberField]:
@@ -183,7 +186,7 @@ def _number(name: str, code: str, comment: str = "") -> NumberField:
 def _array(name: str, kind: str, constant: bool, comment: str) -> ArrayField:
     shape = re.search(r"\((.*)\)", comment)
     if shape is None:
-        raise ValueError(f"interface.h declares {name} without a shape: give it in a comment, as in /* (batch, 2) */")
+        raise ValueError(f"a kernel declares {name} without a shape: give it in a comment, as in /* (batch, 2) */")
     before, behind = comment[: shape.start()].split(), comment[shape.end() :]
     dtypes = tuple(before) or (_DTYPES[kind],)
     like = "" if dtypes[0] in {*_DTYPES.values(), "bool"} else dtypes[0]

@@ -1,6 +1,6 @@
 """Kernels of fields at tracked points: local fits, medians over the contact area, strain of triangles.
 
-What does not fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+What does not fit the declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 from collections.abc import Sequence
@@ -22,8 +22,7 @@ def local_gradients(
     noise: Array | None,
     *,
     radius: float,
-    least_spread: float,
-    minimum_points: int,
+    minimum_points: int = limits.MINIMUM_POINTS,
 ) -> LocalFit:
     """Fit a plane, by weighted least squares, to the values (B, N, C) of the points within `radius` of each query
     position (B, Q, 2), and return value and gradient there, as `ops.fields.local_fit` up to rounding.
@@ -34,7 +33,7 @@ def local_gradients(
     batches = [
         array.shape[0] for array in (points, values, queries, noise) if array is not None and array.shape[0] != 1
     ]
-    value, gradient, covariance, counts, offset = compiled("local_gradients")(
+    fit = compiled("local_gradients")(
         points=points,
         values=values,
         queries=queries,
@@ -42,9 +41,9 @@ def local_gradients(
         batch=batches[0] if batches else 1,
         minimum_points=minimum_points,
         radius=radius,
-        least_spread=least_spread,
+        least_spread=limits.MINIMUM_SPREAD * radius,
     )
-    return LocalFit(value, gradient, covariance, counts, offset)
+    return LocalFit(*fit)
 
 
 def area_medians(
@@ -76,25 +75,16 @@ def area_medians(
     """
     if apart is not None and (apart_fields is None or (apart_std is None) != (covariance is None)):
         raise ValueError("points apart have fields, and deviations where there is a covariance")
+    points = {"reference": reference, "displacement": displacement, "ellipses": ellipses, "covariance": covariance}
+    entered = {"apart": apart, "apart_fields": apart_fields, "apart_deviations": apart_std}
+    fits = {"radius": radius, "minimum_points": limits.MINIMUM_POINTS, "least_spread": limits.MINIMUM_SPREAD}
+    limited = {"farthest": 2 * limits.FARTHEST_CENTROID, "least_ratio": limits.LEAST_RATIO}
+    spread = {"reach": limits.REACH, "even": limits.EVEN, "same_place": limits.SAME_PLACE}
     return compiled("medians_over_area")(
-        reference=reference,
-        displacement=displacement,
-        ellipses=ellipses,
-        covariance=covariance,
+        **{**points, **entered, **fits, **limited, **spread},
         lattice=_LATTICE,
-        apart=apart,
-        apart_fields=apart_fields,
-        apart_deviations=apart_std,
         measure=measure,
-        minimum_points=limits.MINIMUM_POINTS,
-        radius=radius,
-        least_spread=limits.MINIMUM_SPREAD,
-        farthest=2 * limits.FARTHEST_CENTROID,
-        least_ratio=limits.LEAST_RATIO,
         least_share=limits.LEAST_SHARE,
-        reach=limits.REACH,
-        even=limits.EVEN,
-        same_place=limits.SAME_PLACE,
     )
 
 
@@ -122,18 +112,10 @@ def triangle_strain(
     `displacement` (B, N, 2), `covariance` (B, N, 2, 2). `measure` is 0 to 2; `stiffness` has the factors of
     exx^2 + eyy^2, exx eyy and exy^2.
     """
-    direct, between, shear = stiffness
     return compiled("strain_of_triangles")(
-        displacement=displacement,
-        covariance=covariance,
-        in_contact=in_contact,
+        **{"displacement": displacement, "covariance": covariance, "in_contact": in_contact},
+        **{"products": products, "areas": areas, "flat": flat, "measure": measure},
+        **dict(zip(("direct", "between", "shear"), stiffness, strict=True)),
         corners=with_axes_reversed(triangles, "int32"),
         slopes=with_axes_reversed(slopes, "float32"),
-        products=products,
-        areas=areas,
-        flat=flat,
-        measure=measure,
-        direct=direct,
-        between=between,
-        shear=shear,
     )

@@ -1,6 +1,6 @@
 """Kernels of dense optical flow on float32 arrays.
 
-What does not fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+What does not fit the declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,6 @@ from fingerflow.kernels.library import compiled
 
 # Channels of tensor, right, down, inverse and inside; then their numbers of rows and columns minus those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
-
-
-class FlowFields(NamedTuple, Generic[Array]):
-    """Fields computed from the first of two images, as needed for the dense optical flow between them."""
-
-    value: Array  # (B, 1, H, W) spline of the image, at the pixels
-    gradient: Array  # (B, 2, H, W) slopes of the spline, 0 outside the mask
-    inside: Array  # (B, 1, H, W), 1 in the mask, else 0
-    tensor: Array  # (B, 3, h, w) means over cells of the products of slopes, xx, xy, yy
-    known: Array  # (B, 1, h, w), 1 for cells with a pixel in the mask, else 0
-    right: Array  # (B, 1, h, w - 1) weights of the edges to the next cell of the row
-    down: Array  # (B, 1, h - 1, w) weights of the edges to the next cell of the column
 
 
 class FlowResidual(NamedTuple, Generic[Array]):

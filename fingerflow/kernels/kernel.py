@@ -1,4 +1,4 @@
-"""Calls of compiled functions: arguments are checked, and results allocated, by the declarations in interface.h."""
+"""Calls of compiled functions: arguments are checked, and results allocated, by their declarations."""
 
 import ctypes
 import functools
@@ -27,7 +27,7 @@ from fingerflow.kernels.arrays import (
 from fingerflow.kernels.declarations import ArrayField, Function, NumberField
 
 _NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
-_NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of interface.h
+_NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of declarations
 
 
 class _ThreadState(threading.local):
@@ -40,7 +40,7 @@ _here = _ThreadState()
 
 
 class Kernel:
-    """Callable kernel of the compiled library; arguments are named as in interface.h.
+    """Callable kernel of the compiled library; arguments are named as in its declaration.
 
     Arrays are NumPy arrays or torch tensors on the CPU, copied only if they are not contiguous; results are newly
     allocated, as tensors if any of the arrays is one. Sizes, strides and dtypes are taken from the arrays.
@@ -48,7 +48,7 @@ class Kernel:
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
         """Look up the function `name` in the library."""
-        self._name = name
+        self._name, self.function = name, function
         arrays = function.arrays
         self._numbers = [field for field in function.fields if isinstance(field, NumberField)]
         # Sizes that may be 1 in place of another size are checked last, as that must be known.
@@ -72,7 +72,7 @@ class Kernel:
 
     def __call__(self, **values: Any) -> Any:
         """Call the library function, without holding the global interpreter lock, and return the results in the order
-        of the header: a tuple, or the only one.
+        of the declaration: a tuple, or the only one.
 
         Numbers that the shapes of arrays tell may be left out.
 
@@ -128,11 +128,19 @@ class Kernel:
             try:
                 packed = self._pack(*self._in_order(values))
             except (struct.error, OverflowError, TypeError):
-                self._refuse_values(values)
+                for number in self._numbers:
+                    try:
+                        struct.pack(number.code, values[number.name])
+                    except (struct.error, OverflowError, TypeError):
+                        self._refuse_number(number, values[number.name])
                 raise
             outcome = self._enter(packed)
             if outcome:
-                self._raise_failure(outcome)
+                message = self._message().decode(errors="replace")
+                if outcome == _NO_MEMORY:
+                    advice = "give it smaller batches or fewer threads"
+                    raise MemoryError(f"kernel {self._name}: no memory ({message}); {advice}")
+                raise RuntimeError(f"kernel {self._name} failed: {message}")
         return results[0] if len(results) == 1 else tuple(results)
 
     def _checked_arrays(self, values: dict[Any, Any]) -> tuple[dict[str, Any], Any]:
@@ -177,19 +185,6 @@ class Kernel:
             if field.name in arrays and not _here.shapes_only:
                 self._check_indices(field, arrays[field.name], values)
         return arrays, like
-
-    def _refuse_values(self, values: dict[str, Any]) -> None:
-        """Raise the error for a number that does not fit its format, if there is one."""
-        for number in self._numbers:
-            if not _fits_format(number.code, values[number.name]):
-                self._refuse_number(number, values[number.name])
-
-    def _raise_failure(self, outcome: int) -> NoReturn:
-        """Raise the error that the library reports by an error code."""
-        message = self._message().decode(errors="replace")
-        if outcome == _NO_MEMORY:
-            raise MemoryError(f"kernel {self._name}: no memory ({message}); give it smaller batches or fewer threads")
-        raise RuntimeError(f"kernel {self._name} failed: {message}")
 
     def _refuse_array(
         self, field: ArrayField, array: Any, values: dict[str, Any], error: type[Exception] = ValueError
@@ -236,15 +231,6 @@ def _shape(sizes: Sequence[str]) -> list[int | str] | CodeType:
     if all(size.isidentifier() or size.isdecimal() for size in sizes):
         return [int(size) if size.isdecimal() else size for size in sizes]
     return compile(f"({', '.join(sizes)},)", "shape", "eval")
-
-
-def _fits_format(code: str, value: Any) -> bool:
-    """Return whether a value fits a format code of `struct`."""
-    try:
-        struct.pack(code, value)
-    except (struct.error, OverflowError, TypeError):
-        return False
-    return True
 
 
 @contextmanager

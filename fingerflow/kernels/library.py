@@ -7,10 +7,12 @@ import os
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
-from fingerflow.kernels.declarations import HEADER, declared, digest
+from fingerflow.kernels.declarations import Function, digest, interface, read
 from fingerflow.kernels.kernel import Kernel
 
 _log = logging.getLogger(__name__)
+_PACKAGE = Path(__file__).resolve().parents[1]
+_SOURCES = _PACKAGE.parent / "kernels"  # where the package is not installed but lies beside them
 
 
 @functools.cache
@@ -43,6 +45,11 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
     compiled("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
+def declared() -> dict[str, Function]:
+    """Return the functions of the compiled library by name; none where it does not serve."""
+    return {name: kernel.function for name, kernel in (_library() or {}).items()}
+
+
 def is_present() -> bool:
     """Return whether the compiled library is installed, built from the present sources and not switched off."""
     return _library() is not None
@@ -53,9 +60,8 @@ def _path() -> Path | None:
 
     The library is no Python module, so one built for another version works as well.
     """
-    folder = HEADER.parent.parent
-    own = (folder / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES)
-    others = (path for path in sorted(folder.glob("_kernels.*")) if path.suffix in (".so", ".pyd"))
+    own = (_PACKAGE / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES)
+    others = (path for path in sorted(_PACKAGE.glob("_kernels.*")) if path.suffix in (".so", ".pyd"))
     return next((path for path in (*own, *others) if path.is_file()), None)
 
 
@@ -68,11 +74,12 @@ def _library() -> dict[str, Kernel] | None:
         _log.info("compiled kernels were not built (no C++ compiler at install time?): portable ops serve, more slowly")
         return None
     library = ctypes.CDLL(str(path))
-    for text in ("fingerflow_digest", "fingerflow_last_message"):
-        if hasattr(library, text):
-            getattr(library, text).restype = ctypes.c_char_p
-    needed = digest(HEADER.read_text(encoding="utf-8")).encode()
-    if not hasattr(library, "fingerflow_digest") or library.fingerflow_digest() != needed:
-        _log.info("%s was built from other sources: install again; portable ops serve, more slowly", path)
-        return None
-    return {name: Kernel(name, function, library) for name, function in declared().items()}
+    if hasattr(library, "fingerflow_interface"):
+        for function in (library.fingerflow_digest, library.fingerflow_interface, library.fingerflow_last_message):
+            function.restype = ctypes.c_char_p
+        declarations = library.fingerflow_interface().decode()
+        sources = interface(_SOURCES) if (_SOURCES / "interface.h").is_file() else declarations
+        if library.fingerflow_digest().strip() == digest(sources).encode():
+            return {name: Kernel(name, function, library) for name, function in read(declarations).items()}
+    _log.info("%s was built from other sources: install again; portable ops serve, more slowly", path)
+    return None

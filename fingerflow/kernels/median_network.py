@@ -108,26 +108,6 @@ def tile_program(size: int, order: str) -> MedianProgram:
     return MedianProgram(size, tile, *windows.network.program(medians))
 
 
-@functools.cache
-def join_program(size: int, first: int, second: int) -> tuple[tuple[Step, ...], tuple[Operand, ...]]:
-    """Return the program (steps, outputs) that merges the median candidates of two disjoint parts of a window.
-
-    Both are ascending lists of the elements that can still be the median of a `size` x `size` window among `first` and
-    `second` pixels (`kept`): planes 0, 1, ... are those of the first, then those of the second. The outputs are the
-    list of both.
-    """
-    ahead = kept(size, first)
-    windows = _Windows(size, (1, ahead + kept(size, second)))
-    planes = [windows.network.pixel(0, plane) for plane in range(windows.network.inputs)]
-    return windows.network.program(windows.join(planes[:ahead], first, planes[ahead:], second))
-
-
-def kept(size: int, count: int) -> int:
-    """Return how many of `count` pixels of a `size` x `size` window can still be its median."""
-    low, high = _ranks(size, count)
-    return high - low + 1
-
-
 def _ranks(size: int, count: int) -> tuple[int, int]:
     """Return the first and the last rank among `count` pixels of a window that can still be its median."""
     pixels = size * size

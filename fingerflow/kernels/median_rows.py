@@ -7,18 +7,10 @@ compiled (`kernels/generate_median.py`) and those that are sent to the kernels a
 """
 
 import functools
-from typing import NamedTuple
 
 from fingerflow.kernels.median_network import MedianProgram, Step, median_program
 
 COMPILED_SIZES = (3, 5, 7, 9, 11)
-
-
-class Read(NamedTuple):
-    """Place of an operand relative to the step that reads it: `age` rows of tiles earlier, `columns` tiles right."""
-
-    age: int
-    columns: int
 
 
 class RowOrder:
@@ -33,18 +25,18 @@ class RowOrder:
         # Of planes that a later row reads: how many rows are kept.
         self.kept_rows: dict[int, int] = {}
         for step in self.steps:
-            for plane, read in self.operands(step):
-                if read.age and plane not in self.inputs:
-                    self.kept_rows[plane] = max(self.kept_rows.get(plane, 0), read.age + 1)
+            for plane, age, _ in self.operands(step):
+                if age and plane not in self.inputs:
+                    self.kept_rows[plane] = max(self.kept_rows.get(plane, 0), age + 1)
         self.warm_up = max(self.leads.values())
         self.lines = program.tile[0] * (1 + max(self.leads[plane] for plane in self.inputs))
 
-    def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
-        """Return plane and place of both operands of a step."""
+    def operands(self, step: Step) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+        """Return both operands of a step: plane, age in rows of tiles, and shift to the right in columns of tiles."""
         lead = self.leads[step.result]
         return (
-            (step.left, Read(self.leads[step.left] - lead, 0)),
-            (step.right, Read(self.leads[step.right] - lead - step.rows, step.columns)),
+            (step.left, self.leads[step.left] - lead, 0),
+            (step.right, self.leads[step.right] - lead - step.rows, step.columns),
         )
 
     def line(self, plane: int, age: int) -> int:
@@ -88,12 +80,12 @@ def median_table(size: int) -> tuple[int, ...]:
     ahead = 0
     previous: Step | None = None
     for number, step in enumerate(order.steps):
-        (left, left_read), (right, right_read) = order.operands(step)
+        left, right = order.operands(step)
         if previous is not None and _same_operands(order, previous, step) and steps[-1][0] != 3:
             kind, minimum, maximum, *rest = steps.pop()
         else:
             kind, minimum, maximum = 0, 0, 0
-            rest = [place(left, left_read.age), place(right, right_read.age), right_read.columns]
+            rest = [place(*left[:2]), place(*right[:2]), right[2]]
         scratch.take(number, step.result)
         if step.operation == "minimum":
             kind, minimum = kind | 1, place(step.result, 0)

@@ -19,7 +19,8 @@ class FrameContact(NamedTuple):
         real_area_px, gross_area_px: (K,) px, areas of the real and of the apparent (gross) contact.
         center, semi_axes: (K, 2) px, ellipse of the apparent contact; its angle (K,) rad, from x towards y.
         density_margin: (K, 1, h, w) of the apparent contact on cells, an input of `engines.contact_view.covers`.
-        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible.
+        illumination_gain: (K,) gain of the light relative to the empty glass; NaN where no glass is visible, None if it
+            is not measured.
         threshold: (K,) relative intensity loss above which a pixel touches, NaN without contact; None if not stated.
     """
 
@@ -30,7 +31,7 @@ class FrameContact(NamedTuple):
     semi_axes: Values
     angle: Values
     density_margin: Values
-    illumination_gain: Values
+    illumination_gain: Values = None
     threshold: Values = None
 
 
@@ -107,6 +108,30 @@ class EnteredPoints(NamedTuple):
     among: Values
     gradient: Values
     covariance: Values | None
+
+
+class FrameFields(NamedTuple):
+    """Divergence, curl, strain and shear at N points in K frames, and medians over the contact.
+
+    Attributes:
+        divergence, curl: (K, N), curl in rad; NaN where the displacement of the point itself is not known.
+        strain: (K, N, 3) as (exx, eyy, exy).
+        shear: (K, N, 2) along the axes and along the diagonals.
+        divergence_std, curl_std: (K, N); None without covariances.
+        median: (K, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without an ellipse.
+        median_std: (K, 5); None without covariances or an ellipse.
+        known_share: (K,) share of the ellipse in which the fields are known; None without an ellipse.
+    """
+
+    divergence: Values
+    curl: Values
+    strain: Values
+    shear: Values
+    divergence_std: Values | None
+    curl_std: Values | None
+    median: Values
+    median_std: Values | None
+    known_share: Values
 
 
 class LocalFit(NamedTuple):

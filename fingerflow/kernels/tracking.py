@@ -1,7 +1,7 @@
 """Kernels of tracked points: templates, registration, correction, search, outliers, spline, noise.
 
 Frames (B, 1, H, W) are of `declarations.FRAME_KINDS`, all else is float32 unless another dtype is named. What does not
-fit the declaration in interface.h raises TypeError (wrong dtype) or ValueError.
+fit the declaration of a kernel raises TypeError (wrong dtype) or ValueError.
 """
 
 import math

@@ -22,7 +22,6 @@ The right-hand forms add terms of one sign, so nothing cancels close to the surf
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -30,20 +29,9 @@ from torch import Tensor
 _PAIRS_AT_ONCE = 1 << 20  # largest number of pairs of a point and a strip in memory; a few tens of MB
 
 
-class Stress(NamedTuple):
-    """Stress components in a half-space, in the unit of the load; tension is positive.
-
-    The shear stress is positive where it pulls the upper side along -y.
-    """
-
-    sigma_y: Tensor
-    sigma_z: Tensor
-    tau_yz: Tensor
-
-
 def stress(
     y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
-) -> Stress:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the stress at points (y, z), along the surface and in depth, of an elastic half-space whose surface
     carries a load that is constant on each of M strips, bounded by `edges`.
 
@@ -55,7 +43,8 @@ def stress(
         traction: (..., M) along +y on the surface of the skin; none by default.
 
     Returns:
-        Each (*B, *S) float64, differentiable in all arguments.
+        sigma_y, sigma_z and tau_yz, each (*B, *S) float64 in the unit of the load, differentiable in all arguments.
+        Tension is positive; the shear stress is positive where it pulls the upper side along -y.
 
     Raises:
         ValueError: shapes that do not match, edges that do not rise, a depth that is not positive, NaN.
@@ -76,7 +65,8 @@ def stress(
         over_strips = partial(torch.einsum, "...km,...m->...k")
         parts.append(torch.stack([over_strips(of_p, pressure) + over_strips(of_q, traction) for of_p, of_q in pairs]))
     whole = -torch.cat(parts, -1) / math.pi
-    return Stress(*whole.reshape(*whole.shape[:-1], *lateral.shape))
+    sigma_y, sigma_z, tau_yz = whole.reshape(*whole.shape[:-1], *lateral.shape)
+    return sigma_y, sigma_z, tau_yz
 
 
 def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

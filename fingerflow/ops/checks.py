@@ -10,6 +10,17 @@ def check_frames(frames: Tensor) -> None:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
 
 
+def check_images(frames: Tensor, **images: Tensor | None) -> None:
+    """Raise ValueError unless frames are (B, 1, H, W) and each other image that is given (1 or B, 1, H, W)."""
+    check_frames(frames)
+    for name, image in images.items():
+        if image is not None and (image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0])):
+            raise ValueError(
+                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: give one image of the "
+                "same size, or one for each frame"
+            )
+
+
 def check_pixels(frames: Tensor, least: int) -> None:
     """Raise ValueError if the height or the width of frames (B, 1, H, W) is below `least` pixels."""
     if min(frames.shape[-2:]) < least:

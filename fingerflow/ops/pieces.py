@@ -29,7 +29,7 @@ def in_pieces(compute: Callable[..., Any], at_once: int, *tensors: Tensor | None
     """Evaluate `compute(*given)` for at most `at_once` frames of the batch at a time, and return the concatenated
     results.
 
-    It returns a tensor, or a named tuple of tensors, with one row per frame. While a graph is traced and on devices
+    It returns a tensor, or a tuple of tensors, with one row per frame. While a graph is traced and on devices
     other than the CPU the whole batch is computed in one call.
 
     Args:
@@ -46,4 +46,4 @@ def in_pieces(compute: Callable[..., Any], at_once: int, *tensors: Tensor | None
     ]
     if isinstance(pieces[0], Tensor):
         return torch.cat(pieces)
-    return type(pieces[0])(*(None if parts[0] is None else torch.cat(parts) for parts in zip(*pieces, strict=True)))
+    return tuple(None if parts[0] is None else torch.cat(parts) for parts in zip(*pieces, strict=True))

@@ -28,7 +28,7 @@ from fingerflow.results.store import FileStore, MemoryStore, Store
 from fingerflow.schema.scene import Scene, load_scene
 from fingerflow.schema.variable_record import Variable
 
-_PICTURES = 8  # frames per batch; as many again are decoded ahead
+_PICTURES = 16  # frames per batch; as many again are decoded ahead
 _NUMBERS = 64  # frames per batch in a pass without images
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.schema.key_types import Choice
 from fingerflow.schema.keys import SceneKey, SceneTable, key_words, keys_of
 from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.views import Region
@@ -57,7 +56,7 @@ def _rows(values: Mapping[str, Any], table: SceneKey | SceneTable | None, above:
             rows += _rows(value, key, f"{above}{words}: ")
             continue
         text = _value(value)
-        if isinstance(key, SceneKey) and isinstance(key.type, Choice):
+        if isinstance(key, SceneKey) and key.type.form["input"] == "choice":
             text = text.replace("_", " ")
         rows.append((f"{above}{words}", f"{text} {unit}".rstrip()))
     return rows

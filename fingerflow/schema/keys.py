@@ -7,7 +7,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, get_args, get_type_hints
 
-from fingerflow.schema.key_types import BOTH, NOBODY, KeyType, Reader, key_type
+from fingerflow.schema.key_types import BOTH, NOBODY, File, KeyType, NumberType, Reader, key_type
 
 _UNITS = {"_px": "px", "_mm": "mm", "_s": "s", "_mpa": "MPa"}  # units by the endings of key names
 
@@ -73,7 +73,7 @@ class SceneTable:
         return self.settings(**{**values, **built})
 
 
-def key(help: str, default: Any = None, type: KeyType | None = None, **facts: Any) -> Any:
+def key(help: str, default: Any = None, type: KeyType | File | NumberType | None = None, **facts: Any) -> Any:
     """Return the data class field of a key; `facts` are other attributes of `SceneKey`. Without `type`, the annotation
     says what the key takes.
     """

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.key_types import BOTH, NumberType, Several
+from fingerflow.schema.key_types import BOTH, number, several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_number
 from fingerflow.schema.scene_check import TableCheck
@@ -35,7 +35,7 @@ GraphName = Literal[
 ]
 #: Graphs of a bundle, in an order in which an engine can run them.
 GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
-_SIDE = NumberType(least=48, most=4096)  # px of a view: counts of pixels are exact in float32 up to 2^24
+_SIDE = number(least=48, most=4096)  # px of a view: counts of pixels are exact in float32 up to 2^24
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,14 @@ class ViewRecipe:
 
     height: int = key("of a view", type=_SIDE, needed_by=BOTH, unit="px")
     width: int = key("of a view", type=_SIDE, needed_by=BOTH, unit="px")
-    bit_depth: int = key("bits of a pixel", 8, NumberType(least=8, most=16))
-
-
-@dataclass(frozen=True)
-class ContactRecipe(ContactCells):
-    """Settings [contact] of a recipe."""
-
-    real_contact_mask: bool = key("whether the graph `contact` outputs the mask of the real contact", True)
+    bit_depth: int = key("bits of a pixel", 8, number(least=8, most=16))
 
 
 @dataclass(frozen=True)
 class ExportRecipe:
     """Settings [export] of a recipe: the graphs to export."""
 
-    graphs: tuple[GraphName, ...] = key("to export", GRAPHS, Several(GRAPHS))
+    graphs: tuple[GraphName, ...] = key("to export", GRAPHS, several(GRAPHS))
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,7 @@ class Recipe:
     """Recipe of a deployment bundle: all tables of settings of a recipe file."""
 
     views: ViewRecipe = table("size of both views", BOTH)
-    contact: ContactRecipe = table("segmentation of contact", default=ContactRecipe())
+    contact: ContactCells = table("segmentation of contact", default=ContactCells())
     tracking: PointSettings = table("points on the skin", default=PointSettings())
     fields: GaugeSettings = table("deformation of the skin", default=GaugeSettings())
     export: ExportRecipe = table("graphs of the bundle", default=ExportRecipe())

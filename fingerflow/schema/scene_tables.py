@@ -16,20 +16,20 @@ from fingerflow.schema.key_types import (
     NOBODY,
     PROCESS,
     STREAM,
-    Column,
-    Each,
+    TIME_RANGE,
+    TRANSFORM,
     File,
-    Moment,
-    NumberType,
-    TimeRange,
-    TransformType,
+    column,
+    each,
+    moment,
+    number,
 )
 from fingerflow.schema.keys import SceneKey, SceneTable, key, keys_of, table
 from fingerflow.schema.scene_kinds import Kind
 from fingerflow.schema.views import Rectangle, View
 
 Row = tuple[float, float, float]
-POSITIVE, FROM_0, FROM_1 = NumberType(above=0), NumberType(least=0), NumberType(least=1)
+POSITIVE, FROM_0, FROM_1 = number(above=0), number(least=0), number(least=1)
 RECORDED = File(there_for=PROCESS)  # a scene may be taken to a lab PC without its recording
 
 
@@ -42,7 +42,7 @@ class RecordingSettings:
 
     frames: Path = key("recording: .cine, .mraw/.cih, TIFF, AVI/MP4/MKV, HDF5, .npy or a folder of images",
         type=RECORDED, needed_by=PROCESS, sample="frames.cine", label="recording")
-    frame_rate: float | None = key("only where the recording does not state it", type=NumberType(above=1e-6),
+    frame_rate: float | None = key("only where the recording does not state it", type=number(above=1e-6),
         unit="Hz", sample=300.0)
     trigger_frame: int | None = key("frame at time 0, only where the recording does not state it", type=FROM_0,
         sample=12)
@@ -71,10 +71,10 @@ class CalibrationSettings:
 
     file: Path | None = key("from `fingerflow calibrate`; in place of the other keys", type=File(calibration=True),
         sample="calibration.toml")
-    mm_per_px: float = key("of the contact view", type=NumberType(above=0, most=1), unit="mm/px", sample=0.02,
+    mm_per_px: float = key("of the contact view", type=number(above=0, most=1), unit="mm/px", sample=0.02,
         label="scale")
     topography_to_contact: tuple[Row, Row] = key("affine map of px, topography view to contact view",
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), TransformType(), label="map from topography to contact view")
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), TRANSFORM, label="map from topography to contact view")
 
 
 @dataclass(frozen=True)
@@ -87,24 +87,24 @@ class ForceSettings:
     """
 
     file: Path = key("CSV, HDF5, .mat or TDMS", type=RECORDED, needed_by=BOTH, sample="forces.csv")
-    normal: str | int = key("channel of the normal force: its name in the file, or its number from 1", type=Column(),
+    normal: str | int = key("channel of the normal force: its name in the file, or its number from 1", type=column(),
         needed_by=BOTH, sample="normal_force", label="normal force column")
     tangential: str | int | tuple[str | int, ...] | None = key('channel of the tangential force, or two, ["fx", "fy"]',
-        type=Column(several=2), sample="tangential_force", label="tangential force columns")
+        type=column(2), sample="tangential_force", label="tangential force columns")
     units: Literal["N", "mN", "g", "kgf", "V"] | None = key("of the forces, only where the file does not state it",
         sample="N", label="unit of the file")
     gain: float | tuple[float, ...] | None = key("of the sensor, N/V where units is V; or one a channel, normal first",
-        type=Each(), sample=1.0, label="gain of the sensor")
+        type=each(), sample=1.0, label="gain of the sensor")
     sign: float | tuple[float, ...] = key("-1 where pressing is negative; or one a channel, [-1, 1]", 1.0,
-        Each(among=(1, -1)), sample=1, label="sign of each column")
-    offset: float | tuple[float, ...] | None = key("reading without a load, in the unit of the file", type=Each(),
+        each(1, -1), sample=1, label="sign of each column")
+    offset: float | tuple[float, ...] | None = key("reading without a load, in the unit of the file", type=each(),
         sample=0.0, label="reading without load")
     tare: tuple[float, float] | None = key("time without contact, from the trigger: its mean is the zero; in place of "
-        "offset", type=TimeRange(), unit="s", sample=[-0.5, -0.1], label="time without load")
-    trigger: str | int | None = key("channel whose first rise through trigger_level is time 0", type=Column(),
+        "offset", type=TIME_RANGE, unit="s", sample=[-0.5, -0.1], label="time without load")
+    trigger: str | int | None = key("channel whose first rise through trigger_level is time 0", type=column(),
         sample="trigger", label="trigger column")
     trigger_level: float | None = key("in the unit of that channel", sample=2.5)
-    time: str | int | None = key("column of the time, only where the file does not name it so", type=Column(),
+    time: str | int | None = key("column of the time, only where the file does not name it so", type=column(),
         sample="time", label="time column")
     sample_rate: float | None = key("only where the file has no time", type=POSITIVE, unit="Hz", sample=1000.0)
 
@@ -114,8 +114,8 @@ class ContactSizes:
     """Settings [contact] that scenes, recipes and engines share: sizes in px for the segmentation of contact."""
 
     median_px: int = key("side of the median filter, narrower than a ridge, 1 for none; the paper has 9, which rounds "
-        "the ends of ridges", 3, NumberType(least=1, most=15, odd=True), label="median filter")
-    gross_radius_px: int = key("half the distance between ridges, or a little more", 8, NumberType(least=1, most=255),
+        "the ends of ridges", 3, number(least=1, most=15, odd=True), label="median filter")
+    gross_radius_px: int = key("half the distance between ridges, or a little more", 8, number(least=1, most=255),
         label="half ridge spacing")
 
 
@@ -123,8 +123,9 @@ class ContactSizes:
 class ContactCells(ContactSizes):
     """Settings [contact] that recipes and engines share, and a scene does not have."""
 
-    stride_px: int = key("one line in so many counts for the threshold", 1, NumberType(least=1, most=16))
+    stride_px: int = key("one line in so many counts for the threshold", 1, number(least=1, most=16))
     cell_px: Literal[4, 8] | None = key("side of the cells of the gross contact region")
+    real_contact_mask: bool = key("whether the graph `contact` outputs the mask of the real contact", True)
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class ContactSettings(ContactSizes):
         "leaves the glass through skin alone (frustrated total internal reflection). Areas are then those of the "
         "picture's negative, in which background.dark has no part", "dark", label="dark or bright")
     threshold: float | Literal["reference_frame", "per_frame"] = key("relative intensity loss that is contact; the "
-        "words: Otsu's at the largest force, or of each frame", "reference_frame", NumberType(above=0, below=1))
+        "words: Otsu's at the largest force, or of each frame", "reference_frame", number(above=0, below=1))
 
 
 @dataclass(frozen=True)
@@ -146,8 +147,8 @@ class PointSettings:
     windows and of the search, and limit of error.
     """
 
-    points: int = key("most points that are tracked", 700, NumberType(least=3), label="number of points")
-    window_px: int = key("side of the window that is compared", 25, NumberType(least=5, most=255, odd=True),
+    points: int = key("most points that are tracked", 700, number(least=3), label="number of points")
+    window_px: int = key("side of the window that is compared", 25, number(least=5, most=255, odd=True),
         label="side of windows")
     min_distance_px: float = key("least distance between two points", 6.0, POSITIVE, label="distance between points")
     forward_backward_limit_px: float = key("largest distance after tracking forward and back", 1.0, POSITIVE,
@@ -177,7 +178,7 @@ class GaugeSettings:
     """
 
     gauge_length_mm: float = key("diameter over which a gradient is fitted (virtual strain gauge)", 1.6,
-        NumberType(above=0, most=100))
+        number(above=0, most=100))
 
 
 @dataclass(frozen=True)
@@ -190,15 +191,27 @@ class FieldSettings(GaugeSettings):
     """
 
     reference: str | int = key('a frame of the file (120), or a time ("0.25 s"): moment from which displacement '
-        "counts; onset is that of each point", "onset", Moment(("onset", "first_frame")),
+        "counts; onset is that of each point", "onset", moment(("onset", "first_frame")),
         label="displacement counts from")
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = key("measure of strain; as_printed: Willemet et "
         "al. 2021, equation 1", "green_lagrange", label="measure of strain")
     young_modulus_mpa: float = key("of the skin", 1.0, POSITIVE, label="Young's modulus")
-    poisson_ratio: float = key("of the skin", 0.4, NumberType(above=-1, below=0.5), label="Poisson's ratio")
+    poisson_ratio: float = key("of the skin", 0.4, number(above=-1, below=0.5), label="Poisson's ratio")
     depth_mm: float = key("of skin over which strain energy is integrated", 2.0, POSITIVE,
         label="depth for strain energy")
     rate_window_s: float = key("over which rates are fitted", 0.05, POSITIVE, label="time window of rates")
+
+
+STEP = 3  # px, spacing of the samples of a window (`Engine.windows`): 81 in a window of 25 px
+
+
+@dataclass(frozen=True)
+class EngineSettings(ContactCells, PointSettings, GaugeSettings):
+    """Settings of an engine: those of a scene file that a recipe of a bundle may state too, by the same names, the
+    cells of the contact, and the strain measure.
+    """
+
+    strain: str = FieldSettings.strain
 
 
 @dataclass(frozen=True)
@@ -229,7 +242,7 @@ class StreamSettings:
     region: Rectangle | None = table("part of the topography view in which points are seeded, by `process` too",
         sample={"rows": [100, 400], "columns": [100, 540]}, default=None)
     update_share: float | None = key("least share of tracked points before templates are updated",
-        type=NumberType(above=0, most=1), sample=0.8, formerly="rekey_share")
+        type=number(above=0, most=1), sample=0.8, formerly="rekey_share")
     update_frames: int | None = key("most frames before templates are updated", type=FROM_1, sample=300,
         formerly="rekey_frames")
 

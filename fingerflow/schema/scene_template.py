@@ -5,7 +5,6 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fingerflow.schema.key_types import Choice, Moment
 from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.scene_tables import SCENE, views_of
@@ -87,9 +86,9 @@ def _table_text(name: str, table: SceneKey | SceneTable, values: Mapping[str, An
 def _help(entry: SceneKey | SceneTable) -> str:
     if isinstance(entry, SceneTable):
         return entry.help
-    if isinstance(entry.type, Choice | Moment):
+    if entry.type.choices:
         words = ", ".join(map(toml_value, entry.type.choices))
-        number = " or a number" if isinstance(entry.type, Choice) and entry.type.number else ""
+        number = " or a number" if entry.type.form.get("number") else ""
         return f"{words}{number}: {entry.help}"
     return f"{entry.unit}, {entry.help}" if entry.unit not in ("", "px", "mm/px") else entry.help
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.calibration_file import Pixels, pixel_range
-from fingerflow.schema.key_types import BOTH, PROCESS, CornersType, File, NumberType, Pair, PixelRange
+from fingerflow.schema.key_types import BOTH, CORNERS, PAIR, PIXEL_RANGE, PROCESS, File, number, pair
 from fingerflow.schema.keys import key, table
 
 
@@ -32,9 +32,9 @@ class Rectangle:
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """
 
-    rows: Pixels = key("rows of the frame that it covers, [first, last + 1)", type=PixelRange(), needed_by=BOTH,
+    rows: Pixels = key("rows of the frame that it covers, [first, last + 1)", type=PIXEL_RANGE, needed_by=BOTH,
         unit="px")
-    columns: Pixels = key("columns of the frame that it covers", type=PixelRange(), needed_by=BOTH, unit="px")
+    columns: Pixels = key("columns of the frame that it covers", type=PIXEL_RANGE, needed_by=BOTH, unit="px")
 
 # fmt: on
     def __post_init__(self) -> None:
@@ -71,8 +71,8 @@ class DrawnEllipse:
     `angle`, in rad from x towards y, is the direction of the first semi-axis.
     """
 
-    center: tuple[float, float] = key("centre [x, y]", type=Pair(), needed_by=BOTH, unit="px")
-    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=Pair(NumberType(above=0)), needed_by=BOTH, unit="px")
+    center: tuple[float, float] = key("centre [x, y]", type=PAIR, needed_by=BOTH, unit="px")
+    semi_axes: tuple[float, float] = key("semi-axes [a, b]", type=pair(number(above=0)), needed_by=BOTH, unit="px")
     angle: float = key("of the axis a, from x towards y", 0.0, unit="rad")
 
 
@@ -82,7 +82,7 @@ class Region:
     centres.
     """
 
-    polygon: tuple[tuple[float, float], ...] | None = key("corners [[x, y], ...]", type=CornersType(), unit="px")
+    polygon: tuple[tuple[float, float], ...] | None = key("corners [[x, y], ...]", type=CORNERS, unit="px")
     ellipse: DrawnEllipse | None = table("ellipse in the view", default=None)
     mask: Path | None = key("image of the size of the view; where it is not black is inside",
         type=File(there_for=PROCESS))

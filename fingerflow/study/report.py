@@ -14,13 +14,13 @@ from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import PNG, FigureFiles
-from fingerflow.plot.rounding import format_interval, format_uncertainty
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
+from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS
@@ -53,8 +53,8 @@ def write_study_report(
     """
     import pandas as pd
 
-    tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves).map(plain_cell)
+    trials_path, curves_path = write_tables(manifest)
+    frame, curves = pd.read_parquet(trials_path), pd.read_csv(curves_path).map(plain_cell)
     sample = read_sample(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
 
@@ -74,7 +74,7 @@ def write_study_report(
         study=manifest.path.parent.name,
         rows=_rows(manifest, frame),
         shown=[(name, NUMBERS[name].axis_label) for name in _SHOWN if name in frame],
-        counted=sample.counted,
+        counted=statistics["counted"],
         statuses=frame["status"].value_counts().to_dict(),
         answered=sample.answered,
         figures=figures,

@@ -20,26 +20,22 @@ _LARGEST_AMPLITUDE = 2.0  # µm, largest amplitude at which the paper asks wheth
 
 
 @dataclass(frozen=True)
-class Counted:
-    """Counts of a study's trials: all of them, those that each rule excludes as pairs (rule in words, number), and
-    those used.
-    """
-
-    trials: int
-    rules: tuple[tuple[str, int], ...]
-    used: int
-
-
-@dataclass(frozen=True)
 class Sample:
-    """Trials used in figures and statistics, and the numbers of excluded trials.
+    """Trials used in figures and statistics, of `number` trials of the study, and how many each rule excludes, as pairs
+    (rule in words, number).
 
     If `answered` is False, the study has no answers, and `trials.answer` holds placeholders (False).
     """
 
     trials: observer.Trials
     answered: bool
-    counted: Counted
+    number: int
+    rules: tuple[tuple[str, int], ...]
+
+    @property
+    def used(self) -> int:
+        """Return the number of trials that are used."""
+        return len(self.trials.answer)
 
 
 def read_sample(frame: Any) -> Sample:
@@ -69,9 +65,7 @@ def read_sample(frame: Any) -> Sample:
         silent = measured & ~answered
         rules.append(("no answer in the manifest", int((silent & ~reference).sum())))
         rules.append(("reference presses, which count in differences from them", int((silent & reference).sum())))
-    return Sample(
-        observer.read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum()))
-    )
+    return Sample(observer.read_trials(columns | metrics), any_answer, len(frame), tuple(rules))
 
 
 def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
@@ -101,7 +95,7 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
     trials = replace(differences, metrics=values)
     statistics: dict[str, Any] = {
-        "counted": asdict(sample.counted),
+        "counted": {"trials": sample.number, "rules": sample.rules, "used": sample.used},
         "by_condition": _anovas(trials, trials.condition),
         "correlations": _corrected(
             {

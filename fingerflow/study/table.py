@@ -1,7 +1,6 @@
 """Write the table of trials of a study and the curves averaged by condition, from the stored rows of all trials."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +24,9 @@ _CURVE_COLUMNS = [
 _MOST_MISSING = 0.5
 
 
-@dataclass(frozen=True)
-class Tables:
-    """Paths of the four files written by `write_tables`."""
-
-    trials: Path
-    csv: Path
-    variables: Path
-    curves: Path
-
-
-def write_tables(manifest: Manifest) -> Tables:
-    """Write a study's `trials.parquet` and `trials.csv` (row per trial), `variables.csv` and `curves.csv`.
+def write_tables(manifest: Manifest) -> tuple[Path, Path]:
+    """Write a study's `trials.parquet` and `trials.csv` (row per trial), `variables.csv` and `curves.csv`; return the
+    paths of the first and the last.
 
     Every trial of the manifest has a row; a failed one has its reason and no numbers, one not yet run has neither.
 
@@ -55,9 +45,8 @@ def write_tables(manifest: Manifest) -> Tables:
     for name, values in normalised(frame).items():
         frame[name] = values
     frame = pd.concat((frame, pd.DataFrame(differences(frame))), axis=1)
-    paths = Tables(
-        *(manifest.results / name for name in ("trials.parquet", "trials.csv", "variables.csv", "curves.csv"))
-    )
+    folder = manifest.results
+    trials_path, curves_path = folder / "trials.parquet", folder / "curves.csv"
     table = pa.Table.from_pandas(frame, preserve_index=False)
     described = NUMBERS | FACTS | DIFFERENCES
     fields = [
@@ -67,17 +56,17 @@ def write_tables(manifest: Manifest) -> Tables:
         for column in table.schema
     ]
     table = table.cast(pa.schema(fields, metadata=table.schema.metadata))
-    write_atomically(paths.trials, lambda part: parquet.write_table(table, part))
-    write_atomically(paths.csv, lambda part: frame.map(quoted_cell).to_csv(part, index=False))
+    write_atomically(trials_path, lambda part: parquet.write_table(table, part))
+    write_atomically(folder / "trials.csv", lambda part: frame.map(quoted_cell).to_csv(part, index=False))
     variables = pd.DataFrame(
         [(column.name, column.units, column.long_name) for column in described.values() if column.name in frame],
         columns=["column", "unit", "definition"],
     )
-    write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
+    write_atomically(folder / "variables.csv", lambda part: variables.to_csv(part, index=False))
     # The column names keep the heading of an empty table.
     curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)
-    write_atomically(paths.curves, lambda part: curves.map(quoted_cell).to_csv(part, index=False))
-    return paths
+    write_atomically(curves_path, lambda part: curves.map(quoted_cell).to_csv(part, index=False))
+    return trials_path, curves_path
 
 
 def table_rows(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.kernels.arrays import kind
+from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
 
@@ -38,7 +38,7 @@ def block_means(frames: Array) -> tuple[Array, Array]:
     if frames.ndim != 3 or 0 in frames.shape[1:]:
         raise ValueError(f"frames have shape {frames.shape}: give (n, H, W)")
     (down, along), (rows, columns) = _grid(*frames.shape[1:])
-    if is_present() and kind(frames) in FRAME_KINDS:
+    if is_present() and KINDS[frames.dtype] in FRAME_KINDS:
         grid = {"down": down, "along": along, "rows": rows, "columns": columns}
         blocks, lines = compiled("block_means")(frames=frames[:, None], **grid)
         return blocks, lines
@@ -86,7 +86,8 @@ def _neighbours(frames: Array) -> list[Array]:
 
 
 def _square(pixels: Array, neighbours: Array) -> Array:
-    difference = neighbours - pixels
+    with np.errstate(invalid="ignore"):  # of infinite pixels it is NaN
+        difference = neighbours - pixels
     return np.einsum("np,np->n", difference, difference) / pixels.shape[1]
 
 

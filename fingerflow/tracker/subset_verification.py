@@ -68,7 +68,7 @@ class Verification:
         """Sample the window of each point (N, 2) px in the key frame `image` (1, 1, h, w)."""
         self._engine = engine
         straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
-        self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight, STEP)
+        self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight)
         self._variance = self._first.var(1, ddof=1)
         self.latest = Verified.none(len(points))
         self.correlation = np.full(len(points), np.nan, np.float32)
@@ -89,7 +89,7 @@ class Verification:
         positions = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
 
         def sample(number: Array, positions: Array, warp: Array) -> Array:
-            return self._engine.windows(images, number, positions, warp, STEP)
+            return self._engine.windows(images, number, positions, warp)
 
         alike = compare(self._first, sample(number, positions, warp))
         loss = 1 - alike.correlation

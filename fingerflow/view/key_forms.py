@@ -73,5 +73,5 @@ def _form(name: str, key: SceneKey) -> dict[str, Any]:
         "help": key.help,
         "default": key.default,
         "needed": "process" in key.needed_by,
-        **key.type.form(),
+        **key.type.form,
     }

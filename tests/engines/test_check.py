@@ -16,8 +16,8 @@ from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import TOLERANCES, BuiltIn, both_numbers_of, built_in, check_engine, check_frames
 from fingerflow.engines.choice import open_onnx
 from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.native import NativeEngine
-from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.export.portable import PortableSession
@@ -148,13 +148,13 @@ def bundle(bundle_of_trials: Path) -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def graphs(bundle: Bundle) -> OnnxEngine:
+def graphs(bundle: Bundle) -> GraphEngine:
     return open_onnx(bundle)
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=() if one in EVERY_FRAME else LONG) for one in GRAPHS])
 def test_a_wrong_graph_of_a_bundle_is_refused(
-    name: GraphName, graphs: OnnxEngine, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+    name: GraphName, graphs: GraphEngine, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A provider that computes any one graph wrongly, or always returns its first result, is refused."""
     sessions: Any = graphs._sessions

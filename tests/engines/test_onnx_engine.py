@@ -6,7 +6,6 @@ import dataclasses
 import logging
 import subprocess
 import sys
-import types
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,17 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 import pytest
 import torch
 
-from fingerflow.engines import choice, providers
+from fingerflow.engines import choice, providers, sessions
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import noise_of
-from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import GraphSession
 from fingerflow.engines.torch import TorchEngine
@@ -217,7 +215,7 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
     engine = choice.open_onnx(bundle)
     of_array = GraphSession.kept
     monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
-    engine._sessions["track"].shares_memory = False
+    monkeypatch.setattr(sessions, "CPU", "the processor has no part in it")
     templates = keyed(engine, points)
     image = engine.images(view("topography", FRAME))
     before = engine.track(templates, image, points, np.zeros_like(points)).found.points
@@ -336,7 +334,7 @@ def test_a_provider_with_other_numbers_is_passed_over(
     )
     wrong = [True, False, True]
 
-    def check(engine: OnnxEngine, expected: Any) -> None:
+    def check(engine: GraphEngine, expected: Any) -> None:
         if wrong.pop(0):
             raise FingerflowError("its numbers are not those of the bundle")
 
@@ -348,31 +346,8 @@ def test_a_provider_with_other_numbers_is_passed_over(
         choice.engine_of_stream(bundle, "onnx", "odd")
 
 
-def test_the_provider_of_a_plugin_package_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The provider of a plugin package is found; a plugin package that cannot be loaded is named, and the other
-    providers serve.
-    """
-    (tmp_path / "onnxruntime_ep_other.py").write_text("def get_library_path():\n    return 'other.so'\n")
-    (tmp_path / "onnxruntime_ep_torn.py").write_text("import nothing_of_this_name\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(providers, "_registered", set())
-    device = types.SimpleNamespace(ep_name="OtherExecutionProvider")
-    plugged: list[str] = []
-    monkeypatch.setattr(ort, "register_execution_provider_library", lambda name, path: plugged.append(path))
-    monkeypatch.setattr(ort, "get_ep_devices", lambda: [device] * len(plugged))
-    for _ in range(2):
-        names = installed_providers()
-        assert list(names.items())[-2:] == [("other", device.ep_name), ("cpu", "CPUExecutionProvider")]
-    assert plugged == ["other.so"]
-    assert [message for message in caplog.messages if "onnxruntime_ep_torn" in message]
-    assert providers.plugin_devices(device.ep_name) == [device]
-    assert providers.plugin_devices("CPUExecutionProvider") == []
-
-
 def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Path) -> None:
-    def opened(**files: Path) -> OnnxEngine:
+    def opened(**files: Path) -> GraphEngine:
         return choice.open_onnx(dataclasses.replace(bundle, files={**bundle.files, **files}))
 
     with pytest.raises(FingerflowError, match=r"contact\.onnx: holds 'contact' where the graph 'track' is expected"):

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import EngineSettings, GlassLight
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking
@@ -58,7 +58,7 @@ def kernel_calls() -> dict[str, Call]:
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     rows = points.shape[1]
     templates = list(twin("prepare_templates")(first, points, None, one, 11, 1, 0.0))
-    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
+    fits = {"radius": 30.0, "minimum_points": 5}
     ellipses, area = torch.tensor([[40.0, 32.0, 20.0, 16.0, 1.0, 0.0]]).repeat(2, 1), torch.ones(3)
     wide = first.repeat(1, 1, 8, 8).float()  # for flow, whose cells are a fourth of the pixels
 
@@ -117,7 +117,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     frame, everywhere = frames[:1], np.ones((1, 1, *frames.shape[2:]), np.bool_)
     grey = random.normal(100, 20, (6, 200, 81)).astype(np.float32)
     engine = NativeEngine(EngineSettings(median_px=3, gross_radius_px=8, cell_px=4, window_px=9, search_px=3))
-    lit = (frames, GlassLight(glass, black))
+    lit = (frames, (glass, black))
     windows = {"then": grey[0], "around": grey[2:], "now": grey[1]}
     return {
         "contact_of_frames": call(engine.contact, *lit, np.full(2, 0.5, np.float32)),

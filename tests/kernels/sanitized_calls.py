@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from fingerflow.kernels import library
-from fingerflow.kernels.declarations import declared
+from fingerflow.kernels.library import declared
 
 if __name__ == "__main__":
     library._path = lambda: Path(sys.argv[1])

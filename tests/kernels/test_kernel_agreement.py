@@ -196,7 +196,7 @@ def test_cells_wider_than_a_byte_counts() -> None:
     """All pixels of a full mask count in cells with more rows than a byte can count."""
     mask = torch.ones(1, 1, 600, 300, dtype=torch.bool)
     for cell in (255, 256, 400, 511):
-        assert float(apparent_contact(mask, 255, cell).covered_px) == pytest.approx(600 * 300, rel=1e-6)
+        assert float(apparent_contact(mask, 255, cell).real_area_px) == pytest.approx(600 * 300, rel=1e-6)
 
 
 def test_gradients_where_a_covariance_is_not_known(portable: Portable) -> None:

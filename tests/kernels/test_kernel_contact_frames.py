@@ -9,7 +9,7 @@ import torch
 
 from fingerflow.engines import contact_view
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import EngineSettings, FrameContact, GlassLight
+from fingerflow.engines.engine import EngineSettings, FrameContact
 from fingerflow.engines.native import NativeEngine
 from fingerflow.graphs.contact_graph import ContactGraph
 from fingerflow.kernels import tensors as kernels
@@ -33,7 +33,7 @@ def engine(median_px: int, radius: int, cell: int | None = None, stride_px: int 
 def same_contact(tracked: NativeEngine, graph: ContactGraph, *images: torch.Tensor, threshold: Any) -> FrameContact:
     """Assert that all results are those of the separate kernels, bit for bit, and return them."""
     frames, light, black = (image.numpy() for image in images)
-    contact = tracked.contact(frames, GlassLight(light, black), threshold)
+    contact = tracked.contact(frames, (light, black), threshold)
     expected = graph(*images, torch.from_numpy((1 - threshold).astype(np.float32)))
     for name, tensor in expected._asdict().items():
         if tensor is None:  # the graph states no threshold
@@ -79,13 +79,13 @@ def test_views_and_threads(torch_threads: Callable[[int], None]) -> None:
         limits = np.full(len(view), 0.28, np.float32)
         copy, *glass = (np.ascontiguousarray(image) for image in (view, lamp, dark))
         torch_threads(1)
-        expected = native.contact(copy, GlassLight(*glass), limits)
-        threshold = native.contact(copy, GlassLight(*glass)).threshold
+        expected = native.contact(copy, tuple(glass), limits)
+        threshold = native.contact(copy, tuple(glass)).threshold
         for threads in (1, 2, 3, 7):
             torch_threads(threads)
-            for value, other in zip(native.contact(view, GlassLight(lamp, dark), limits), expected, strict=True):
+            for value, other in zip(native.contact(view, (lamp, dark), limits), expected, strict=True):
                 assert np.array_equal(value, other, equal_nan=value.dtype != np.bool_)
-            assert np.array_equal(native.contact(view, GlassLight(lamp, dark)).threshold, threshold, equal_nan=True)
+            assert np.array_equal(native.contact(view, (lamp, dark)).threshold, threshold, equal_nan=True)
 
 
 @pytest.mark.parametrize(("down", "across"), [(1, 1), (1, 7), (9, 1), (2, 2), (31, 42)])

@@ -1,8 +1,9 @@
-"""Tests that kernels refuse arguments that do not fit their declarations in interface.h, and name the wrong one."""
+"""Tests that kernels refuse arguments that do not fit their declarations, and name the wrong one."""
 
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,20 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
 from fingerflow.kernels import flow, tracking
 from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.declarations import ArrayField, NumberField, declared
-from fingerflow.kernels.library import compiled
+from fingerflow.kernels.declarations import ArrayField, NumberField
+from fingerflow.kernels.library import compiled, declared
 from tests.kernels.kernel_calls import kernel_calls, reached
+from tests.kernels.twins import TWINS
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 DECLARED = declared()
 CALLS = kernel_calls() if kernels.serve() else {}
-#: Arguments of one call of each kernel.
+#: Arguments of one call of each kernel; those without one in `kernel_calls` have that of their twin.
 ARGUMENTS = {name: values for call in CALLS.values() for name, values in reached(call).items()}
+for name in TWINS.keys() & (DECLARED.keys() - ARGUMENTS.keys()):
+    op, given = next(TWINS[name].calls())
+    ARGUMENTS |= reached(partial(op, *given))
 
 
 def twice(array: Any, axis: int) -> Any:

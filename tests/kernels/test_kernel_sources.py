@@ -31,7 +31,7 @@ def compile_sanitized(sanitizer: str, options: Iterable[str], sources: Iterable[
     for attempt in ([*command, str(empty), "-o", str(program)], [str(program)]):
         if subprocess.run(attempt, capture_output=True).returncode:
             pytest.skip("this compiler or system has no such sanitizer")
-    includes = [f"-I{folder}" for folder in (ROOT / "kernels", ROOT / "fingerflow" / "kernels", program.parent)]
+    includes = [f"-I{folder}" for folder in (ROOT / "kernels", program.parent)]
     subprocess.run([*command, *options, *includes, *map(str, sources), "-o", str(program)], check=True)
     named = ([compiler, f"-print-file-name=lib{name}.so"] for name in libraries)
     return [subprocess.run(line, capture_output=True, text=True).stdout.strip() for line in named]

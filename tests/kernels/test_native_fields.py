@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
-from fingerflow.engines.native_fields import fields_of_frames
+from fingerflow.engines.engine import EngineSettings, EnteredPoints, FrameEllipse, FrameFields
+from fingerflow.engines.native import NativeEngine
 from fingerflow.graphs import fields_graph as graphs
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import STRAIN_MEASURES
@@ -23,9 +23,9 @@ FRAMES, GAUGE = 5, 2.0
 class Case:
     """Points in a square of 12 x 12 whose displacements grow from frame to frame, some of them lost, and ellipses."""
 
-    def __init__(self, points: int, *, noisy: bool, entered: bool, references: int = 1) -> None:
+    def __init__(self, points: int, *, noisy: bool, entered: bool) -> None:
         random = np.random.default_rng(points)
-        place = 12 * random.random((references, points, 2)) - 6
+        place = 12 * random.random((1, points, 2)) - 6
         growth = 0.01 * np.arange(1, FRAMES + 1)[:, None, None]
         moved = growth * place @ np.array([[1.0, 0.3], [-0.5, 0.8]]) + 0.01 * random.standard_normal(
             (FRAMES, points, 2)
@@ -51,17 +51,10 @@ class Case:
             self.entered = EnteredPoints(among, gradient, spread if noisy else None)
 
     def found(self, measure: str) -> FrameFields:
-        return fields_of_frames(
-            self.reference,
-            self.displacement,
-            gauge_length=GAUGE,
-            measure=measure,
-            covariance=self.covariance,
-            ellipse=self.ellipse,
-            entered=self.entered,
-        )
+        engine = NativeEngine(EngineSettings(gauge_length_mm=GAUGE, strain=measure))
+        return engine.fields(self.reference[0], self.displacement, self.ellipse, self.covariance, self.entered)
 
-    def expected(self, measure: str, precision: torch.dtype = torch.float32) -> graphs.Fields:
+    def expected(self, measure: str, precision: torch.dtype = torch.float32) -> FrameFields:
         def tensor(array: Any) -> Any:
             if array is None or array.dtype == np.bool_:
                 return None if array is None else torch.from_numpy(array)
@@ -70,11 +63,11 @@ class Case:
         entered = None if self.entered is None else EnteredPoints(*map(tensor, self.entered))
         ellipse = FrameEllipse(*map(tensor, self.ellipse))
         given = (tensor(one) for one in (self.reference, self.displacement, self.covariance))
-        result: graphs.Fields = graphs.FieldsGraph(GAUGE, measure)(*given, ellipse, entered)
+        result: FrameFields = graphs.FieldsGraph(GAUGE, measure)(*given, ellipse, entered)
         return result
 
 
-def same(found: FrameFields, expected: graphs.Fields, atol: dict[str, float], rtol: float) -> None:
+def same(found: FrameFields, expected: FrameFields, atol: dict[str, float], rtol: float) -> None:
     for name, one, other in zip(FrameFields._fields, found, expected, strict=True):
         assert (one is None) == (other is None), name
         if one is not None and other is not None:
@@ -84,18 +77,18 @@ def same(found: FrameFields, expected: graphs.Fields, atol: dict[str, float], rt
 
 
 @pytest.mark.parametrize(
-    ("points", "references", "measure"),
-    [*((700, 1, one) for one in STRAIN_MEASURES), *((*of, "green_lagrange") for of in ((60, FRAMES), (4, 1), (0, 1)))],
+    ("points", "measure"),
+    [*((700, one) for one in STRAIN_MEASURES), *((count, "green_lagrange") for count in (60, 4, 0))],
 )
 @pytest.mark.parametrize("entered", [False, True])
 @pytest.mark.parametrize("noisy", [False, True])
 def test_compiled_fields_agree_with_the_portable_form(
-    portable: Portable, points: int, references: int, noisy: bool, entered: bool, measure: str
+    portable: Portable, points: int, noisy: bool, entered: bool, measure: str
 ) -> None:
     """With compiled kernels, fields agree to the rounding of cosines and of sums of four numbers. Against the portable
     form in float64 they agree to the rounding of fits, some of which, at the border, have points on one side only.
     """
-    case = Case(points, noisy=noisy, entered=entered, references=references)
+    case = Case(points, noisy=noisy, entered=entered)
     found = case.found(measure)
     same(found, case.expected(measure), {"": 1e-6}, 1e-5)
     if points == 700:

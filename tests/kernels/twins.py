@@ -13,13 +13,14 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
 from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.contact_threshold import contact_threshold
 from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
-from fingerflow.ops.fields.area_medians import Apart, area_medians
+from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.filters.halving import halved_image
@@ -389,21 +390,21 @@ def area_fields(with_others: bool) -> Iterator[Call]:
         root = 0.01 * random(9, points, 2, 2, seed=4)
         center, axes = 56.5 + 3 * random(9, 2, seed=5), 0.02 + 5 * random(9, 2, seed=6) ** 2
         center[0], axes[1, 0], axes[2] = 1000.0, 0.0, 100.0
-        apart = None
+        entered: tuple[Any, ...] = ()
         if with_others:
-            fields = random(9, points, 5, seed=8) - 0.5
-            fields[random(9, points, seed=9) < 0.2] = torch.nan
-            apart = Apart(
-                (reference[..., 0] < 54).expand(9, -1), fields, 0.01 * random(9, points, 5) if noisy else None
-            )
-        op = partial(_area_medians, measure)
-        given = reference, displacement, center, axes, 6 * random(9, seed=7)
-        yield op, (*given, root @ root.mT if noisy else None, apart)
+            gradient, spread = random(9, points, 2, 2, seed=8) - 0.5, 0.01 * random(9, points, 4, 4, seed=10)
+            gradient[random(9, points, seed=9) < 0.2] = torch.nan
+            variances = (spread @ spread.mT).unflatten(3, (2, 2)).unflatten(2, (2, 2)) if noisy else None
+            entered = (reference[..., 0] < 54).expand(9, -1), gradient, variances
+        given = reference, displacement, center, axes, 6 * random(9, seed=7), root @ root.mT if noisy else None
+        yield partial(_area_medians, measure), (*given, *entered)
 
 
 def _area_medians(measure: str, *given: Any) -> Any:
-    *ellipse, covariance, apart = given
-    return area_medians(*ellipse, gauge_length=2.0, measure=measure, covariance=covariance, apart=apart)
+    reference, displacement, *ellipse, covariance = given[:6]
+    entered = EnteredPoints(*given[6:]) if given[6:] else None
+    settings = {"gauge_length": 2.0, "measure": measure, "covariance": covariance, "entered": entered}
+    return area_medians(reference, displacement, FrameEllipse(*ellipse), **settings)
 
 
 def strains_of_triangles() -> Iterator[Call]:

@@ -6,7 +6,9 @@ A new op needs an entry in `OF_NAN` and `REFUSED`. Its own tests show axes, sign
 
 import inspect
 import math
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ import torch
 from torch import Tensor
 
 from fingerflow import ops
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.contact.apparent_contact import apparent_contact
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
@@ -21,12 +24,10 @@ from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.ops.fields.strain import principal_strains
 from fingerflow.ops.fields.strain_uncertainty import field_std
-from fingerflow.ops.filters.morphology import dilate, erode
 from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.filters.quantile import frame_quantile
 from fingerflow.ops.tracking.contrast import subtract_background, unsharp_mask
 from fingerflow.ops.tracking.corners import corner_response
-from fingerflow.ops.tracking.outliers import find_neighbours
 from tests.embedded import CASES, HEIGHT, WIDTH, scene, tensors_of
 
 EVERY_OP = pytest.mark.parametrize("name", ops.__all__)
@@ -78,8 +79,11 @@ def block_of(name: str) -> dict[str, str]:
 
 
 @EVERY_OP
-def test_every_op_states_its_convention(name: str) -> None:
+def test_every_op_states_its_convention_and_source(name: str) -> None:
     assert list(block_of(name)) == ENTRIES
+    assert "Source: " in getattr(ops, name).__doc__
+    twins = re.findall(r"`(kernels/\w+\.cpp)`", getattr(ops, name).__doc__)
+    assert all((Path(__file__).parents[2] / path).is_file() for path in twins)
     assert name in OF_NAN, "a new op takes a line of it"
 
 
@@ -318,13 +322,13 @@ def test_not_a_number(name: str) -> None:
 BLANK, IMAGE, MASK = torch.zeros(2, 1, 9, 9), torch.ones(1, 1, 9, 9), torch.zeros(1, 1, 9, 9).bool()
 NODES, TRIANGLE, GRID = torch.zeros(2, 5, 2), torch.tensor([[0, 1, 2]]), torch.linspace(-1, 1, 3)
 FIELD, NO_GRADIENT, STRAIN = torch.ones(1, 2, 9, 9), torch.zeros(2, 2), torch.zeros(3)
+DISC = FrameEllipse(torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
 MEASURES = "green_lagrange, as_printed, infinitesimal"
 
 #: Valid arguments of each op.
 FITTED: dict[Callable[..., Any], dict[str, Any]] = {
     area_medians: {
-        **{"reference": NODES[:1], "displacement": NODES[:1], "center": torch.zeros(1, 2)},
-        **{"semi_axes": torch.ones(1, 2), "angle": torch.zeros(1), "gauge_length": 1.0},
+        **{"reference": NODES[:1], "displacement": NODES[:1], "ellipse": DISC, "gauge_length": 1.0},
     },
     ops.detect_corners: {"frame": IMAGE},
     ops.dense_flow: {"first": BLANK[:1], "current": BLANK[:1]},
@@ -350,8 +354,6 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.median_filter, {"frames": IMAGE[0, 0]}, r"\(9, 9\).*\(B, 1, H, W\)"),
     (ops.median_filter, {"frames": torch.zeros(1, 3, 9, 9)}, r"\(1, 3, 9, 9\)"),
     (ops.median_filter, {"frames": IMAGE, "size": 4}, "4 x 4.*odd"),
-    (erode, {"mask": MASK, "radius": -1}, "radius is -1"),
-    (dilate, {"mask": MASK, "radius": 1, "shape": "square"}, "square"),
     (frame_quantile, {"frames": IMAGE, "fraction": 1.5}, r"1\.5"),
     (apparent_contact, {"mask": MASK.byte(), "radius": 3}, "uint8"),
     (apparent_contact, {"mask": MASK[0], "radius": 3}, "shape"),
@@ -387,13 +389,12 @@ REFUSED: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
     (ops.track_points, {"initial": NODES[:, 1:]}, "initial"),
     (ops.track_points, {"warp": NODES}, "warp"),
     (ops.track_points, {"noise": torch.zeros(3)}, "noise"),
-    (find_neighbours, {"positions": NODES[:, :1], "gauge_length": 1.0}, "1 points have no neighbours"),
     (area_medians, {"displacement": NODES[:1].int()}, "values must be floating"),
     (area_medians, {"displacement": torch.zeros(1, 5, 3)}, "displacement"),
     (area_medians, {"displacement": NODES[:1, 1:]}, "points"),
     (area_medians, {"reference": NODES}, "reference has 2 frames"),
-    (area_medians, {"center": torch.zeros(2, 2)}, "center must be"),
-    (area_medians, {"angle": torch.zeros(1, 1)}, "angle must be"),
+    (area_medians, {"ellipse": DISC._replace(center=torch.zeros(2, 2))}, "center must be"),
+    (area_medians, {"ellipse": DISC._replace(angle=torch.zeros(1, 1))}, "angle must be"),
     (area_medians, {"covariance": torch.zeros(1, 5)}, "covariance must be"),
     (area_medians, {"measure": "hencky"}, f"'hencky'.*{MEASURES}"),
     (ops.green_lagrange, {"gradient": NO_GRADIENT, "measure": "almansi"}, f"'almansi'.*{MEASURES}"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.schema.recipe import ContactRecipe, GaugeSettings, PointSettings, Recipe, ViewRecipe
+from fingerflow.schema.recipe import ContactCells, GaugeSettings, PointSettings, Recipe, ViewRecipe
 from tests.small_trials import write_library_bundle
 
 HEIGHT, WIDTH, POINTS = 64, 96, 10
@@ -25,7 +25,7 @@ def parse_recipe(bit_depth: int = 8) -> Recipe:
     """Return the recipe of the bundle."""
     return Recipe(
         views=ViewRecipe(height=HEIGHT, width=WIDTH, bit_depth=bit_depth),
-        contact=ContactRecipe(median_px=1, gross_radius_px=4),
+        contact=ContactCells(median_px=1, gross_radius_px=4),
         tracking=PointSettings(points=POINTS, window_px=9, search_px=4),
         fields=GaugeSettings(gauge_length_mm=24.0),
     )

@@ -30,7 +30,7 @@ with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_
 
 def table_of(study: Manifest) -> pd.DataFrame:
     """Write the tables of a study and return the trials, without the names of the files of results."""
-    return pd.read_parquet(write_tables(study).trials).drop(columns="result")
+    return pd.read_parquet(write_tables(study)[0]).drop(columns="result")
 
 
 def start(lab: Path, *options: str) -> subprocess.Popen[bytes]:

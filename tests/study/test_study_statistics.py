@@ -63,21 +63,21 @@ def test_what_is_left_out_is_counted() -> None:
     frame.loc[:4, "status"] = "failed"
     frame.loc[3:9, "answer"] = None
     sample = read_sample(frame)
-    assert sample.counted.trials == 84
-    assert dict(sample.counted.rules) == {
+    assert sample.number == 84
+    assert dict(sample.rules) == {
         "failed, so nothing was measured": 5,
         "no answer in the manifest": 5,
         "reference presses, which count in differences from them": 0,
     }
-    assert sample.counted.used == len(sample.trials.answer) == 74
+    assert len(sample.trials.answer) == 74
     frame["reference"] = ""
     frame["trial"] = [str(number) for number in range(84)]
     frame.loc[10, "reference"] = "5"
-    assert [count for _, count in read_sample(frame).counted.rules] == [5, 4, 1]
+    assert [count for _, count in read_sample(frame).rules] == [5, 4, 1]
     frame["answer"] = None
     without = read_sample(frame)
     assert not without.answered
-    assert without.counted.used == 79
+    assert len(without.trials.answer) == 79
     assert "observer" not in study_statistics(without, resamples=200)
     frame["status"] = "not run"
     with pytest.raises(FingerflowError, match="no trial has been measured"):
@@ -100,7 +100,7 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
     assert both["divergence_difference"][~measured].isna().all()
     sample = read_sample(both)
     found = study_statistics(sample, resamples=200)
-    assert sample.counted.used == len(frame)
+    assert len(sample.trials.answer) == len(frame)
     assert "divergence_difference" in found["shares"]
     assert not any("difference" in name for table in ("by_condition", "by_answer") for name in found[table])
     assert not any("difference" in name for name in found["observer"]["metrics"])

@@ -1,4 +1,4 @@
-"""Compiled twins of portable ops, as `interface.h` declares them."""
+"""Compiled twins of portable ops, as their sources declare them."""
 
 import functools
 import inspect
@@ -8,8 +8,8 @@ from typing import Any, Generic, TypeVar, cast
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.declarations import ArrayField, declared
-from fingerflow.kernels.library import compiled
+from fingerflow.kernels.declarations import ArrayField
+from fingerflow.kernels.library import compiled, declared
 from fingerflow.kernels.tensors.serving import serve
 from fingerflow.kernels.tensors.torch_op import torch_op
 
@@ -25,8 +25,10 @@ class Twin(Generic[_R]):
     """
 
     def __init__(self, name: str) -> None:
-        """Register the kernel `name` as an op of torch."""
-        self.__name__, function = name, declared()[name]
+        """Register the kernel `name` as an op of torch, unless the library has none."""
+        self.__name__, function = name, declared().get(name)
+        if function is None:
+            return
         arguments, results = function.arguments, [array for array in function.arrays if array.role != "input"]
         self._dtypes = [
             frozenset(getattr(torch, dtype) for dtype in array.dtypes)

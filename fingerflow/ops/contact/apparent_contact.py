@@ -2,7 +2,6 @@
 
 import functools
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,6 +10,7 @@ from torch.nn import functional
 from fingerflow.kernels import contact_sizes as sizes
 from fingerflow.kernels.contact import CELLS
 from fingerflow.kernels.contact_sizes import cell_of as cell_of
+from fingerflow.kernels.result_records import FrameContact
 from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.checks import check_mask
 from fingerflow.ops.contact.cells import cell_means, enlarge, largest_around
@@ -20,29 +20,9 @@ _compiled: Twin[tuple[Tensor, Tensor]] = twin("apparent_contact")
 _PART = 32  # cells of a line smoothed by one matrix product
 
 
-class ApparentRegion(NamedTuple):
-    """Apparent contact regions in B frames, with areas and fitted ellipses.
-
-    Attributes:
-        density_margin: (B, 1, h, w) density of the pattern minus its limit, on cells: positive inside the region,
-            smooth across its border (`ops.contact.cells.covered`).
-        covered_px, area_px: (B,) px, areas of the pattern (in the whole frame) and of the region.
-        center: (B, 2) px, (x, y) of the ellipse with the region's moments; NaN for an empty region, as the next two.
-        semi_axes: (B, 2) px of the ellipse, major first.
-        angle: (B,) rad of the major axis, from the x axis towards y (down the frame), in (-pi/2, pi/2].
-    """
-
-    density_margin: Tensor
-    covered_px: Tensor
-    area_px: Tensor
-    center: Tensor
-    semi_axes: Tensor
-    angle: Tensor
-
-
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
-) -> ApparentRegion:
+) -> FrameContact:
     """Segment the apparent (gross) contact, ridges and the gaps between them, from a mask of the pixels in contact: the
     border is where the locally averaged mask falls to about half of its mean just inside the border.
 
@@ -83,11 +63,13 @@ def apparent_contact(
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in CELLS and _compiled.serves(mask):
         margin, numbers = _compiled(mask, radius, side)
-        return ApparentRegion(margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
-    return _region(cell_means(mask, side, precision), radius, side)
+        real, gross, center, axes = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6]
+        return FrameContact(mask, real, gross, center, axes, numbers[:, 6], margin)
+    margin, real, gross, center, axes, angle = _region(cell_means(mask, side, precision), radius, side)
+    return FrameContact(mask, real, gross, center, axes, angle, margin)
 
 
-def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
+def _region(cells: Tensor, radius: int, side: int) -> tuple[Tensor, ...]:
     """Segment the apparent contact from the fraction of each cell (B, 1, h, w), `side` px wide, that the real contact
     mask covers, smoothed over boxes of 2 `radius` + 1 px.
     """
@@ -125,7 +107,10 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
         # At a convex border the smoothed region itself is below one half.
         border_mass = (_smooth(part, boxes) * border).sum((2, 3), keepdim=True)
         level = (border_mass / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
-        weights = torch.cat((*(_band(border, of_band) for of_band in bands), alike), dim=1).flatten(2).mT.contiguous()
+        # Weights of cells fall off with the distance from the border, smoothed on blocks of 2 x 2 cells.
+        halved = cell_means(border, 2, border.dtype)
+        falling = (enlarge(_smooth(halved, band), 2)[..., : cells.shape[2], : cells.shape[3]] for band in bands)
+        weights = torch.cat((*falling, alike), dim=1).flatten(2).mT.contiguous()
         for _ in range(sizes.ROUNDS):
             near, far, everywhere = shares(limit, weights).split(1, dim=3)
             rim = (near * (near / far) ** sizes.THINNING).clamp(sizes.LEAST_SHARE, 1.0)
@@ -140,7 +125,7 @@ def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     # not exceed the limit in a hole and is non-negative elsewhere.
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
-    return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
+    return density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side)
 
 
 # Matrices that smooth the columns and the rows of an image on cells by three successive box means, and the distance in
@@ -165,14 +150,6 @@ def _all_boxes(cells: Tensor, width: float) -> list[_Boxes]:
         return down, along, 3 * math.ceil(wide / 2)
 
     return [boxes(1, width), *(boxes(2, max(width * factor / 2, 1.0)) for factor in (sizes.NARROW, sizes.WIDE))]
-
-
-def _band(border: Tensor, boxes: _Boxes) -> Tensor:
-    """Smooth an image (B, 1, h, w) of the border, on blocks of 2 x 2 cells, and return it on cells as weights that fall
-    off with the distance from the border.
-    """
-    height, wide = border.shape[-2:]
-    return enlarge(_smooth(cell_means(border, 2, border.dtype), boxes), 2)[..., :height, :wide]
 
 
 def _smooth(cells: Tensor, boxes: _Boxes) -> Tensor:

@@ -6,16 +6,16 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import contact
-from fingerflow.kernels import tensors as kernels
-from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.contact.cells import largest_around
 from fingerflow.ops.contact.otsu import histogram, otsu_classes
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.filters.illumination import LEVELS_PER_UNIT, LOWEST_SIGNAL
-from fingerflow.ops.filters.strided_median import strided_median
+from fingerflow.ops.filters.median import median_filter
 from fingerflow.ops.pieces import frames_at_once, in_pieces
 
+_compiled: Twin[Tensor] = twin("contact_threshold")
 # Contact reduces the light by at least a twentieth. The two classes must be separated by at least _NOISE_RATIO standard
 # deviations of the lower class, as the halves of a noise distribution are closer together.
 _LEAST_INTENSITY_LOSS = 0.05
@@ -24,6 +24,7 @@ _LEVELS = 256
 # Least cubic mean of the differences of neighbouring pixels in a contact with ridges, relative to the difference of
 # Otsu's classes. Ridges 14 px apart have 0.2 to 0.3, blurred ones 28 px apart 0.1. Noise of 4 grey levels has 0.05.
 _LEAST_STEEPNESS = 0.08
+_OWN_WINDOWS = 3  # px, least step from which medians are computed window by window
 
 
 def contact_threshold(
@@ -61,15 +62,10 @@ def contact_threshold(
     Returns:
         (B,) in the dtype of `light`, between 0.05 and 1. NaN without contact: where no two classes are separated.
     """
-    dtype = light.dtype
-    if (
-        frames.dtype in kernels.FRAME_KINDS
-        and dtype == black.dtype == torch.float32
-        and (gain is None or gain.dtype == torch.float32)
-        and median_px <= contact.LARGEST_MAJORITY
-        and kernels.serve(frames, light, black, gain)
-    ):
-        return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
+    if _compiled.serves(frames, light, black, gain) and median_px <= contact.LARGEST_MAJORITY:
+        table, gains = contact.table_of(median_px), light.new_ones(len(frames)) if gain is None else gain
+        sizes = median_px, None if table is None else torch.from_numpy(table), radius, cell_of(radius), stride_px
+        return _compiled(frames, light, black, gains, *sizes)
     compute = partial(_threshold, median_px, radius, stride_px)
     return in_pieces(compute, frames_at_once(frames), frames, light, black, gain)
 
@@ -85,7 +81,7 @@ def _threshold(
     levels = torch.where(lit, lost, -low * scale).clamp(0, _LEVELS - 1).round()
     if not torch.compiler.is_exporting():  # some ONNX execution providers cannot compute a minimum of bytes
         levels = levels.to(torch.uint8)
-    smooth = strided_median(levels, median_px, stride_px)
+    smooth = _median_at(levels, median_px, stride_px)
     counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
     brightness = lost.new_ones(frames.shape[0]) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
@@ -101,7 +97,10 @@ def _threshold(
     # Levels are rounded, so the limit lies half a level above.
     mask = real_contact_mask(frames, light, black, 1 - ((start + 0.5) / scale + low), median_px)
     outside = (apparent_contact(mask, radius, precision=dtype).density_margin <= 0).to(dtype)
-    inside = _expand_lines(largest_around(outside) == 0, cell_of(radius), stride_px, frames.shape[2:])
+    inside = largest_around(outside) == 0
+    for axis, by in ((3, 1), (2, stride_px)):  # columns first, while there are few lines
+        pixels = torch.arange(0, frames.shape[axis], by, device=frames.device)
+        inside = inside.index_select(axis, pixels // cell_of(radius))
     edges, steepness = _edge_level(levels, inside, lit, stride_px, dtype)
     middle = torch.where(start.abs() < torch.inf, (upper + lower) / 2, torch.nan)
     level = torch.where(steepness > (_LEAST_STEEPNESS * contrast) ** 3, edges, middle)
@@ -109,13 +108,21 @@ def _threshold(
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
 
 
-@torch_op(shapes=lambda frames, light, *_: light.new_empty(len(frames)))
-def compiled_threshold(
-    frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
-) -> Tensor:
-    """Compute `contact_threshold` in one call of the compiled library."""
-    sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
-    return contact.contact_threshold(frames, light, black, gain, **sizes)
+def _median_at(levels: Tensor, size: int, step: int) -> Tensor:
+    """Return the median filter of levels (B, 1, H, W) at every `step`-th pixel of every `step`-th line.
+
+    Windows that lie far apart share no comparisons: they are gathered, and each is sorted for itself.
+    """
+    if size == 1 or step < _OWN_WINDOWS:
+        return median_filter(levels, size)[..., ::step, ::step]
+    windows = levels[:, 0]
+    offsets = torch.arange(size, device=levels.device) - size // 2
+    for axis in (1, 3):  # (B, h, size, W), then (B, h, size, w, size)
+        middle = torch.arange(0, windows.shape[axis], step, device=levels.device)
+        index = (middle[:, None] + offsets).clamp(0, windows.shape[axis] - 1)
+        windows = windows.index_select(axis, index.flatten()).unflatten(axis, index.shape)
+    half = size * size // 2 + 1
+    return windows.transpose(2, 3).flatten(3).topk(half, dim=3).values[:, None, :, :, -1]
 
 
 def _edge_level(levels: Tensor, inside: Tensor, lit: Tensor, step: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
@@ -152,13 +159,3 @@ def _median_along_line(levels: Tensor) -> Tensor:
 
 def _median_of_three(first: Tensor, second: Tensor, third: Tensor) -> Tensor:
     return torch.maximum(torch.minimum(first, second), torch.minimum(torch.maximum(first, second), third))
-
-
-def _expand_lines(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
-    """Return the values, at every pixel of every `step`-th line of a frame of `shape` (height, width), of the cells
-    (B, 1, h, w) of `cell` px in which the pixels lie.
-    """
-    # Select columns first, while there are few lines, then whole lines.
-    for axis, side, by in ((3, shape[1], 1), (2, shape[0], step)):
-        cells = cells.index_select(axis, torch.arange(0, side, by, device=cells.device) // cell)
-    return cells

@@ -66,6 +66,8 @@ def otsu_threshold(
     Raises:
         ValueError: see `histogram`.
 
+    Source: Otsu 1979, equation 18. Compiled twin, of the histogram: `kernels/otsu.cpp`.
+
     Convention:
         axes: one number per frame, whatever the order of its pixels.
         sign: `frames > threshold` is the brighter class.

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from fingerflow.kernels.contact import LARGEST_MAJORITY
 from fingerflow.kernels.tensors import Twin, twin
-from fingerflow.ops.checks import check_frames, check_window
+from fingerflow.ops.checks import check_images, check_window
 from fingerflow.ops.filters.box_sum import box_sum
 from fingerflow.ops.pieces import frames_at_once, in_pieces
-from fingerflow.ops.tensors import count_bytes
+from fingerflow.ops.tensors import bordered, count_bytes
 
 _compiled: Twin[Tensor] = twin("real_contact_mask")
 
@@ -34,11 +34,8 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
     Raises:
         ValueError: shapes that do not fit, or an even side.
     """
-    check_frames(frames)
+    check_images(frames, light=light, black=black)
     check_window(median_px)
-    for name, image in (("light", light), ("black", black)):
-        if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
-            raise ValueError(f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
     if limit.shape != frames.shape[:1]:
         raise ValueError(f"limit has shape {tuple(limit.shape)} for {len(frames)} frames: give one number a frame")
     # At most the full light, so that a saturated pixel is never in contact.
@@ -65,13 +62,7 @@ def majority(holds: Tensor, size: int) -> Tensor:
 
     Beyond the frame the nearest pixel counts.
     """
-    half = size // 2
-    bits = count_bytes(holds)
-    for axis in (2, 3):
-        first, last = bits.narrow(axis, 0, 1), bits.narrow(axis, -1, 1)
-        shape = [-1] * 4
-        shape[axis] = half
-        bits = torch.cat((first.expand(shape), bits, last.expand(shape)), axis)
+    bits = bordered(count_bytes(holds), size // 2)
     counts, most = box_sum(bits if size < 16 else bits.to(torch.int32), size), size * size // 2
     if torch.compiler.is_exporting():  # ONNX Runtime does not compare bytes on a GPU
         return (counts.clamp_min(most) - most).to(torch.bool)

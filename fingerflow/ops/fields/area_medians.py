@@ -2,18 +2,20 @@
 
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.result_records import EnteredPoints, FrameEllipse
+from fingerflow.kernels.strain_formulas import check_measure, sensitivity_parts
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
-from fingerflow.ops.fields.scattered import check_scattered
-from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
-from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
+from fingerflow.ops.fields.scattered import check_gauge_length, check_scattered
+from fingerflow.ops.fields.strain import green_lagrange
+from fingerflow.ops.fields.strain_uncertainty import field_std
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import constant_like, finite, products, sum_rows, symmetric
 
@@ -26,38 +28,25 @@ _PAIRS = 1 << 20  # pairs of a point and a position in the frames computed at on
 _LATTICE = torch.from_numpy(limits.lattice())
 
 
-class AreaMedians(NamedTuple):
-    """Medians of divergence, curl (rad) and strain (exx, eyy, exy) over the ellipses of B frames; NaN if unknown."""
-
-    median: Tensor  # (B, 5)
-    std: Tensor | None  # (B, 5), standard deviation due to the points' covariance
-    known: Tensor  # (B,), share of the ellipse where the fields are known; NaN where there is no ellipse
-
-
-class Apart(NamedTuple):
-    """Tracked points (`among`) whose divergence, curl and strain are given, not fitted, and which the local fits to the
-    other points therefore leave out.
-    """
-
-    among: Tensor  # (B, N) bool
-    fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
-    std: Tensor | None  # (B, N, 5), where covariances are given
+# Medians of divergence, curl and strain (B, 5), their standard deviations, and the share of each ellipse that is known.
+_Medians = tuple[Tensor, Tensor | None, Tensor]
 
 
 def area_medians(
     reference: Tensor,
     displacement: Tensor,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
+    ellipse: FrameEllipse,
     *,
     gauge_length: float,
     measure: str = "green_lagrange",
     covariance: Tensor | None = None,
-    apart: Apart | None = None,
-) -> AreaMedians:
-    """Compute the medians of divergence, curl and strain over the ellipse of each current (deformed) frame, from local
-    plane fits to the displacements of scattered points.
+    entered: EnteredPoints | None = None,
+) -> _Medians:
+    """Compute the medians (B, 5) of divergence, curl (rad) and strain (exx, eyy, exy) over the ellipse of each current
+    (deformed) frame, from local plane fits to the displacements of scattered points.
+
+    Their standard deviations (B, 5) are returned too, None without a covariance, and the share (B,) of the ellipse in
+    which the fields are known, NaN where there is no ellipse.
 
     The fields are in reference coordinates. The gradient G of the displacement with respect to current coordinates is
     fitted as in `local_gradients` at 800 positions. They are spread evenly in the ellipse (a Fibonacci lattice, Vogel
@@ -71,62 +60,42 @@ def area_medians(
     Args:
         reference: (1 or B, N, 2) reference positions in a length unit L.
         displacement: (B, N, 2) in L; NaN where a point is not known.
-        center: (B, 2) of the ellipses (x, y), L.
-        semi_axes: (B, 2), L; medians are NaN where one is not positive.
-        angle: (B,) of the first semi-axis, from x towards y, rad.
+        ellipse: in L, with B frames; medians are NaN where a semi-axis is not positive.
         gauge_length: diameter of the support of a fit, L.
         measure: of strain, as in `green_lagrange`.
         covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points. If given,
             standard deviations are computed. To first order the error of a median is the mean error at the positions
             whose field equals it to within the uncertainty of a fit, and so a sum over the points. It does not include
             the error of the ellipse or the smoothing over the gauge length.
-        apart: points whose displacement has another onset than that of the others, such as those advected into the
-            contact. They are left out of the fits. A position whose nearest point is one of them, with known fields,
-            has the fields of that point up to a distance of a quarter of a gauge length, and is unknown beyond. The
-            errors of these fields are taken as fully correlated.
+        entered: points whose displacement has another onset than that of the others, such as those advected into the
+            contact. They are left out of the fits. A position whose nearest point is one of them, with a known
+            gradient, has the fields of that point up to a distance of a quarter of a gauge length, and is unknown
+            beyond. The errors of these fields are taken as fully correlated.
 
     Raises:
         TypeError, ValueError: a dtype, shape or setting is invalid.
     """
-    _check(reference, displacement, center, semi_axes, angle, gauge_length, covariance)
-    if measure not in STRAIN_MEASURES:
-        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
-    kind = displacement.dtype
-    frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
-    if apart is not None:
-        apart = _check_apart(apart, displacement, covariance is not None)
-    among, fields, std = (None, None, None) if apart is None or not displacement.shape[1] else apart
-    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
-        return AreaMedians(
-            *kernels.area_medians(
-                reference,
-                displacement,
-                torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
-                None if covariance is None else covariance.to(kind),
-                among,
-                fields,
-                std,
-                measure=STRAIN_MEASURES.index(measure),
-                radius=gauge_length / 2,
-            )
-        )
-    return in_pieces(
-        partial(_medians_of_known, gauge_length / 2, measure),
-        _FRAMES,
-        *(*frame, reference, displacement, covariance, among, fields, std),
-    )
+    _check(reference, displacement, ellipse, gauge_length, covariance)
+    check_measure(measure)
+    dtype = displacement.dtype
+    frame = [tensor.to(dtype) for tensor in ellipse]
+    among = fields = std = None
+    if entered is not None and displacement.shape[1]:
+        among, fields = entered.among, _fields(entered.gradient.flatten(2).mT, measure).mT.to(dtype)
+        if covariance is not None and entered.covariance is not None:
+            std = field_std(entered.gradient, entered.covariance, measure).to(dtype)
+    if dtype == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
+        center, semi_axes, angle = frame
+        ellipses = torch.cat((center, semi_axes, angle.cos()[:, None], angle.sin()[:, None]), dim=1)
+        noise = None if covariance is None else covariance.to(dtype)
+        number, radius = limits.STRAIN_MEASURES.index(measure), gauge_length / 2
+        tensors = reference, displacement, ellipses, noise, among, fields, std
+        return kernels.area_medians(*tensors, measure=number, radius=radius)
+    compute = partial(_medians_of_known, gauge_length / 2, measure)
+    return in_pieces(compute, _FRAMES, *frame, reference, displacement, covariance, among, fields, std)
 
 
-def _medians_of_known(
-    radius: float,
-    measure: str,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
-    reference: Tensor,
-    displacement: Tensor,
-    *rest: Tensor | None,
-) -> AreaMedians:
+def _medians_of_known(radius: float, measure: str, *tensors: Any) -> _Medians:
     """Leave out points that are unknown in every frame, then compute the medians of divergence, curl and strain over
     the ellipses by `_medians`, from local fits of the given `radius`.
 
@@ -134,15 +103,14 @@ def _medians_of_known(
 
     The known points are few while a contact grows.
     """
-    points: list[Tensor | None] = [reference, displacement, *rest]
+    frame, reference, displacement, points = tensors[:3], tensors[3], tensors[4], list(tensors[3:])
     count = displacement.shape[1]
     if may_branch(*points):
         valid = finite((reference + displacement).sum(2)).any(0)
         valid[:1] = True
         index = valid.nonzero().squeeze(1)
         points, count = [None if tensor is None else tensor.index_select(1, index) for tensor in points], len(index)
-    compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
-    return in_pieces(compute, at_once, center, semi_axes, angle, *points)
+    return in_pieces(partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE)), *frame, *points)
 
 
 def _medians(
@@ -154,19 +122,20 @@ def _medians(
     reference: Tensor,
     displacement: Tensor,
     covariance: Tensor | None,
-    *entered: Tensor | None,
-) -> AreaMedians:
+    among: Tensor | None,
+    fields_entered: Tensor | None,
+    std_entered: Tensor | None,
+) -> _Medians:
     """Compute the medians of divergence, curl and strain over the ellipse of each frame, from plane fits within
     `radius` to point displacements, by matrix products that can be exported to ONNX.
 
-    The cost is fixed. `entered` are the three attributes of `Apart`, or None.
+    The cost is fixed. Of the points `among` (B, N) that entered the contact, the fields and their standard deviations
+    are (B, N, 5), or None.
     """
     reference, displacement = reference.mT, displacement.mT  # components before points from here on
     if covariance is not None:
         covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
-    among, values, own_std = entered
     now = reference + displacement
-    excluded = None if among is None or values is None else Apart(among, values, own_std)
     valid = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
     good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
@@ -176,10 +145,10 @@ def _medians(
     usable, theirs = valid, None
     if covariance is not None:
         usable = usable & finite(sum_rows(covariance)) & (covariance[:, ::2] >= 0).all(1, keepdim=True)
-    if excluded is not None:
-        usable = usable & ~excluded.among[:, None]
-        theirs = valid & excluded.among[:, None] & finite(sum_rows(excluded.fields.mT))
-    # Points that are neither usable nor apart are moved away, so that none is the nearest.
+    if among is not None and fields_entered is not None:
+        usable = usable & ~among[:, None]
+        theirs = valid & among[:, None] & finite(sum_rows(fields_entered.mT))
+    # Points that are neither usable nor entered are moved away, so that none is the nearest.
     counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
     positions_scaled = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
@@ -199,32 +168,32 @@ def _medians(
     lost = xx * yy - xy * yx
     gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(clear, ratio, 1.0)
     fields = _fields(gradient, measure)
-    nearest = None
-    if excluded is not None and theirs is not None:
-        nearest, within = _nearest_fields(excluded, theirs, fit.weights)
-        fields = torch.where(nearest.among, nearest.fields, fields)
-        clear = (nearest.among & within & good) | (clear & ~nearest.among)  # ONNX runtimes: no `where` of bool
+    nearest = std = None
+    if fields_entered is not None and theirs is not None:
+        nearest, given, std, within = _nearest_fields(fields_entered, std_entered, theirs, fit.weights)
+        fields = torch.where(nearest, given, fields)
+        clear = (nearest & within & good) | (clear & ~nearest)  # ONNX runtimes: no `where` of bool
     count = clear.to(fields.dtype).sum(2, keepdim=True)
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
     median = _median(fields, clear, count)
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
-        return AreaMedians(median, None, known_share)
+        return median, None, known_share
     share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * clear
     joint = torch.zeros_like(median)
-    if nearest is not None and nearest.std is not None:
-        away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
-        share = torch.where(nearest.among, (1 - away).clamp_min(0).square() * clear, share)
+    if nearest is not None and std is not None:
+        away = (fields - median[..., None]).square() / (limits.REACH * std).square().clamp_min(_TINY)
+        share = torch.where(nearest, (1 - away).clamp_min(0).square() * clear, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
-    if nearest is not None and nearest.std is not None:
-        joint = (share * torch.where(nearest.among & clear, nearest.std, 0.0)).sum(2)
-        share = torch.where(nearest.among, 0.0, share)
+    if nearest is not None and std is not None:
+        joint = (share * torch.where(nearest & clear, std, 0.0)).sum(2)
+        share = torch.where(nearest, 0.0, share)
     by_points = _mean_derivatives(fit, positions_scaled, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
-    return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
+    return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share
 
 
 def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
@@ -241,25 +210,25 @@ def _median(fields: Tensor, valid: Tensor, count: Tensor) -> Tensor:
     return falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
 
 
-def _nearest_fields(excluded: Apart, theirs: Tensor, weights: Tensor) -> tuple[Apart, Tensor]:
-    """Return the divergence, curl and strain at each of Q positions whose nearest point is one of `excluded` (its
-    fields are given, not fitted), copied from that point, as `Apart` with components before positions: (B, 1, Q) and
-    (B, 5, Q); and (B, 1, Q) bool, True where the nearest point is near enough.
+def _nearest_fields(
+    fields: Tensor, std: Tensor | None, theirs: Tensor, weights: Tensor
+) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
+    """Return, for each of Q positions, whether its nearest point is one that entered the contact (B, 1, Q), the fields
+    of that point and their standard deviations (B, 5, Q), and whether it is near enough (B, 1, Q).
 
-    `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where fields are
-    known.
+    `weights` (B, Q, N) are those of `Support`, which fall with distance; `theirs` (B, 1, N) is True where the fields
+    (B, N, 5) of points that entered are known.
     """
     nearest = weights.amax(2, keepdim=True)
-    values = excluded.fields if excluded.std is None else torch.cat((excluded.fields, excluded.std), dim=2)
+    values = fields if std is None else torch.cat((fields, std), dim=2)
     columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
     columns = torch.cat((columns, torch.where(theirs.mT, values, 0.0)), dim=2)
     # A product with 0 and 1: gathering is far slower in ONNX runtimes.
     nearest_values = ((weights == nearest).to(weights.dtype) @ columns).mT
     count, of_them = nearest_values[:, :1], nearest_values[:, 1:2]
-    fields = nearest_values[:, 2:] / of_them.clamp_min(1)
+    values = nearest_values[:, 2:] / of_them.clamp_min(1)
     within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
-    std = None if excluded.std is None else fields[:, _FIELDS:]
-    return Apart(of_them > count / 2, fields[:, :_FIELDS], std), within
+    return of_them > count / 2, values[:, :_FIELDS], None if std is None else values[:, _FIELDS:], within
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:
@@ -317,18 +286,12 @@ def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share:
 def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
     """Return the derivatives (B, 5, 2, 2, Q) of divergence, curl and strain with respect to displacement gradients."""
     xx, xy, yx, yy = gradient.split(1, dim=1)
-    parts = sensitivity_parts(xx, xy, yx, yy, measure)
+    parts = sensitivity_parts(xx, xy, yx, yy, measure, torch.zeros_like(xx), torch.ones_like(xx))
     return torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
 
 
 def _check(
-    reference: Tensor,
-    displacement: Tensor,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
-    gauge_length: float,
-    covariance: Tensor | None,
+    reference: Tensor, displacement: Tensor, ellipse: FrameEllipse, gauge_length: float, covariance: Tensor | None
 ) -> None:
     check_scattered(reference, displacement)
     if displacement.shape[2] != 2 or reference.dtype != displacement.dtype:
@@ -339,31 +302,9 @@ def _check(
     batch, points = displacement.shape[:2]
     if reference.shape[0] not in (1, batch):
         raise ValueError(f"reference has {reference.shape[0]} frames, displacement {batch}: the same, or 1 are needed")
-    for name, values, shape in (
-        ("center", center, (batch, 2)),
-        ("semi_axes", semi_axes, (batch, 2)),
-        ("angle", angle, (batch,)),
-    ):
+    for name, values, shape in zip(ellipse._fields, ellipse, ((batch, 2), (batch, 2), (batch,)), strict=True):
         if not values.is_floating_point() or values.shape != shape:
             raise ValueError(f"{name} must be floating {shape}, found {values.dtype} {tuple(values.shape)}")
-    if not (math.isfinite(gauge_length) and gauge_length > 0):
-        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    check_gauge_length(gauge_length)
     if covariance is not None and covariance.shape != (batch, points, 2, 2):
         raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")
-
-
-def _check_apart(excluded: Apart, displacement: Tensor, with_std: bool) -> Apart:
-    """Check the points whose divergence, curl and strain are given (`Apart`), and return them in the dtype of
-    `displacement`, with standard deviations only if `with_std`.
-    """
-    batch, points = displacement.shape[:2]
-    for name, values, shape in (
-        ("among", excluded.among, (batch, points)),
-        ("fields", excluded.fields, (batch, points, _FIELDS)),
-        *([("std", excluded.std, (batch, points, _FIELDS))] if with_std else []),
-    ):
-        if values is None or values.shape != shape:
-            actual = None if values is None else tuple(values.shape)
-            raise ValueError(f"{name} of apart must be {shape}, found {actual}")
-    std = excluded.std.to(displacement.dtype) if with_std and excluded.std is not None else None
-    return Apart(excluded.among, excluded.fields.to(displacement.dtype), std)

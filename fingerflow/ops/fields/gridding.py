@@ -39,6 +39,8 @@ def scattered_to_grid(
     Raises:
         TypeError, ValueError: a dtype, shape or gauge length is invalid.
 
+    Source: that of `local_gradients`, which is compiled.
+
     Convention:
         axes: the last axis of points is (x, y); rows of the result follow `grid_y`, columns `grid_x`.
         sign: that of the values.

@@ -1,14 +1,18 @@
 """Value and gradient of a field known at scattered points, from a weighted linear fit around each query position."""
 
-import math
-
 import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.result_records import LocalFit as LocalFit
-from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
+from fingerflow.ops.fields.scattered import (
+    check_batches,
+    check_gauge_length,
+    check_scattered,
+    result_dtype,
+    working_dtype,
+)
 from fingerflow.ops.fields.weighted_moments import weighted_moments
 from fingerflow.ops.tensors import hypotenuse
 
@@ -52,6 +56,8 @@ def local_gradients(
     Raises:
         TypeError, ValueError: a dtype, shape or setting is invalid.
 
+    Source: moving least squares, Lancaster & Salkauskas, Math. Comp. 37, 1981. Compiled twin: `kernels/local_fit.cpp`.
+
     Convention:
         axes: the last axis of points is (x, y); gradient[..., i, j] = d value_i / d x_j.
         sign: positive where the value grows along the axis.
@@ -70,22 +76,9 @@ def local_gradients(
     if variance is not None:
         noise = variance.to(dtype).flatten(2) if variance.dim() == 4 else variance.to(dtype)[..., None]
     if kernels.serve(positions, measured, wanted, noise):
-        fitted = kernels.local_gradients(
-            positions,
-            measured,
-            wanted,
-            noise,
-            radius=radius,
-            least_spread=MINIMUM_SPREAD * radius,
-            minimum_points=minimum_points,
-        )
-        dtype_out = result_dtype(*inputs)
+        fit = kernels.local_gradients(positions, measured, wanted, noise, radius=radius, minimum_points=minimum_points)
         return LocalFit(
-            fitted.value.to(dtype_out),
-            fitted.gradient.to(dtype_out),
-            None if fitted.covariance is None else fitted.covariance.to(dtype_out),
-            fitted.point_count,
-            fitted.centroid_offset.to(dtype_out),
+            *(part if part is None or not part.is_floating_point() else part.to(result_dtype(*inputs)) for part in fit)
         )
 
     # NaN becomes 0 with a weight of 0, rather than being masked at the end, so that derivatives stay finite.
@@ -102,22 +95,22 @@ def local_gradients(
     level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
     measured = torch.where(usable[..., None], measured - level, 0)
 
-    sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
-    count = torch.where(valid, sums.point_count, 0)
+    count, mass, first, second, data, noise_sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
+    count = torch.where(valid, count, 0)
     determined = count >= minimum_points
 
     # Moments about the weighted centroid; the fit there separates into a mean and a 2 x 2 system.
-    safe_mass = torch.where(determined, sums.mass, 1)
-    centre = sums.first / safe_mass[..., None]
+    safe_mass = torch.where(determined, mass, 1)
+    centre = first / safe_mass[..., None]
     centre_x, centre_y = centre.unbind(-1)
-    xx, xy, yy = (sums.second / safe_mass[..., None]).unbind(-1)
+    xx, xy, yy = (second / safe_mass[..., None]).unbind(-1)
     xx, xy, yy = xx - centre_x * centre_x, xy - centre_x * centre_y, yy - centre_y * centre_y
     narrowest = (xx + yy) / 2 - hypotenuse((xx - yy) / 2, xy)  # the smaller eigenvalue
     determined = determined & (narrowest >= (MINIMUM_SPREAD * radius) ** 2)
     determinant = torch.where(determined, xx * yy - xy * xy, 1)
     inverse = _matrix(yy, -xy, -xy, xx) / determinant[..., None, None]
 
-    mean, moment_x, moment_y = (sums.data / safe_mass[..., None, None]).unbind(-2)
+    mean, moment_x, moment_y = (data / safe_mass[..., None, None]).unbind(-2)
     moments = torch.stack((moment_x, moment_y), dim=-1) - mean[..., None] * centre[..., None, :]
     gradient = moments @ inverse
     value = mean - (gradient * centre[..., None, :]).sum(-1) + level
@@ -127,8 +120,8 @@ def local_gradients(
         return torch.where(valid_fit, tensor, torch.nan).to(result_dtype(*inputs))
 
     covariance = None
-    if sums.noise is not None:
-        covariance = or_nan(_gradient_covariance(sums.noise, centre, safe_mass, inverse, components))
+    if noise_sums is not None:
+        covariance = or_nan(_gradient_covariance(noise_sums, centre, safe_mass, inverse, components))
     offset = hypotenuse(centre_x, centre_y).detach()
     return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
 
@@ -145,8 +138,7 @@ def _check(
     if not queries.is_floating_point() or queries.dim() != 3 or queries.shape[-1] != 2:
         raise ValueError(f"queries must be floating (B, Q, 2), found {queries.dtype} {tuple(queries.shape)}")
     check_batches(points=points, values=values, queries=queries)
-    if not (math.isfinite(gauge_length) and gauge_length > 0):
-        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    check_gauge_length(gauge_length)
     if minimum_points < 3:
         raise ValueError(f"minimum_points must be at least 3, which a plane needs, found {minimum_points}")
     if variance is not None:

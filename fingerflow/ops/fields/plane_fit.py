@@ -17,17 +17,10 @@ _TINY = 1e-20
 _ONE = 2.0**-60
 
 
-class Support(NamedTuple):
-    """Weights of N points in the local fits around Q query positions, which depend on the distances between points and
-    positions, not on the fitted values.
-
-    Attributes:
-        weights: (1 or B, Q, N), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
-        within: (1 or B, Q, N), `_ONE` within R, else 0.
-    """
-
-    weights: Tensor
-    within: Tensor
+# Weights of N points in the local fits around Q query positions, which depend on the distances between points and
+# positions, not on the fitted values, (1 or B, Q, N) each: (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the
+# radius R; and `_ONE` within R, else 0.
+Support = tuple[Tensor, Tensor]
 
 
 class PlaneFit(NamedTuple):
@@ -72,7 +65,7 @@ def point_support(positions: Tensor, queries: Tensor) -> Support:
     query_rows = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
     near = query_rows.mT @ support
     inside = near.clamp_min(0)
-    return Support(inside * inside, inside.clamp_max(_ONE))
+    return inside * inside, inside.clamp_max(_ONE)
 
 
 def fit_planes(

@@ -1,5 +1,7 @@
 """Input checks and dtypes shared by all operations on scattered points."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -27,6 +29,12 @@ def check_batches(**tensors: Tensor) -> None:
     if any(size != batches[0] for size in batches):
         found = ", ".join(f"{name} {size}" for name, size in sizes.items())
         raise ValueError(f"batches must be equal, or 1 to serve all; found {found}")
+
+
+def check_gauge_length(gauge_length: float) -> None:
+    """Raise ValueError unless a gauge length is positive and finite."""
+    if not (math.isfinite(gauge_length) and gauge_length > 0):
+        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
 
 
 def working_dtype(*tensors: Tensor) -> torch.dtype:

@@ -10,12 +10,14 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
+from fingerflow.kernels.strain_formulas import strain_parts as strain_parts
 from fingerflow.ops.tensors import half_angle, hypotenuse
 
 
 def divergence(gradient: Tensor) -> Tensor:
     """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order.
+
+    Source: Willemet et al. 2021, figure S6.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
@@ -31,6 +33,8 @@ def divergence(gradient: Tensor) -> Tensor:
 
 def curl(gradient: Tensor) -> Tensor:
     """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y.
+
+    Source: Willemet et al. 2021, figure S6.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
@@ -66,6 +70,8 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     Raises:
         ValueError: another measure, or a wrong dtype or shape.
 
+    Source: Willemet et al. 2021, equation 1, and (F'F - I) / 2 of continuum mechanics.
+
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down; the result is (..., 3), exx, eyy, exy.
         sign: positive for stretch; exy is positive where the right angle from x to y closes.
@@ -75,19 +81,6 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
         border: none, each element stands alone.
     """
     return torch.stack(strain_parts(*_parts(gradient), measure), dim=-1)
-
-
-def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the strain components exx, eyy and exy as separate tensors, given du/dx, du/dy, dv/dx and dv/dy."""
-    if measure not in STRAIN_MEASURES:
-        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
-    exx, eyy, exy = ux, vy, (uy + vx) / 2
-    if measure != "infinitesimal":
-        exx = exx + (ux * ux + vx * vx) / 2
-        eyy = eyy + (uy * uy + vy * vy) / 2
-    if measure == "green_lagrange":
-        exy = exy + (ux * uy + vx * vy) / 2
-    return exx, eyy, exy
 
 
 def principal_strains(strain: Tensor) -> tuple[Tensor, Tensor]:
@@ -119,6 +112,8 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
     Raises:
         ValueError: not young_modulus_mpa > 0 or not -1 < poisson_ratio < 0.5: outside, the energy is not positive.
 
+    Source: Willemet et al. 2021, strain energy.
+
     Convention:
         axes: strain (..., 3) is exx, eyy, exy, x to the right, y down.
         sign: never negative.
@@ -136,6 +131,20 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
         )
     exx, eyy, exy = _components(strain)
     return energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, young_modulus_mpa, poisson_ratio)
+
+
+def strain_energy_density_std(strain: Tensor, std: Tensor, young_modulus_mpa: float, poisson_ratio: float) -> Tensor:
+    """Return the root mean square error (...), mJ/mm^3, of the strain energy density by independent errors, of
+    standard deviations `std`, of the measured strain (..., 3): to second order, with what errors add on average.
+
+    The measured stress has errors too, which add twice the second order to the first on average.
+    """
+    solid, (xx, yy, xy) = (young_modulus_mpa, poisson_ratio), _components(std * std)
+    direct, mixed, shear = stiffness(*solid)
+    sxx, syy, sxy = stress_parts(*_components(strain), *solid)
+    first = sxx * sxx * xx + syy * syy * yy + 4 * sxy * sxy * xy
+    second = 2 * (direct * direct * (xx * xx + yy * yy) + shear * shear * xy * xy) + mixed * mixed * xx * yy
+    return (torch.maximum(first - second, second) + energy_form(xx, yy, xy, 0 * xx, *solid) ** 2).sqrt()
 
 
 def stress_parts(

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.fields.strain import STRAIN_MEASURES, energy_form, stiffness, strain_parts, stress_parts
-from fingerflow.ops.fields.strain_uncertainty import strain_covariance_parts
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
+from fingerflow.kernels.strain_formulas import strain_parts
+from fingerflow.ops.fields.strain import energy_form, stiffness, stress_parts
 from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
 
@@ -62,7 +63,10 @@ def triangle_strain(
     usable = triangle_quality(reference, triangles)[0] >= MINIMUM_QUALITY
     slopes = torch.where(usable[:, None, None], triangle_slopes(reference, triangles)[0], 0.0)
     # sum_ij x_i x_j C_ij with C_ij = r_ij (C_i + C_j) / 2 is a sum over corners, sum_i x_i (x_i + sum_j r_ij x_j) C_i.
-    joint = slopes if shared is None else slopes + _correlated_slopes(slopes, shared.corners.to(slopes.dtype))
+    joint = slopes
+    if shared is not None:
+        after = shared.corners.to(slopes.dtype)[..., None]  # correlation with the next corner
+        joint = slopes + (slopes.roll(-1, 1) * after + slopes.roll(1, 1) * after.roll(1, 1))
     xx, yy = (slopes * joint).unbind(-1)
     xy = (slopes * joint.flip(-1)).mean(-1)
     products = torch.stack((xx, xy, yy)).mT  # (3, 3, M)
@@ -103,8 +107,12 @@ def triangle_strain(
     counted = shares.nan_to_num(0.0)
 
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    at_corner = (take_corners(part) for part in (uu, uv, vv))
-    errors = strain_covariance_parts(*products[..., None], *at_corner)  # (3, M, B) each
+    uu, uv, vv = (take_corners(part) for part in (uu, uv, vv))  # (3, M, B) each, as the slopes' products
+    xx, xy, yy = products[..., None]
+    # The displacement (u, v) of a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy.
+    # These are the variances of exx, eyy and exy, and the covariance of exx and eyy, by the error at a corner. Skin
+    # that is already stretched by some per cent makes them wrong by about as much, for all measures.
+    errors = xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
     added = counted * energy_form(*errors, *solid).nan_to_num(0.0)
     energy = (shares * density.nan_to_num(0.0)).sum(0, dtype=torch.float64) - added.sum((0, 1), dtype=torch.float64)
     energy = torch.where(counted.any(0), energy, torch.nan)  # a sum over no triangles would be 0
@@ -158,11 +166,3 @@ def area_shares(in_contact: Tensor, valid: Tensor, areas: Tensor) -> Tensor:
     counted = (in_contact & valid) * areas
     whole, seen = (in_contact * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
     return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
-
-
-def _correlated_slopes(slopes: Tensor, shared: Tensor) -> Tensor:
-    """Return, for each triangle corner, the sum (M, 3, 2) of the slopes (shape-function gradients) of the other two
-    corners, each times the correlation `shared` (M, 3) of the two corners' position errors.
-    """
-    after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
-    return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

@@ -33,6 +33,8 @@ def triangle_gradients(
     Raises:
         TypeError, ValueError: a dtype, shape or quality limit is invalid.
 
+    Source: the constant-strain triangle, Turner et al., J. Aeronaut. Sci. 23, 1956. No compiled twin.
+
     Convention:
         axes: the last axis of points is (x, y); result[..., i, j] = d value_i / d x_j.
         sign: positive where the value grows along the axis, for either orientation of the triangle.

@@ -1,7 +1,5 @@
 """Weighted sums over the scattered points around each query position, from which a local fit is computed."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -10,38 +8,22 @@ from torch import Tensor
 _CHUNK_ELEMENTS = 2**18
 
 
-class WeightedMoments(NamedTuple):
-    """Weighted sums (moments) over the usable points around each of Q query positions, of offsets, values and noise
-    variances of the points, from which a plane fit follows.
-
-    Here d = point - query, and the weight is w = (1 - (|d| / R)^2)^2 within the radius R, 0 beyond; v and s are the
-    values and the noise of the points.
-    """
-
-    point_count: Tensor  # (B, Q) number of points within R
-    mass: Tensor  # (B, Q) sum of w
-    first: Tensor  # (B, Q, 2) sum of w d
-    second: Tensor  # (B, Q, 3) sums of w dx dx, w dx dy, w dy dy
-    data: Tensor  # (B, Q, 3, C) sums of w v, w dx v, w dy v
-    noise: Tensor | None  # (B, Q, 6, V) sums of w^2 s times 1, dx, dy, dx dx, dx dy, dy dy
-
-
 def weighted_moments(
     points: Tensor, queries: Tensor, usable: Tensor, values: Tensor, noise: Tensor | None, radius: float
-) -> WeightedMoments:
-    """Compute weighted sums of positions, values v (B, N, C) and noise variances s (B, N, V) around each query
-    position.
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+    """Return weighted sums (moments) over the usable points around each of Q query positions, of the points' offsets d
+    from the position, values v (B, N, C) and noise variances s (B, N, V), from which a plane fit follows.
+
+    The weight is w = (1 - (|d| / R)^2)^2 within the radius R, 0 beyond. Returned are the number of points within R and
+    the sum of w, (B, Q) each; w d (B, Q, 2); w dx dx, w dx dy and w dy dy (B, Q, 3); w v, w dx v and w dy v (B, Q, 3,
+    C); and, with noise, w^2 s times 1, dx, dy, dx dx, dx dy and dy dy (B, Q, 6, V).
 
     Points that are not `usable` (B, N) do not count. Points (B, N, 2) and queries (B, Q, 2) must be finite, and values
     and noise 0 where a point is not usable; batches may be 1. Queries are processed in pieces of bounded size.
     """
     geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
-    shared = geometries == 1
-    mask = usable[..., None].to(values.dtype)
-    present = _Columns(mask, shared)
-    present_and_data = _Columns(torch.cat((mask, values), dim=-1), shared)
-    noise_columns = None if noise is None else _Columns(noise, shared)
-
+    present = usable[..., None].to(values.dtype)
+    present_and_data = torch.cat((present, values), dim=-1)
     rows = max(1, _CHUNK_ELEMENTS // max(1, geometries * points.shape[1]))
     point_x, point_y = (coordinate[:, None, :].contiguous() for coordinate in points.unbind(-1))
     query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
@@ -61,40 +43,24 @@ def weighted_moments(
         weight = closeness * closeness
         weight_x, weight_y = weight * dx, weight * dy
         inside = (squared < radius**2).to(values.dtype)
-        piece = [present.summed(kernel) for kernel in (inside, weight_x * dx, weight_x * dy, weight_y * dy)]
-        piece += [present_and_data.summed(kernel) for kernel in (weight, weight_x, weight_y)]
-        if noise_columns is not None:
-            piece += [noise_columns.summed(weight * kernel) for kernel in (weight, weight_x, weight_y)]
-            piece += [noise_columns.summed(weight_x * kernel) for kernel in (weight_x, weight_y)]
-            piece += [noise_columns.summed(weight_y * weight_y)]
+        piece = [_summed(kernel, present) for kernel in (inside, weight_x * dx, weight_x * dy, weight_y * dy)]
+        piece += [_summed(kernel, present_and_data) for kernel in (weight, weight_x, weight_y)]
+        if noise is not None:
+            piece += [_summed(weight * kernel, noise) for kernel in (weight, weight_x, weight_y)]
+            piece += [_summed(weight_x * kernel, noise) for kernel in (weight_x, weight_y)]
+            piece += [_summed(weight_y * weight_y, noise)]
         sums[:, start : start + rows] = torch.cat(piece, dim=-1)
 
     count, xx, xy, yy, plain, along_x, along_y, *noisy = sums.split(widths, dim=-1)
-    return WeightedMoments(
-        point_count=count[..., 0],
-        mass=plain[..., 0],
-        first=torch.stack((along_x[..., 0], along_y[..., 0]), dim=-1),
-        second=torch.cat((xx, xy, yy), dim=-1),
-        data=torch.stack((plain[..., 1:], along_x[..., 1:], along_y[..., 1:]), dim=-2),
-        noise=None if noise is None else torch.stack(noisy, dim=-2),
-    )
+    first = torch.stack((along_x[..., 0], along_y[..., 0]), dim=-1)
+    data = torch.stack((plain[..., 1:], along_x[..., 1:], along_y[..., 1:]), dim=-2)
+    noise_sums = None if noise is None else torch.stack(noisy, dim=-2)
+    return count[..., 0], plain[..., 0], first, torch.cat((xx, xy, yy), dim=-1), data, noise_sums
 
 
-class _Columns:
-    """Data of N points arranged as a matrix, whose product with weights (G, Q, N) gives the weighted sums of the data
-    around Q query positions.
+def _summed(kernel: Tensor, data: Tensor) -> Tensor:
+    """Return the sums (B, Q, F) of data (B, N, F) over N points, with weights (1 or B, Q, N).
 
-    Data are (B, N, F), weights (G, Q, N). If one geometry serves all frames (G = 1), the frames are concatenated as
-    columns of one matrix product.
+    Weights that serve all frames enter one matrix product, with the frames as columns.
     """
-
-    def __init__(self, data: Tensor, shared: bool) -> None:
-        self.batch, points, self.features = data.shape
-        self.shared = shared
-        self.matrix = data.transpose(0, 1).reshape(1, points, self.batch * self.features) if shared else data
-
-    def summed(self, kernel: Tensor) -> Tensor:
-        total = kernel @ self.matrix
-        if not self.shared:
-            return total
-        return total.reshape(kernel.shape[1], self.batch, self.features).transpose(0, 1)
+    return torch.einsum("qn,bnf->bqf", kernel[0], data) if len(kernel) == 1 else kernel @ data

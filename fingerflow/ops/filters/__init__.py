@@ -1,1 +1,1 @@
-"""Image filters: illumination, medians, morphology, splines, windows, noise and quantiles."""
+"""Image filters: illumination, medians, splines, windows, noise and quantiles."""

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.kernels.tensors import Twin, twin
+from fingerflow.ops.checks import check_images
 from fingerflow.ops.filters.quantile import frame_quantile
 
 # Signal at grey level 0, and levels per unit of the signal; a signal of 1 has level 255. Negative signals are pixels
@@ -54,6 +55,8 @@ def normalize_illumination(
     Raises:
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
 
+    Source: Willemet et al. 2021, figure S3 A. Compiled twin: `kernels/illumination.cpp`.
+
     Convention:
         axes: rows are y down, columns x to the right; each pixel stands alone but for the full light.
         sign: 1 is the empty glass, less is darker.
@@ -65,7 +68,7 @@ def normalize_illumination(
     images = [image for image in (frames, reference, dark) if image is not None]
     if not 0 <= minimum_illumination < 1:
         raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
-    _check(images)
+    check_images(frames, reference=reference, dark=dark)
     precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
     empty, *black = (image.to(precision) for image in images[1:])
     light = empty - black[0] if black else empty
@@ -100,7 +103,7 @@ def glass_light(
     Raises:
         ValueError: shapes that do not fit.
     """
-    _check([empty] if dark is None else [empty, dark])
+    check_images(empty, dark=dark)
     counts = empty.to(precision)
     black = torch.zeros_like(counts) if dark is None else dark.to(precision).expand(counts.shape)
     light = counts - black
@@ -162,15 +165,3 @@ def dequantize(levels: Tensor) -> Tensor:
     """
     values = levels if levels.is_floating_point() else levels.float()
     return values / LEVELS_PER_UNIT + LOWEST_SIGNAL
-
-
-def _check(images: list[Tensor]) -> None:
-    """Raise ValueError if the shapes of frames, reference and dark (in this order) do not fit each other."""
-    frames = images[0]
-    for name, image in zip(("frames", "reference", "dark"), images, strict=False):
-        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
-        if not fits or image.shape[1] != 1:
-            raise ValueError(
-                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
-                "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
-            )

@@ -48,6 +48,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
         ValueError: `frames` is not (B, 1, H, W), or `size` is even or under 1.
 
+    Source: Adams 2021 and Batcher's merges (`kernels.median_network`). Compiled twin: `kernels/median.cpp`.
+
     Convention:
         axes: rows are y down, columns x to the right.
         sign: that of the frames.
@@ -80,23 +82,18 @@ def _network_median(frames: Tensor, size: int) -> Tensor:
 
 @kernels.constant_to_compiler
 def _planned(size: int) -> Any:
-    return plain(median_program(size))
-
-
-def plain(program: Any) -> Any:
-    """Convert the program of a median network, a nested named tuple, to plain nested tuples, which the torch compiler
-    accepts as a constant.
+    """Return the program of a median network as plain nested tuples, which the torch compiler accepts as a constant.
 
     The compiler must not trace the making of a program.
     """
-    return tuple(map(plain, program)) if isinstance(program, tuple) else program
+
+    def plain(part: Any) -> Any:
+        return tuple(map(plain, part)) if isinstance(part, tuple) else part
+
+    return plain(median_program(size))
 
 
-def _alike(frames: Tensor, size: int) -> Tensor:
-    return torch.empty_like(frames, memory_format=torch.contiguous_format)
-
-
-@torch_op(shapes=_alike)
+@torch_op(shapes=lambda frames, _: torch.empty_like(frames, memory_format=torch.contiguous_format))
 def large_median(frames: Tensor, size: int) -> Tensor:
     """Compute the median filter with a large window, as a torch op that the torch compiler does not trace.
 

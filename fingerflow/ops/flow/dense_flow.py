@@ -33,7 +33,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.flow import FlowFields, FlowResidual
+from fingerflow.kernels.flow import FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.kernels.tensors.twins import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
@@ -150,6 +150,9 @@ def dense_flow(
     Raises:
         ValueError: shapes do not match, or a setting is out of range.
 
+    Source: Bruhn, Weickert, Schnoerr, IJCV 61(3), 2005; the module states the equation and what differs.
+    Compiled twins: `kernels/flow_cells.cpp`, `kernels/flow_multigrid.cpp`.
+
     Convention:
         axes: channels are (u, v) px, u along x to the right, v along y down.
         sign: the skin at x in `first` is at x + w in `current`.
@@ -261,12 +264,10 @@ def _build_template(
     """
     values = channels(spline_coefficients(first), constancy)
     count = len(values) // len(first)
-    fields = _fields(values, mask if count == 1 else mask.repeat(count, 1, 1, 1))
-    value, gradient = fields.value, fields.gradient
+    value, gradient, inside, tensor, *cells = _fields(values, mask if count == 1 else mask.repeat(count, 1, 1, 1))
     # A pixel that is unknown in one channel is unknown in all.
-    everywhere = (fields.inside, fields.known, fields.right, fields.down)
-    inside, textured, right, down = (_channel_minimum(field, count) for field in everywhere)
-    products = _sum(fields.tensor, count)
+    inside, textured, right, down = (_channel_minimum(field, count) for field in (inside, *cells))
+    products = _sum(tensor, count)
     weights = window(max(box / CELL, 1.0))
     tensor = textured * integrated(products, weights)
     alpha = _smoothing(variance, roughness)
@@ -320,14 +321,16 @@ def _smoothing(variance: Tensor, roughness: float) -> Tensor:
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
-def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
-    """Compute what dense flow needs of a first image: spline values and slopes at the pixels, and the structure tensor
-    (products of the slopes) in each cell of 2 x 2 px.
+def _fields(coefficients: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
+    """Return what dense flow needs of a first image: its spline (B, 1, H, W) and slopes (B, 2, H, W), 0 outside the
+    mask, at the pixels; the mask, 1 or 0; means over cells of 2 x 2 px of the products xx, xy, yy of the slopes (B, 3,
+    h, w); the cells (B, 1, h, w) with a pixel in the mask; and the weights of the edges to the next cell of the row and
+    of the column.
 
-    The tensor is not yet integrated over windows. `coefficients` of its spline and `mask`, 1 or 0, are (B, 1, H, W).
+    The products are not yet integrated over windows. `coefficients` of the spline and `mask` are (B, 1, H, W).
     """
     if _compiled_fields.serves(coefficients, mask):
-        return FlowFields(*_compiled_fields(coefficients, mask, _MARGIN))
+        return _compiled_fields(coefficients, mask, _MARGIN)
     usable = finite(coefficients)
     # The spline at a pixel uses the coefficients of its neighbours, so these must be known too.
     inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
@@ -338,7 +341,7 @@ def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
     textured = (halved(inside) > 0).to(inside.dtype)
-    return FlowFields(value, gradient, inside, tensor, textured, *halved_edges(*edges(inside)))
+    return value, gradient, inside, tensor, textured, *halved_edges(*edges(inside))
 
 
 def find_flow(
@@ -487,7 +490,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     """Evaluate the spline of an image at displaced pixels; beyond the border the coefficients are replicated."""
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
-    (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
+    (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1]) for k in (0, 1))
     column = torch.arange(width, device=flow.device) + whole[:, :1].to(torch.int64)
     row = torch.arange(height, device=flow.device)[:, None] + whole[:, 1:].to(torch.int64)
     columns = [(column + k).clamp(0, width - 1) for k in range(-1, 3)]

@@ -86,31 +86,23 @@ def to_pixels(cells: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
     `valid` (B, 1, h, w) is 1 for known cells, else 0.
     """
     plane = fit_plane(cells, valid)
-    departure = spread(cells - plane.evaluate(*cell_positions(cells)), valid, height, width)
-    return plane.evaluate(*pixel_positions(cells, height, width)) + departure
+    departure = spread(cells - plane.evaluate(*positions(cells)), valid, height, width)
+    return plane.evaluate(*positions(cells, height, width)) + departure
 
 
 def fit_plane(cells: Tensor, valid: Tensor) -> Planes:
     """Fit one plane (B, 2, 1, 1) to a whole field on cells (B, 2, h, w), with the weights `valid`."""
-    return planes(moments(valid, valid * cells, *cell_positions(cells)).sum((2, 3), keepdim=True))
+    return planes(moments(valid, valid * cells, *positions(cells)).sum((2, 3), keepdim=True))
 
 
-def cell_positions(cells: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the coordinates x (w) and y (h, 1) of cells (., ., h, w), in cells from the centre of the field."""
-    x, y = (
-        torch.arange(count, dtype=cells.dtype, device=cells.device) - (count - 1) / 2
-        for count in (cells.shape[-1], cells.shape[-2])
-    )
-    return x, y[:, None]
-
-
-def pixel_positions(cells: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Return the coordinates x (width) and y (height, 1) of the pixels of a frame whose flow is given on `cells`, in
-    units of a cell from the centre of the field of cells.
+def positions(cells: Tensor, *size: int) -> tuple[Tensor, Tensor]:
+    """Return the coordinates x (w) and y (h, 1) of cells (., ., h, w), or those of the pixels of their frame of the
+    `size` (height, width), in units of a cell from the centre of the field of cells.
     """
-    x, y = (
-        (torch.arange(count, dtype=cells.dtype, device=cells.device) - 0.5) / CELL - (number - 1) / 2
-        for count, number in ((width, cells.shape[-1]), (height, cells.shape[-2]))
+    side = CELL if size else 1
+    y, x = (
+        (torch.arange(count, dtype=cells.dtype, device=cells.device) - (side - 1) / 2) / side - (number - 1) / 2
+        for count, number in zip(size or cells.shape[-2:], cells.shape[-2:], strict=True)
     )
     return x, y[:, None]
 
@@ -185,8 +177,8 @@ def trend(flow: Tensor, valid: Tensor) -> Tensor:
     `valid` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
     to the remainder around every position, in two successive boxes of 36 px.
     """
-    whole = fit_plane(flow, valid).evaluate(*cell_positions(flow))
+    whole = fit_plane(flow, valid).evaluate(*positions(flow))
     share = halved(valid)
-    x, y = cell_positions(share)
+    x, y = positions(share)
     around = planes(integrated(moments(share, halved(valid * (flow - whole)), x, y), COURSE_WINDOW))
     return whole + magnified(around.evaluate(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]

@@ -59,22 +59,14 @@ def weighted_levels(finest: Level, tensor: Tensor, flow: Tensor, valid: Tensor, 
         roughness: as of `dense_flow`.
     """
     departure = torch.where(valid > 0, flow - trend(flow, valid), 0.0)
-    right, down = edge_weights(departure, roughness)
-    return pyramid(finest.inside * tensor, finest.right * right, finest.down * down, finest.inside)
-
-
-def edge_weights(departure: Tensor, roughness: float) -> tuple[Tensor, Tensor]:
-    """Return the smoothness weights, 0 to 1, of the edges between neighbouring cells along rows (B, 1, h, w - 1) and
-    along columns (B, 1, h - 1, w): low where the flow minus its smooth trend (`departure`) jumps.
-
-    `departure` (B, 2, h, w) is the flow minus its trend.
-    """
     scale = (CELL * _EDGE_SCALE * roughness) ** 2
 
     def weights(difference: Tensor) -> Tensor:
         return (1 + difference.square().sum(1, keepdim=True) / scale).rsqrt()
 
-    return weights(departure[..., 1:] - departure[..., :-1]), weights(departure[..., 1:, :] - departure[..., :-1, :])
+    right = finest.right * weights(departure[..., 1:] - departure[..., :-1])
+    down = finest.down * weights(departure[..., 1:, :] - departure[..., :-1, :])
+    return pyramid(finest.inside * tensor, right, down, finest.inside)
 
 
 def mean_edge_weight(finest: Level, quadratic: Level) -> Tensor:

@@ -4,7 +4,7 @@ import kornia.filters
 import torch
 from torch import Tensor
 
-from fingerflow.ops.checks import check_frames
+from fingerflow.ops.checks import check_frames, check_images
 from fingerflow.ops.filters.quantile import frame_quantile
 
 _QUANTILES = (0.01, 0.99)
@@ -23,12 +23,7 @@ def subtract_background(frames: Tensor, background: Tensor) -> Tensor:
     Raises:
         ValueError: the shapes of `frames` and `background` do not match.
     """
-    check_frames(frames)
-    if background.shape[1:] != frames.shape[1:] or background.shape[0] not in (1, frames.shape[0]):
-        raise ValueError(
-            f"background has shape {tuple(background.shape)} beside frames of {tuple(frames.shape)}: give one frame of "
-            "the same size, or one for each"
-        )
+    check_images(frames, background=background)
     precision = torch.promote_types(_precision(frames), _precision(background))
     return frames.to(precision) - background.to(precision)
 

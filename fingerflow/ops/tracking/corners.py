@@ -80,6 +80,8 @@ def detect_corners(
     Raises:
         ValueError: a shape or a number is out of range; the message gives its value.
 
+    Source: Shi & Tomasi, CVPR 1994. No compiled twin.
+
     Convention:
         axes: points are (x, y) px, x to the right, y down.
         sign: the response is positive at a corner, bright or dark.
@@ -100,10 +102,19 @@ def detect_corners(
         allowed = allowed & mask
     spread = _noise_deviation(frame) if noise is None else torch.full_like(response[:, 0, 0, 0], noise)
     strength = torch.where(allowed & response.isfinite(), response, 0.0)
-    floor = torch.maximum(quality * strength.amax((1, 2, 3)), _above_noise(window) * spread.square())
+    # An upper limit of the response over `window` px in images of nothing but white noise of variance 1. In large
+    # windows the response tends to the gradient variance; in small ones it scatters more. The maximum over two million
+    # windows was 6.2, 4.4, 2.7 and 2.1 times that variance for windows of 3, 5, 9 and 15 px, the frame's corners
+    # included, where a few pixels count several times. The formula gives 7, 4.6, 3 and 2.2.
+    above_noise = _GRADIENT_NOISE * (1 + 18 / window)
+    floor = torch.maximum(quality * strength.amax((1, 2, 3)), above_noise * spread.square())
     peak = strength == largest_around(strength)
     candidate = peak & (strength > floor[:, None, None, None]) & (strength > _ROUNDING * larger)
-    return _strongest_apart(strength, candidate, count, min_distance)
+    index_of = choose_apart(strength.detach(), candidate, count, min_distance)
+    valid, index = index_of >= 0, index_of.clamp_min(0)
+    points = torch.stack((index % frame.shape[3], index // frame.shape[3]), dim=2).to(strength.dtype)
+    strengths = torch.where(valid, strength.flatten(1).gather(1, index), torch.nan)
+    return Corners(torch.where(valid[..., None], points, torch.nan), strengths, strengths.isfinite())
 
 
 def corner_response(frame: Tensor, window: int = 7) -> Tensor:
@@ -185,17 +196,6 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
     return smooth_y[..., 2:] - smooth_y[..., :-2], smooth_x[..., 2:, :] - smooth_x[..., :-2, :]
 
 
-def _above_noise(window: int) -> float:
-    """Return an upper limit of the corner response (smaller eigenvalue of the structure tensor over `window` px) in
-    images that contain nothing but white noise of variance 1.
-
-    In large windows the response of pure noise tends to its gradient variance; in small ones it scatters more. The
-    maximum over two million windows was 6.2, 4.4, 2.7 and 2.1 times the gradient variance for windows of 3, 5, 9 and 15
-    px. This includes the frame's corners, where a few pixels count several times. The formula gives 7, 4.6, 3 and 2.2.
-    """
-    return _GRADIENT_NOISE * (1 + 18 / window)
-
-
 def _noise_deviation(frame: Tensor) -> Tensor:
     """Estimate the standard deviation (B,) of the noise in frames, in grey levels.
 
@@ -220,22 +220,7 @@ def _inside(frame: Tensor, border: int) -> Tensor:
     return (rows[:, None] & columns)[None, None]
 
 
-def _strongest_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Corners:
-    index_of = choose_apart(response.detach(), candidate, count, min_distance)
-    valid, index = index_of >= 0, index_of.clamp_min(0)
-    width = response.shape[3]
-    points = torch.stack((index % width, index // width), dim=2).to(response.dtype)
-    strengths = response.flatten(1).gather(1, index)
-    points = torch.where(valid[..., None], points, torch.nan)
-    strengths = torch.where(valid, strengths, torch.nan)
-    return Corners(points, strengths, strengths.isfinite())
-
-
-def _as_many(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
-    return candidate.new_empty((candidate.shape[0], count), dtype=torch.int64)
-
-
-@torch_op(shapes=_as_many)
+@torch_op(shapes=lambda response, candidate, count, _: candidate.new_empty((len(candidate), count), dtype=torch.int64))
 def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
     """Return flat pixel indices (B, count) int64 of the strongest candidates that are at least `min_distance` apart.
 

@@ -84,8 +84,14 @@ def correct_points(
     moved = points - start
     expected, outer = neighbour_planes(start, moved, gauge_px, outer_support)
     moved = moved - leaning(warp_and_unknown(outer)[1])
-    gradient, beyond = _extrapolated(start, moved, outer, gauge_px, inner_support)
-    bulge = _bulge(start, gradient, window, gauge_px, outer_support)
+    # Extrapolated to a gauge length of 0; the fits over the whole gauge length stand where either determines none.
+    _, inner = neighbour_planes(start, moved, limits.INNER_GAUGE * gauge_px, inner_support)
+    valid = finite(inner - outer)
+    beyond = torch.where(valid, _BEYOND * (inner - outer), 0.0)
+    gradient = torch.where(valid, inner, outer) + beyond
+    # Mean over each point's window of the second-order part of the displacement.
+    second = neighbour_planes(start, gradient.flatten(2), gauge_px, outer_support)[1].flatten(2).mT
+    bulge = _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)
     warp, unknown = warp_and_unknown(gradient)
     off = leaning(beyond.flatten(2).mT)
     return CorrectedPoints(
@@ -103,29 +109,6 @@ def fit_supports(start: Tensor, gauge_px: float) -> tuple[Support | None, Suppor
     them.
     """
     return neighbours_support(start, gauge_px), neighbours_support(start, limits.INNER_GAUGE * gauge_px)
-
-
-def _extrapolated(
-    start: Tensor, displacement: Tensor, outer: Tensor, gauge_px: float, support: Support | None
-) -> tuple[Tensor, Tensor]:
-    """Return displacement gradients (K, N, 2, 2) extrapolated to a gauge length of 0 from fits over the whole and the
-    inner gauge length, and what the extrapolation adds to the inner gradients.
-
-    `outer` are the gradients over the whole gauge length; they stand where either gauge determines none.
-    """
-    _, inner = neighbour_planes(start, displacement, limits.INNER_GAUGE * gauge_px, support)
-    valid = finite(inner - outer)
-    beyond = torch.where(valid, _BEYOND * (inner - outer), 0.0)
-    return torch.where(valid, inner, outer) + beyond, beyond
-
-
-def _bulge(start: Tensor, gradient: Tensor, window: int, gauge_px: float, support: Support | None) -> Tensor:
-    """Return the mean, px (K, 2, N), over each point's window of the second-order part of the displacement, from the
-    displacement gradients (K, N, 2, 2) of neighbouring points.
-    """
-    _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
-    second = second.flatten(2).mT
-    return _or_zero(second[:, ::4] + second[:, 3::4]) * ((window**2 - 1) / 24)
 
 
 def _without_deformation_residual(covariance: Tensor, of: Tensor, unknown: Tensor, window: int) -> Tensor:

@@ -10,35 +10,6 @@ from fingerflow.ops.tensors import finite
 _LEAST = 1e-30
 
 
-def find_neighbours(positions: Tensor, gauge_length: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the k nearest neighbours of each point, among the points within half the gauge length, with which the
-    outlier test compares the point.
-
-    Args:
-        positions: (P, N, 2) reference positions, NaN where there is none. N is 2 or more.
-        gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
-
-    Returns:
-        Of the neighbours, nearest first: their indices (P, k, N) int64; their offsets (P, k, N, 2) from the point, 0
-        where one has no position within half the gauge length; and (P, k, N), 1 where it has one, else 0.
-
-    Raises:
-        ValueError: fewer than 2 points.
-    """
-    if positions.shape[1] < 2:
-        raise ValueError(f"{positions.shape[1]} points have no neighbours: give 2 or more")
-    # x and y separately, and topk along rows, which the symmetry of distances allows: half the time.
-    across, down = (coordinate[:, None] - coordinate[:, :, None] for coordinate in positions.unbind(-1))
-    distance = across * across + down * down
-    distinct = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
-    distance = torch.where(distinct & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is never near
-    nearest = distance.topk(min(limits.NEIGHBOURS, positions.shape[1] - 1), dim=2, largest=False)
-    number, within = nearest.indices.mT.contiguous(), nearest.values.mT.contiguous() < torch.inf
-    there = positions.gather(1, number.flatten(1)[..., None].expand(-1, -1, 2)).unflatten(1, number.shape[1:])
-    offset = (there - positions[:, None]).contiguous()
-    return number, torch.where(within[..., None], offset, 0.0), within.to(positions.dtype)
-
-
 def find_outliers(
     neighbours: tuple[Tensor, Tensor, Tensor], displacement: Tensor, position_std: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -62,7 +33,8 @@ def find_outliers(
     Neighbouring points that are wrong in the same way cannot be distinguished from points at a slip front.
 
     Args:
-        neighbours: from :func:`find_neighbours`, for P = B, or P = 1 for all frames.
+        neighbours: of `kernels.tracking.find_neighbours`, as tensors: indices (P, k, N), offsets (P, k, N, 2) from the
+            point, and (P, k, N), 1 where a neighbour counts, else 0; for P = B, or P = 1 for all frames.
         displacement: (B, N, 2) in the unit of the positions; NaN where it is unknown.
         position_std: (B, N) standard deviation of a component.
 

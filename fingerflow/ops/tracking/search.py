@@ -116,17 +116,12 @@ def _search_coarse(
     row, column = best // span, best % span
     point = torch.arange(len(best), device=best.device)
     peak = score[point, row, column]
-    subpixel = torch.stack(
-        (
-            _vertex(
-                score[point, row, (column - 1).clamp_min(0)], peak, score[point, row, (column + 1).clamp_max(span - 1)]
-            ),
-            _vertex(
-                score[point, (row - 1).clamp_min(0), column], peak, score[point, (row + 1).clamp_max(span - 1), column]
-            ),
-        ),
-        dim=-1,
-    )
+
+    def beside(down: int, right: int) -> Tensor:
+        return score[point, (row + down).clamp(0, span - 1), (column + right).clamp(0, span - 1)]
+
+    vertices = _vertex(beside(0, -1), peak, beside(0, 1)), _vertex(beside(-1, 0), peak, beside(1, 0))
+    subpixel = torch.stack(vertices, dim=-1)
     moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
     # Apply the displacement of the template's centre pixel to the point itself.
     result = points + 2 * (center + moved - start)

@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from fingerflow.ops.branching import may_branch
 from fingerflow.ops.filters.windows import take_lines
+from fingerflow.ops.tensors import bordered
 
 MARGIN = 3  # px of a patch on each side of its window: two for the support of the spline, one for the smoothing
 TAPS = 5
@@ -29,7 +30,7 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     border = max(MARGIN + 2, side - min(view.shape[-2:]))  # a window that was found inside may need a pixel outside
     exporting = torch.compiler.is_exporting()
     few = not exporting or center.shape[2] * side * side < view.shape[2] * view.shape[3]
-    plane = _bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
+    plane = bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
     # Clamp as floats, since ONNX runtimes need two nodes to clamp integers.
@@ -50,14 +51,15 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
 
 def taps(shift: Tensor) -> Tensor:
     """Return the five cubic B-spline weights (..., 5) of the coefficients at -2 to 2, for a position `shift` (...)."""
-    return _values(*_distances(_tap_offsets(shift)))
+    return taps_and_slopes(shift)[0]
 
 
 def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the five cubic B-spline weights (`offsets`) and the derivatives of the weights, (..., 5) each."""
-    offsets = _tap_offsets(shift)
-    u, v = _distances(offsets)
-    return _values(u, v), (2 * v * v - u * u / 2) * offsets.sign()
+    """Return the five weights of `taps`, and their derivatives, (..., 5) each."""
+    offsets = shift[..., None] - torch.arange(-2, 3, dtype=shift.dtype, device=shift.device)
+    u = (2 - offsets.abs()).clamp_min(0)
+    v = (u - 1).clamp_min(0)
+    return (u * u * u - 4 * v * v * v) / 6, (2 * v * v - u * u / 2) * offsets.sign()
 
 
 def cut_windows(shift: Tensor, patches: Tensor, size: int) -> Tensor:
@@ -111,29 +113,3 @@ def _smoothed(like: Tensor) -> Tensor:
     offset = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
     middle, sides = (offset == 1).to(like.dtype), ((offset == 0) | (offset == 2)).to(like.dtype)
     return middle / 2 + sides / 4
-
-
-def _tap_offsets(shift: Tensor) -> Tensor:
-    return shift[..., None] - torch.arange(-2, 3, dtype=shift.dtype, device=shift.device)
-
-
-def _distances(offsets: Tensor) -> tuple[Tensor, Tensor]:
-    u = (2 - offsets.abs()).clamp_min(0)
-    return u, (u - 1).clamp_min(0)
-
-
-def _values(u: Tensor, v: Tensor) -> Tensor:
-    return (u * u * u - 4 * v * v * v) / 6
-
-
-def _bordered(view: Tensor, border: int) -> Tensor:
-    """Extend an image (B, 1, H, W) of any dtype by `border` replicated pixels on every side.
-
-    Neither torch nor GPU runtimes pad bytes.
-    """
-    for dim in (2, 3):
-        ends = view.narrow(dim, 0, 1), view.narrow(dim, view.shape[dim] - 1, 1)
-        shape = [border if k == dim else -1 for k in range(4)]
-        before, after = (end.expand(shape) for end in ends)
-        view = torch.cat((before, view, after), dim=dim)
-    return view

@@ -18,7 +18,6 @@ directions differ by the sum of D grad D. Over a window this is half the differe
 A step has a fixed cost and no data-dependent branch, so this portable form is the one that is exported.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -29,6 +28,7 @@ from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.result_records import TrackedPoints
 from fingerflow.kernels.tensors import Twin, twin
 from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
+from fingerflow.ops.checks import check_frames, check_pixels
 from fingerflow.ops.filters.noise import estimate_noise, rounding_variance
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.filters.windows import sample_windows
@@ -143,7 +143,7 @@ def _sample_templates(coefficients: Tensor, points: Tensor, inverse: Tensor, win
     position = torch.where(valid, points, 0.0)
     batch, count = position.shape[:2]
     image_index = torch.arange(batch, device=position.device)[:, None].expand(batch, count).flatten()
-    sampled = sample_windows(coefficients, image_index, position.flatten(0, 1), window, 3, inverse.flatten(0, 1))
+    sampled = sample_windows(coefficients, image_index, position.flatten(0, 1), window, inverse.flatten(0, 1))
     return _assemble(sampled, position, valid, coefficients, **settings)
 
 
@@ -166,7 +166,7 @@ def _assemble(
     batched, window = position.shape[:2], sampled[0].shape[-1]
     level = samples.mean(1, keepdim=True)
     samples = samples - level
-    gradient = _without_gain_and_offset(samples, slope) if gain_offset else slope
+    gradient = without_gain_and_offset(samples, slope) if gain_offset else slope
     numbers = _numbers(
         samples, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
     )
@@ -221,17 +221,8 @@ def find_templates(
     def step(part: Templates, near: Tensor) -> TrackedPoints:
         return _step(part, current, near, variance, *settings)
 
-    # More than one step depends on data and cannot be exported.
-    return further_rounds(step, templates, step(templates, guess), rounds - 1)
-
-
-def further_rounds(
-    step: Callable[[Templates, Tensor], TrackedPoints], templates: Templates, tracks: TrackedPoints, rounds: int
-) -> TrackedPoints:
-    """Repeat a registration step for those points of `tracks` that have not converged, each from the position where the
-    previous step ended, at most `rounds` times.
-    """
-    for _ in range(rounds):
+    tracks = step(templates, guess)
+    for _ in range(rounds - 1):  # depends on data, and cannot be exported
         lost = tracks.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break
@@ -272,10 +263,8 @@ def inserted(whole: Tensor, part: Tensor, chosen: Tensor, mask: Tensor) -> Tenso
 
 def check_points(image: Tensor, points: Tensor, window: int, warp: Tensor | None) -> None:
     """Raise ValueError if the image, the points, the window or the deformation cannot be used for tracking."""
-    if image.ndim != 4 or image.shape[1] != 1:
-        raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
-    if min(image.shape[-2:]) < 4:
-        raise ValueError(f"images must be at least 4 x 4 px, not {tuple(image.shape[-2:])}")
+    check_frames(image)
+    check_pixels(image, 4)
     if points.ndim != 3 or points.shape[0] != image.shape[0] or points.shape[2] != 2:
         raise ValueError(f"points must be (B, N, 2) with B = {image.shape[0]}, not {tuple(points.shape)}")
     if not points.is_floating_point():
@@ -317,7 +306,7 @@ def _sample_straight(image: Tensor, position: Tensor, wide: int) -> tuple[Tensor
     return lines @ across + base, along
 
 
-def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
+def without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
     """Remove from slopes (P, 2, samples) the components that a change of illumination gain or offset would also cause.
 
     These are the components along the values (P, samples) and along a constant. The values sum to 0.
@@ -354,7 +343,7 @@ def _numbers(
     # of it, gain and offset another part; the rest stays in the residual.
     bent = torch.stack((slope[:, 0] * right, slope[:, 0] * down, slope[:, 1] * right, slope[:, 1] * down), dim=1)
     if gain_offset:
-        bent = _without_gain_and_offset(value, bent)
+        bent = without_gain_and_offset(value, bent)
     pushing = gradient @ bent.transpose(1, 2)
     lean = inverse @ pushing
     bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean

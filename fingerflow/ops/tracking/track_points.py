@@ -28,6 +28,7 @@ from fingerflow.ops.tracking.templates import (
     prepare_templates,
     replaced,
     take_rows,
+    without_gain_and_offset,
 )
 
 _compiled: Twin[tuple[Tensor, ...]] = twin("find_pairs")
@@ -99,6 +100,9 @@ def track_points(
     Raises:
         ValueError: shapes do not match, the window is even or too small, or `passes` is not 1 or 2.
 
+    Source: Lucas & Kanade 1981; Baker & Matthews, IJCV 2004 (`ops.tracking.templates`). Compiled twin:
+    `kernels/templates.cpp`.
+
     Convention:
         axes: points are (x, y) px, x to the right, y down.
         sign: skin that moves to the right and down gets larger x and y.
@@ -107,32 +111,31 @@ def track_points(
         NaN: in a point, or in a pixel within 3 px of its window, makes its position NaN, with a status.
         border: a window that reaches beyond the frame makes the position NaN, with a status.
     """
-    _check(previous, current, points, window, initial, warp, passes, noise)
+    check_points(previous, points, window, warp)
+    if previous.shape != current.shape:
+        raise ValueError(
+            f"previous {tuple(previous.shape)} and current {tuple(current.shape)} must have the same shape"
+        )
+    if initial is not None and initial.shape != points.shape:
+        raise ValueError(f"initial {tuple(initial.shape)} must have the shape of points {tuple(points.shape)}")
+    if passes not in (1, 2):
+        raise ValueError(f"passes must be 1 or 2, not {passes}")
+    if noise is not None and noise.shape != (len(previous),):
+        raise ValueError(f"noise {tuple(noise.shape)} must be ({len(previous)},): one standard deviation an image pair")
     images = _to_float(previous), _to_float(current)
     start, guess = points.detach(), (points if initial is None else initial).detach()
     plain = images[0].detach(), images[1].detach()
     if noise is None:
         noise = torch.maximum(*(estimate_noise(image) for image in plain))
-
-    limits_of = (forward_backward_limit, mismatch_limit)
-    passed = in_passes(*plain, start, guess, warp, noise, window, passes, gain_offset, search, *limits_of)
-    warp, where = passed.warp, passed.points
+    tensors, limits_of = (*plain, start, guess, warp, noise), (forward_backward_limit, mismatch_limit)
+    position, *quality, warp = in_passes(*tensors, window, passes, gain_offset, search, *limits_of)
     if requires_gradient(*images, points):
-        where = _with_derivative(images, points, where, warp, window, gain_offset)
-    return Tracks(where, passed.error, passed.covariance, passed.status)
+        position = _with_derivative(images, points, position, warp, window, gain_offset)
+    return Tracks(position, *quality)
 
 
-class PassResult(NamedTuple):
-    """Result of `in_passes`: tracked points with error, covariance and status, and the deformation of the templates.
-
-    `warp` is (B, N, 2, 2), or None where templates are not deformed.
-    """
-
-    points: Tensor
-    error: Tensor
-    covariance: Tensor
-    status: Tensor
-    warp: Tensor | None
+# Points, errors, covariances and statuses of `Tracks`; deformation (B, N, 2, 2) of the templates, or None.
+_Passed = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 
 
 def _like_passed(
@@ -145,7 +148,7 @@ def _like_passed(
     window: int,
     passes: int,
     *settings: float,
-) -> PassResult:
+) -> _Passed:
     dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
     position, matrix = points.new_empty(points.shape, dtype=dtype), points.new_empty((*points.shape, 2), dtype=dtype)
     status = points.new_empty(points.shape[:2], dtype=torch.uint8)
@@ -153,7 +156,7 @@ def _like_passed(
         deformation: Tensor | None = torch.empty_like(warp)
     else:
         deformation = torch.empty_like(matrix) if passes == 2 else None
-    return PassResult(position, position.new_empty(points.shape[:2]), matrix, status, deformation)
+    return position, position.new_empty(points.shape[:2]), matrix, status, deformation
 
 
 @torch_op(shapes=_like_passed)
@@ -170,7 +173,7 @@ def in_passes(
     search: int,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> PassResult:
+) -> _Passed:
     """Track points from one image to another in one pass, or in two, of which the second corrects for the deformation
     that the first measured; the arguments are those of `track_points`.
 
@@ -211,7 +214,7 @@ def in_passes(
                 corrected = correct_points(*inputs, window, WIDE * window)
             corrected = correct_short_waves(corrected, *inputs, window)
             track = track._replace(points=corrected.points, covariance=corrected.covariance)
-    return PassResult(track.points, track.error, track.covariance, track.status, warp)
+    return *track[:4], warp
 
 
 def _find(
@@ -290,29 +293,6 @@ def _search_lost(
     )
 
 
-def _check(
-    previous: Tensor,
-    current: Tensor,
-    points: Tensor,
-    window: int,
-    initial: Tensor | None,
-    warp: Tensor | None,
-    passes: int,
-    noise: Tensor | None,
-) -> None:
-    check_points(previous, points, window, warp)
-    if previous.shape != current.shape:
-        raise ValueError(
-            f"previous {tuple(previous.shape)} and current {tuple(current.shape)} must have the same shape"
-        )
-    if initial is not None and initial.shape != points.shape:
-        raise ValueError(f"initial {tuple(initial.shape)} must have the shape of points {tuple(points.shape)}")
-    if passes not in (1, 2):
-        raise ValueError(f"passes must be 1 or 2, not {passes}")
-    if noise is not None and noise.shape != (len(previous),):
-        raise ValueError(f"noise {tuple(noise.shape)} must be ({len(previous)},): one standard deviation an image pair")
-
-
 def _to_float(image: Tensor) -> Tensor:
     """Convert an image to float32, unless it is float64 or of a dtype that the kernels support."""
     return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
@@ -331,20 +311,18 @@ def _with_derivative(
     start, flat = points.to(position.dtype).reshape(-1, 2), position.reshape(-1, 2)
     valid = (start.isfinite() & flat.isfinite()).all(-1, keepdim=True)
     inverse = None if warp is None else inverse_2x2(warp.to(position.dtype)).reshape(-1, 2, 2)
-    template, gradient = sample_windows(
-        spline_coefficients(images[0]), image_index, torch.where(valid, start, 0.0), window, 3, inverse
-    )
-    value, slope = sample_windows(spline_coefficients(images[1]), image_index, torch.where(valid, flat, 0.0), window, 3)
+
+    def sampled(image: Tensor, position: Tensor, deformed: Tensor | None) -> tuple[Tensor, Tensor]:
+        places = image_index, torch.where(valid, position, 0.0)
+        values, slopes = sample_windows(spline_coefficients(image), *places, window, deformed)
+        return values.flatten(1), slopes.flatten(2)
+
+    (template, gradient), (value, slope) = sampled(images[0], start, inverse), sampled(images[1], flat, None)
+    difference = value - template
     if gain_offset:
-        centred = template - template.mean((-1, -2), keepdim=True)
-        gradient = gradient - gradient.mean((-1, -2), keepdim=True)
-        energy = centred.square().sum((-1, -2)).clamp_min(torch.finfo(template.dtype).tiny)
-        share = (gradient * centred[:, None]).sum((-1, -2)) / energy[:, None]
-        gradient = gradient - share[:, :, None, None] * centred[:, None]
-        difference = value - value.mean((-1, -2), keepdim=True)
-    else:
-        difference = value - template
-    residual = (gradient * difference[:, None]).sum((-1, -2))
-    jacobian = (gradient.flatten(2) @ slope.flatten(2).transpose(1, 2)).detach()
+        gradient = without_gain_and_offset(template - template.mean(1, keepdim=True), gradient)
+        difference = value - value.mean(1, keepdim=True)
+    residual = (gradient * difference[:, None]).sum(2)
+    jacobian = (gradient @ slope.transpose(1, 2)).detach()
     step = (inverse_2x2(jacobian) * (residual - residual.detach())[:, None, :]).sum(-1)
     return (flat - torch.where(valid, step, 0.0)).view(position.shape)

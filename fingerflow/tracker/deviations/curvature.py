@@ -48,9 +48,10 @@ class Curvature:
         number = self._frames + np.arange(len(points))
         self._frames += len(points)
         result = np.empty(points.shape[:2], np.float32)
+        evaluated = iter(curvature_variance(self._engine, self._start, points[number % _EVERY == 0])[:, None])
         for row, behind in enumerate((number % _EVERY).tolist()):
             if not behind:
-                latest = curvature_variance(self._engine, self._start, points[row : row + 1])
+                latest = next(evaluated)
                 self._growth = np.maximum(latest - self._latest, 0) / np.float32(_EVERY)
                 self._latest = latest
             result[row] = self._latest + np.float32(behind) * self._growth

@@ -36,6 +36,7 @@ class SmoothingErrors:
     def __init__(self, engine: Engine, positions: Array) -> None:
         self._engine, self._gauge = engine, engine.settings.gauge_length_mm
         self._weights = _weights(positions, self._gauge)
+        self._fitted, self._around = positions[:0], self._weights  # positions of the last fits, and their weights
 
     def variance(self, reference: Array, displacement: Array, fields: Array, deviation: Array) -> NDArray[np.float64]:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
@@ -54,7 +55,9 @@ class SmoothingErrors:
             slopes, _ = self._engine.fit(near, moved, near, 2 * self._gauge)
             wide = np.stack((slopes[..., 0, 0] + slopes[..., 1, 1], slopes[..., 1, 0] - slopes[..., 0, 1]), axis=1)
             difference[..., fitted] = fields[..., fitted] - wide
-            offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._gauge)
+            if not np.array_equal(near, self._fitted):  # in a recording they stay
+                self._fitted, self._around = near, _weights(near, self._gauge)
+            offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._around)
         share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
         square = share**2 * (difference**2 - deviation.astype(np.float64) ** 2)
         finite = np.isfinite(square)
@@ -71,9 +74,11 @@ def _weights(positions: Array, gauge_mm: float) -> NDArray[np.float64]:
     return np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
 
 
-def _centroid_offsets(positions: Array, valid: Array, gauge_mm: float) -> NDArray[np.float64]:
-    """Return the distance (n, P) of P positions (P, 2) from the weighted centroid of those that are `valid` (n, P)."""
-    weights, among = _weights(positions, gauge_mm), valid.astype(np.float64)
+def _centroid_offsets(positions: Array, valid: Array, weights: Array) -> NDArray[np.float64]:
+    """Return the distance (n, P) of P positions (P, 2) from the centroid of those that are `valid` (n, P), with
+    `weights` (P, P).
+    """
+    among = valid.astype(np.float64)
     mass = np.maximum(among @ weights, 1e-12)
     x, y = ((among * values) @ weights / mass - values for values in positions.T)
     return np.sqrt(x * x + y * y)

@@ -64,7 +64,7 @@ def test_same_region_pixel_by_pixel(period: float | None, radius: int) -> None:
     mask = disc(12 * radius + 24, 5.0 * radius, None if period is None else period * radius)
     expected = torch.from_numpy(by_scipy(mask[0, 0].numpy(), radius))
     region = apparent_contact(mask, radius)
-    assert float(region.area_px) == pytest.approx(float(expected.sum()), rel=0.02 if radius > 2 else 0.06)
+    assert float(region.gross_area_px) == pytest.approx(float(expected.sum()), rel=0.02 if radius > 2 else 0.06)
     found = mask_of(region.density_margin, cell_of(radius), *mask.shape[2:])[0, 0]
     assert float((found != expected).sum()) < 2 * math.pi * 5 * radius
 
@@ -79,7 +79,9 @@ def test_region_of_an_ellipse_has_its_area_and_axes(cell: int) -> None:
     inside[5:25, 370:395] = True  # dirt does not
     region = apparent_contact(inside[None, None], 8, cell)
     # The density level at the border is corrected for curvature, which is accurate to 1 % of the area.
-    torch.testing.assert_close(region.area_px, torch.tensor([np.pi * 120 * 80], dtype=torch.float32), rtol=0.01, atol=0)
+    torch.testing.assert_close(
+        region.gross_area_px, torch.tensor([np.pi * 120 * 80], dtype=torch.float32), rtol=0.01, atol=0
+    )
     torch.testing.assert_close(
         region.semi_axes, torch.tensor([[120.0, 80.0]]), rtol=0.01 if cell == 4 else 0.015, atol=0
     )
@@ -93,8 +95,8 @@ def test_empty_full_and_small_frames(shape: tuple[int, int, int]) -> None:
     empty = torch.zeros(batch, 1, height, width, dtype=torch.bool)
     region = apparent_contact(empty, 8)
     assert (region.density_margin <= 0).all()
-    assert (region.area_px == 0).all()
+    assert (region.gross_area_px == 0).all()
     assert region.center.isnan().all()
     full = apparent_contact(~empty, 3)
-    assert full.covered_px.tolist() == batch * [height * width]
+    assert full.real_area_px.tolist() == batch * [height * width]
     assert full.density_margin.shape == (batch, 1, -(-height // 1), -(-width // 1))

@@ -1,13 +1,14 @@
 """Tests of medians over the area of a deformed ellipse against closed forms, by both implementations of the op."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.fields.area_medians import AreaMedians, area_medians
+from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.strain import green_lagrange
 
 pytestmark = pytest.mark.usefixtures("each_form")
@@ -22,6 +23,12 @@ def cloud(step: float = 0.35, half: float = 7.0) -> Tensor:
     return nodes + 0.3 * step * (torch.rand(nodes.shape, generator=torch.Generator().manual_seed(1)).double() - 0.5)
 
 
+class Medians(NamedTuple):
+    median: Tensor
+    std: Tensor | None
+    known: Tensor
+
+
 def medians(
     places: Tensor,
     displacement: Tensor,
@@ -30,10 +37,11 @@ def medians(
     angle: float = 0.0,
     kind: torch.dtype = torch.float32,
     **settings: Any,
-) -> AreaMedians:
+) -> Medians:
     """Return the medians of one frame."""
-    ellipse = (torch.tensor([center]), torch.tensor([semi_axes]), torch.tensor([angle]))
-    return area_medians(places[None].to(kind), displacement[None].to(kind), *ellipse, gauge_length=GAUGE, **settings)
+    ellipse = FrameEllipse(torch.tensor([center]), torch.tensor([semi_axes]), torch.tensor([angle]))
+    points = places[None].to(kind), displacement[None].to(kind)
+    return Medians(*area_medians(*points, ellipse, gauge_length=GAUGE, **settings))
 
 
 @pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
@@ -135,14 +143,14 @@ def test_the_stated_deviation_is_that_of_noisy_copies(curvature: float, noise: f
     draw = torch.randn(copies, *places.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     noisy = u + draw @ torch.linalg.cholesky(covariance).T
     ellipse = torch.zeros(copies, 2), torch.tensor([[4.0, 3.0]]).expand(copies, 2), torch.full((copies,), 0.3)
-    found = area_medians(
+    median, std, _ = area_medians(
         places[None].float(),
         noisy.float(),
-        *ellipse,
+        FrameEllipse(*ellipse),
         gauge_length=GAUGE,
         covariance=covariance.float().expand(copies, len(places), 2, 2),
     )
-    assert found.std is not None
-    ratio = found.median.std(0) / found.std.square().mean(0).sqrt()
+    assert std is not None
+    ratio = median.std(0) / std.square().mean(0).sqrt()
     assert ratio.min() > 0.8
     assert ratio.max() < 1.25

@@ -3,12 +3,14 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.outlier_limits import LEAST_NEIGHBOURS
-from fingerflow.ops.tracking.outliers import find_neighbours, find_outliers
+from fingerflow.kernels.tracking import find_neighbours
+from fingerflow.ops.tracking.outliers import find_outliers
 
 SIDE = (400.0, 320.0)  # px, size of a contact
 GAUGE = 120.0
@@ -87,7 +89,16 @@ def planted(moved: Tensor, size: Tensor | float, share: float = 0.05) -> tuple[T
 
 
 def find(moved: Tensor, position_std: Tensor, points: Tensor = POINTS, gauge: float = GAUGE) -> tuple[Tensor, Tensor]:
-    return find_outliers(find_neighbours(points, gauge), moved, position_std)
+    return find_outliers(neighbours_of(points, gauge), moved, position_std)
+
+
+def neighbours_of(points: Tensor, gauge: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the neighbours of points (P, N, 2) in each of P frames."""
+    each = [find_neighbours(positions.float().numpy(), gauge) for positions in points]
+    number, x, y, within = (
+        torch.from_numpy(np.stack(part))[..., : points.shape[1]] for part in zip(*each, strict=True)
+    )
+    return number.long(), torch.stack((x, y), -1).to(points), within.to(points)
 
 
 @pytest.mark.parametrize("name", FIELDS)

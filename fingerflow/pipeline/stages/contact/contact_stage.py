@@ -14,7 +14,6 @@ from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
-from fingerflow.ops.filters.morphology import dilate
 from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
@@ -96,6 +95,7 @@ class ContactStage(Stage):
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
         self._largest = self._gross_region(self.reference_frame)
+        self._second_px = view_faults.SECOND_CONTACT * float(self._largest.sum())  # least size of a second contact
         skin = self._counts(self.reference_frame)[0] - self._black
         self.skin = ridges.skin_patch(skin, self._glass, self._largest[0, 0].numpy())
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
@@ -196,8 +196,10 @@ class ContactStage(Stage):
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        first = int(np.argmax(self._usable))
-        return dilate(self._gross_region(first) | self._largest, margin_px)
+        beyond = ~(self._gross_region(int(np.argmax(self._usable))) | self._largest)
+        pixels = beyond[0, 0].cpu().numpy().astype(np.uint8)
+        away = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
 
     def _check_view(self) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
@@ -232,20 +234,19 @@ class ContactStage(Stage):
         if contact.real_contact_mask is None:
             return
         radius_px, size = self.inputs.scene.contact.gross_radius_px, self.inputs.mm_per_px
-        least = view_faults.SECOND_CONTACT * float(self._largest.sum())
         cell_px, masks, region = self.cell_px, contact.real_contact_mask[:, 0], contact.density_margin[:, 0] > 0
         # Every pixel is looked at where sampled ones show a fourth of what is warned of.
         away = view_faults.outside_region(region.any(0), cell_px, radius_px)
         step = 2 * cell_px  # px between samples, each of which is read from a memory line of its own
         sampled = step**2 * np.count_nonzero(masks[:, ::step, ::step] & away[::2, ::2], axis=(1, 2))
-        for k in ((least > 0) & (4 * sampled > least * view_faults.DENSITY)).nonzero()[0]:
+        for k in ((self._second_px > 0) & (4 * sampled > self._second_px * view_faults.DENSITY)).nonzero()[0]:
             outside = view_faults.in_cells(masks[k], view_faults.outside_region(region[k], cell_px, radius_px), cell_px)
             index = indices[k]
             count = int(outside.sum())
             self._outside[index] = count * size**2
-            if self._usable[index] and not self._several_parts and least < count / view_faults.DENSITY:
+            if self._usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
-                several = view_faults.check_second_contact(outside, least, radius_px, size, frame)
+                several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 

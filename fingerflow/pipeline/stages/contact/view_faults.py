@@ -16,7 +16,7 @@ Mask = NDArray[np.bool_]
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
-_SOLID = 0.12  # largest share of the real contact in patches wider than a ridge; merging ridges make up to 0.08
+_SOLID = 0.2  # largest share of the real contact in patches wider than a ridge; ridges that merge make up to 0.17
 _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, and no warning is given
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
 SECOND_CONTACT, DENSITY = 0.03, 0.2
@@ -102,26 +102,19 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
 
 def check_sweat(touching: Mask, period_px: float) -> list[str]:
     """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
-    between the ridges.
+    between the ridges: the share covered by discs 1.1 ridge periods in diameter which lie within the mask (a
+    morphological opening).
 
     `touching` is the real contact mask; `period_px` is the ridge period.
     """
-    count = int(touching.sum())
-    share = solid_share(touching, period_px) if count else 0.0
+    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
+    share = float(solid.sum() / max(touching.sum(), 1))
     if not _SOLID < share < _ALL_SOLID:
         return []
     return [
         f"{share:.0%} of the real contact lies in patches wider than a ridge, without a valley: sweat or grease fills "
         f"the valleys there and counts as contact. Dry finger and glass"
     ]
-
-
-def solid_share(touching: Mask, period_px: float) -> float:
-    """Return the share of a real contact mask that is wider than a ridge: that covered by discs 0.9 ridge periods in
-    diameter which lie within the mask (a morphological opening).
-    """
-    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.45 * period_px)))
-    return float(solid.sum() / touching.sum())
 
 
 def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:

@@ -73,16 +73,16 @@ def median_over_area(
         points, area = labelled[area > 0], area[area > 0]
         unknown = (1 - share) / (2 * share)
         ranks = math.sqrt((rim[frame] / 2) ** 2 + unknown**2 / 3 + len(points) ** -1.5 / 6)
-        of_points = variance[frame, points]
-        for component in range(2):
-            values = displacement[frame, points, component]
+        of_points, looked_up = variance[frame, points], (0.5 - ranks, 0.5, 0.5 + ranks)
+        for component, values in enumerate(displacement[frame, points].T):
             order = values.argsort()
-            rank = (area[order].cumsum() - area[order] / 2) / len(counted)
-            low, middle, high = np.interp((0.5 - ranks, 0.5, 0.5 + ranks), rank, values[order])
+            parts = area[order]
+            low, middle, high = np.interp(looked_up, (parts.cumsum() - parts / 2) / len(counted), values[order])
             half = (high - low) / 2
-            near = np.square(values - middle) / (REACH**2 * (of_points + half**2) + 1e-30)
-            weight = area * np.square(np.maximum(1 - near, 0))
-            noise = weight @ (weight * of_points) / max(weight.sum(), 1e-30) ** 2
+            # Tukey's biweight about the median: 1 - z^2, squared.
+            near = (values - middle) ** 2 / (of_points + half**2 + 1e-30)
+            weight = area * np.maximum(1 - near / REACH**2, 0) ** 2
+            noise = weight @ (weight * of_points) / max(np.add.reduce(weight), 1e-30) ** 2
             median[frame, component], deviation[frame, component] = middle, math.sqrt(noise + half**2)
     return median, deviation
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import principal_strains
+from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
 from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -77,6 +77,7 @@ class StrainStage(Stage):
             "strain": measure,
             "strain_std": measure,
             "strain_energy_density": self._since,
+            "strain_energy_density_std": self._since,
         }.items():
             self.results.create(name, attributes)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
@@ -122,10 +123,12 @@ class StrainStage(Stage):
         displacement = self.inputs.tensor(moved)
         corrected = self._triangle_strain(displacement, covariance, touching)
         stated = self._triangle_strain(displacement, whole, touching)
+        solid = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         for name, values in (
             ("strain", corrected.strain),
             ("strain_std", stated.strain_std),
             ("strain_energy_density", corrected.density),
+            ("strain_energy_density_std", strain_energy_density_std(corrected.strain, stated.strain_std, *solid)),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
         if self._principal:
@@ -262,9 +265,10 @@ class StrainStage(Stage):
             "strain_energy_between_points_std": self._between_std,
         }.items():
             self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        energy = self.results["strain_energy"][:]
-        rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
-        self.results.put("strain_energy_rate", rates)
+        for of in ("", "_std"):
+            energy = self.results[f"strain_energy{of}"][:]
+            rates = rate(energy, self.inputs.times, self._settings.rate_window_s, of_std=bool(of))
+            self.results.put(f"strain_energy_rate{of}", rates)
 
 
 def border_density(

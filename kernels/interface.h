@@ -1,5 +1,6 @@
-// What fingerflow/kernels calls, declared once: Python reads this file too (fingerflow/kernels/declarations.py), checks
-// arguments and allocates results by it, and the entries that it calls are written from it (kernels/generate_entries.py).
+// Structures of arguments, and functions that sources of this folder call; a function that only Python calls is declared by
+// its definition. The entries that Python calls are written from both (generate_entries.py), and the library has their text,
+// by which Python checks arguments and allocates results (fingerflow/kernels/declarations.py).
 // Arguments go by name, those of a structure among the others, so a name stands once in a function.
 // What a function throws becomes an exception of Python's.
 //
@@ -20,13 +21,6 @@ struct fingerflow_frames {
     std::int64_t batch, height, width, frame_stride, row_stride, kind;
 };
 
-// The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
-// -1 for all that the processor has; `taken` is the one in use then. For tests; every set gives the same answers.
-void fingerflow_limit_instruction_set(int most /* from -1 */, std::int32_t* taken /* (1) */);
-
-// For tests: faults and threads of parallel.h, by their numbers.
-void fingerflow_inject_fault(int fault, std::int64_t piece /* from -1 */, int thread);
-
 // Medians of size x size windows of uint8 or uint16 frames; `medians` is contiguous. `table` is null for a compiled size,
 // else what fingerflow/kernels/median_rows.py writes for it.
 void fingerflow_median(const fingerflow_frames* frames /* uint8 uint16 */, void* medians /* frames (batch, 1, height, width) */,
@@ -44,7 +38,6 @@ struct fingerflow_prepared_templates {
     std::int32_t window /* from 5 to 4095 by 2 */, gain_offset;
     float rounding;
 };
-void fingerflow_prepare_templates(const fingerflow_prepared_templates* given, int threads);
 
 // Templates found in frames: `points` of each of `recordings` are followed through `steps` frames, of which frame k of
 // recording b is number k x recordings + b, from place on at speed (P, 2), px and px a frame; both are replaced by those
@@ -62,28 +55,10 @@ struct fingerflow_found_templates {
     std::int32_t window /* from 5 to 4095 by 2 */, rounds;
     float rounding, forward_backward_limit, mismatch_limit;
 };
-void fingerflow_find_templates(const fingerflow_found_templates* given, int threads);
-
-// Both at once, of images and as many others with the same strides, points at rest in place: samples are kept nowhere.
-void fingerflow_find_pairs(const fingerflow_frames* previous /* 4 x 4 whole */,
-                           const void* current /* previous (batch, 1, height, width) */, std::int64_t points,
-                           float* start /* (batch, points, 2) updated */,
-                           const float* inverse_warp /* (batch, points, 2, 2) optional */,
-                           const float* variance /* (batch) */, int window /* from 5 to 4095 by 2 */, int gain_offset,
-                           int rounds, float* place /* (batch, points, 2) updated */,
-                           float* speed /* (batch, points, 2) updated optional */, float rounding, float forward_backward_limit,
-                           float mismatch_limit, float* numbers /* (batch, points, 32) */,
-                           float* found /* (batch, points, 2) */, float* error /* (batch, points) */,
-                           float* covariance /* (batch, points, 2, 2) */, unsigned char* status /* (batch, points) */,
-                           float* estimate /* (batch, points, 2) */, int threads);
 
 // Means of 2 x 2 pixels: (batch, height / 2, width / 2), contiguous, as the search takes them.
 void fingerflow_halve(const fingerflow_frames* frames /* 3 x 3 */, float* halved /* (batch, 1, height / 2, width / 2) */,
                       int threads);
-
-// Spline coefficients (batch, height, width), contiguous (fingerflow/ops/filters/spline.py).
-void fingerflow_spline_coefficients(const fingerflow_frames* frames, float* coefficients /* (batch, 1, height, width) */,
-                                    int threads);
 
 // Windows found within `reach` px of a guess by normalised cross-correlation, as fingerflow/ops/tracking/search.py
 // describes: images (B, height, width) of half resolution, templates `size` px wide; image index (count), and points,
@@ -112,7 +87,6 @@ struct fingerflow_search_both_ways {
     std::int32_t size /* from 1 to 32768 by 2 */, reach;
     float limit;
 };
-void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads);
 
 // Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/tracking/window_correlation.py): image
 // index (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
@@ -124,7 +98,6 @@ struct fingerflow_sampled_windows {
     std::int64_t windows;
     std::int32_t reach /* to 2047 */, step /* from 1 */;
 };
-void fingerflow_sample_windows(const fingerflow_sampled_windows* given, int threads);
 
 // One round of the fit of shifts (windows, 2) px of windows, as fingerflow/tracker/window_match.py describes: `now` are windows at the shifts so far, `around` (4,
 // windows, samples) those half a pixel to the right, left, below and above of none; weights (windows, samples) are those of
@@ -137,7 +110,6 @@ struct fingerflow_window_shifts {
     std::int32_t samples /* from 1 */;
     double noise;
 };
-void fingerflow_shift_windows(const fingerflow_window_shifts* given, int threads);
 
 // Mean absolute response (batch) of the noise mask, of frames of at least 3 x 3; NaN where no response is finite.
 void fingerflow_mean_response(const fingerflow_frames* frames /* 3 x 3 */, double* means /* (batch) */, int threads);
@@ -160,30 +132,6 @@ void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const floa
 void fingerflow_illumination_gain(const fingerflow_lit_frames* given, std::int64_t side /* from 8 by 8 */,
                                   float* gains /* (batch) */, int threads);
 
-// Contact of frames in one call, as fingerflow/graphs/contact_graph.py has it: the gains (batch) of the light from blocks of
-// `block` px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it
-// spans with `radius` on cells of `side` px. Each as its own function here has it.
-void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits /* (batch) */,
-                                  int size /* from 1 to 15 by 2 */, std::int64_t block /* from 8 by 8 */, std::int64_t radius /* from 1 to 255 */,
-                                  std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */, unsigned char* real_contact_mask /* bool (batch, 1, height, width) */,
-                                  float* density_margin /* (batch, 1, -(-height / side), -(-width / side)) */,
-                                  float* numbers /* (batch, 7) */, float* gains /* (batch) */, int threads);
-
-// Relative intensity losses (batch) at the edges of ridges in contact (fingerflow/ops/contact/contact_threshold.py),
-// with gains (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of
-// `side` px, and every `stride`-th line read.
-void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains /* (batch) */,
-                                  int size /* from 1 to 15 by 2 */, const std::uint16_t* table /* (entries) optional */,
-                                  std::int64_t radius /* from 1 to 255 */, std::int64_t side /* among 1 2 4 8 where side <= 2 * radius + 1 */,
-                                  std::int64_t stride /* from 1 */, float* thresholds /* (batch) */, int threads);
-
-// Light over that of the empty glass, (frame - black) / light, and where it is known
-// (fingerflow/ops/filters/illumination.py): where the light exceeds `least`, one number an image of it, and all is finite;
-// elsewhere 1. Contiguous.
-void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least /* (lights) */,
-                          float* quotients /* (batch, 1, height, width) */,
-                          unsigned char* known /* bool (batch, 1, height, width) */, int threads);
-
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
 void fingerflow_histogram(const fingerflow_frames* frames /* uint8 uint16 */,
@@ -203,26 +151,6 @@ struct fingerflow_apparent_contacts {
 };
 void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
-// Whether (batch, count) regions of density margins (batch, cells down, cells across) on cells of `side` px cover points
-// (batch, count, 2), each by the rows of `transform` (2, 3) times x, y and 1 (fingerflow/ops/contact/cells.py).
-void fingerflow_covered(const float* density_margin /* (batch, 1, down, across) */, std::int64_t batch,
-                        std::int64_t down /* from 1 */, std::int64_t across /* from 1 */, std::int64_t side /* from 1 */,
-                        const float* points /* (batch, count, 2) */, std::int64_t count,
-                        const float* transform /* (2, 3) */, unsigned char* covered /* bool (batch, count) */);
-
-// Means of frames over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
-// fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
-void fingerflow_block_means(const fingerflow_frames* frames, std::int64_t down /* from 1 */, std::int64_t along /* from 1 */, std::int64_t rows,
-                            std::int64_t columns, float* blocks /* (batch, rows, columns) */,
-                            float* lines /* (batch, (height - down / 2 + down - 1) / down) */, int threads);
-
-// Mean absolute differences of pairs of sampled frames (pairs, lines, pixels), contiguous, each difference limited to `most`:
-// those of `bands` bands of lines and of all, (pairs, bands + 1) (fingerflow/tracker/frame_distances.py).
-void fingerflow_frame_distances(const float* now /* (pairs, lines, pixels) */, const float* before /* (pairs, lines, pixels) */,
-                                std::int64_t pairs, std::int64_t lines, std::int64_t pixels /* from 1 */,
-                                std::int64_t bands /* from 1 where bands <= lines */, float most, float* distances /* (pairs, bands + 1) */,
-                                int threads);
-
 // Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
 struct fingerflow_local_fit {
@@ -237,8 +165,6 @@ struct fingerflow_local_fit {
     std::int64_t* counts /* (batch, query_count) */;
     void* offset /* points (batch, query_count) */;
 };
-void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int points_kind,
-                                int threads);
 
 // Positions of points corrected for the deformation of the skin, as fingerflow/ops/tracking/deformation.py has it: start (points, 2),
 // found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
@@ -251,7 +177,6 @@ struct fingerflow_deformation {
     std::int64_t frames, points, window /* from 3 */, minimum_points;
     double radius, least_spread;
 };
-void fingerflow_correct_points(const fingerflow_deformation* given, int threads);
 
 // Points off their neighbours, or far more uncertain than they, as fingerflow/ops/tracking/outliers.py has it: numbers of the
 // neighbours (neighbours, stride), their offsets x and y, and whether they count, 1 or 0; stride is a multiple of 16 and at
@@ -266,7 +191,6 @@ struct fingerflow_outliers {
     float spread, ridge, least_deviation, most_disagreement, most_uncertainty;
     std::int32_t least_neighbours;
 };
-void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
 
 // Points worth tracking in a frame, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has them: up to
 // `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than `border` to
@@ -280,7 +204,6 @@ struct fingerflow_detection {
     std::int64_t mask_row_stride, border /* from 3 */, beside /* from 1 */, farthest, count /* from 1 where batch == 1 */;
     float quality, noise;
 };
-void fingerflow_detect_points(const fingerflow_detection* given, int threads);
 
 // Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/fields/area_medians.py has them, and
 // their standard deviations where there are covariances, and the shares (batch) of positions where they are known: reference (1 or batch, point_count, 2), displacement (batch,
@@ -298,7 +221,6 @@ struct fingerflow_area_medians {
     std::int64_t batch, reference_batch, point_count, positions, measure /* to 2 */, minimum_points;
     double radius, least_spread, farthest, least_ratio, least_share, reach, even, same_place;
 };
-void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
 
 // Strain of triangles and its energy, as fingerflow/ops/fields/triangle_strain.py has them: displacement (batch, point_count, 2),
 // covariance (batch, point_count, 2, 2), in_contact (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
@@ -320,7 +242,6 @@ struct fingerflow_triangle_strain {
     std::int64_t batch, point_count, triangle_count, measure /* to 2 */;
     double direct, between, shear;
 };
-void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
 // A flow led down to its fixed point, as fingerflow/ops/flow/flow_multigrid.py does it: levels from the finest on, their planes those
 // of all images of the batch; pull, flow and moved (batch, 2, height, width) of the finest, known (batch, height, width).
@@ -338,7 +259,6 @@ struct fingerflow_flow_descend_of {
     std::int32_t cycles, sweeps, coarsest;
     float damping;
 };
-void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads);
 
 // What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
@@ -352,7 +272,6 @@ struct fingerflow_flow_template_of {
         *down /* (batch, 1, (height + 1) / 2 - 1, (width + 1) / 2) */;
     std::int64_t batch, height, width, margin;
 };
-void fingerflow_flow_template(const fingerflow_flow_template_of* given, int threads);
 
 // What a flow on cells leaves unexplained, as `_data` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients, value, gradient (batch, 2, height, width), inside; of their cells of 2 x 2 flow and data (batch, 2, ...), known,
@@ -366,4 +285,3 @@ struct fingerflow_flow_left_of {
     std::int64_t batch, height, width;
     float margin, most_gain;
 };
-void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);

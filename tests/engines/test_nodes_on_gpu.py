@@ -1,6 +1,4 @@
-"""Tests of graphs of a bundle whose inputs and outputs are at fixed addresses, as on a GPU but in the processor's
-memory, and of the nodes of the graphs, which a GPU must all compute itself.
-"""
+"""Test of the nodes of the graphs of a bundle, which a GPU must all compute itself."""
 
 from pathlib import Path
 from typing import Any
@@ -11,11 +9,7 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto, shape_inference
 
-from fingerflow.engines import choice, sessions
 from fingerflow.engines.bundle import Bundle, load_bundle
-from fingerflow.engines.check import check_engine
-from fingerflow.engines.sessions import GraphSession
-from fingerflow.schema.recipe import GraphName
 
 Array = np.ndarray[Any, Any]
 
@@ -23,62 +17,6 @@ Array = np.ndarray[Any, Any]
 @pytest.fixture(scope="module")
 def bundle(bundle_of_trials: Path) -> Bundle:
     return load_bundle(bundle_of_trials)
-
-
-def opened(bundle: Bundle, name: GraphName, bound: bool) -> GraphSession:
-    path = bundle.files[name]
-    return GraphSession(ort.InferenceSession(path, providers=["CPUExecutionProvider"]), path, "cpu", bound)
-
-
-def inputs(session: GraphSession, seed: int) -> dict[str, Array]:
-    """Return random grey levels, indices or flags for all inputs of a graph, by name."""
-    random = np.random.default_rng(seed)
-    given: dict[str, Array] = {}
-    for name, (shape, dtype) in session.inputs.items():
-        if dtype.kind == "f":
-            given[name] = (20 + 40 * random.random(shape)).astype(dtype)
-        else:
-            given[name] = random.integers(0, 2 if dtype.kind == "b" else 20, shape).astype(dtype)
-    return given
-
-
-@pytest.mark.parametrize("name", ["contact", "detect", "track_few", "fields_entered"])
-def test_results_of_a_graph(bundle: Bundle, name: GraphName) -> None:
-    """A bound session gives the results of an unbound session for each input; the next call does not change earlier
-    results, and no address changes.
-    """
-    plain, bound = (opened(bundle, name, way) for way in (False, True))
-    assert bound._bound is not None
-    values = {**bound._bound._given, **bound._bound._found}
-    addresses = {key: value.data_ptr() for key, value in values.items()}
-    assert not bound.shares_memory
-    before: list[dict[str, Array]] = []
-    for seed in (0, 1):
-        given = inputs(plain, seed)
-        found, expected = bound(given), plain(given)
-        for key, array in expected.items():
-            np.testing.assert_array_equal(found[key], array, err_msg=key)
-            assert values[key].shape() == list(array.shape)
-        before.append({key: array.copy() for key, array in found.items()})
-        if seed == 0:
-            first = found
-    assert {key: value.data_ptr() for key, value in values.items()} == addresses
-    assert all(np.array_equal(first[key], array, equal_nan=True) for key, array in before[0].items())
-
-
-def test_kept_values_are_copied_when_they_change(bundle: Bundle) -> None:
-    plain, bound = (opened(bundle, "noise", way) for way in (False, True))
-    frames = [inputs(plain, seed)["topography_view"] for seed in (0, 1)]
-    kept = [bound.kept("topography_view", frame) for frame in frames]
-    for number in (0, 0, 1, 0):
-        found = bound({"topography_view": kept[number]})["noise"]
-        assert found == plain({"topography_view": frames[number]})["noise"]
-
-
-def test_an_engine_of_bound_sessions(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An engine of sessions that are bound as those of a GPU gives the numbers of the bundle."""
-    monkeypatch.setattr(sessions, "GraphSession", lambda of, path, _device, bound: GraphSession(of, path, "cpu", True))
-    check_engine(choice.open_onnx(bundle), bundle.expected)
 
 
 # Element types of the operators that ONNX Runtime computes by CUDA at opset 18 (its docs/OperatorKernels.md): of the
