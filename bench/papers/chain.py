@@ -1,11 +1,12 @@
 """Simulated presses of the skin chain at several frictions, and panels J and K of figure S5 of Willemet et al. 2021.
 
-The chain is a section through an axisymmetric finger: its strains are radial and hoop. Strains are relative to the
-undeformed finger, those of a recording to each point's onset of contact.
+The chain is a section through an axisymmetric finger: its strains are radial and hoop. They count from the first frame
+with contact force, from onset in the contact dilated by 8 px, or from each point's own onset.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -13,7 +14,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
+from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow, weighted_median
+from fingerflow.models.skin_onset import FIRST_FRAME_M, SinceOnset, since_onset
 from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished, line_styles
@@ -24,7 +26,7 @@ LOW, HIGH = 0.2, 1.0  # friction coefficients that the paper calls low and high
 DEPTH_MM = 2.0  # mm, depth over which the paper assumes uniform strain (equation 3)
 _ELEMENTS = 1001  # twice the paper's number: contact grows by whole elements, which is visible in rates
 _SLOPE_S = 0.12  # s, interval of the line fit of a rate, in which contact grows by some elements
-_RADII = 201
+_DILATED_M = 8 * 32.5e-6  # m, the printed dilation of the contact, 8 px
 
 
 @dataclass(frozen=True)
@@ -43,30 +45,20 @@ class SimulatedPresses:
         high = values[self.friction.index(HIGH)]
         return {friction: float(high / values[k]) for k, friction in enumerate(self.friction) if friction != HIGH}
 
-    def profile(self) -> tuple[Values, Values, Values]:
-        """Return radius (mm), radial strain du/dx and hoop strain u/x of the skin from the centre to the edge of the
-        contact, (T, K, R) each, interpolated between the chain's elements.
-        """
-        radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
-        x = 1e3 * self.chain.position[..., 0].numpy()
-        strain, divergence = self.chain.strain.numpy(), self.chain.divergence_field.numpy()
-        radial, hoop = np.full(radius.shape, np.nan), np.full(radius.shape, np.nan)
-        for place in np.argwhere(radius[..., -1] > 0):
-            at = tuple(place)
-            known = np.isfinite(strain[at])
-            radial[at] = np.interp(radius[at], x[at][known], strain[at][known])
-            hoop[at] = np.interp(radius[at], x[at][known], (divergence[at] - strain[at])[known])
-        return radius, radial, hoop
+    @cached_property
+    def printed(self) -> SinceOnset:
+        """Return the skin since the first frame with contact force, from which the lab's script counts strain."""
+        return since_onset(self.chain, FIRST_FRAME_M)
 
-    def energy(self) -> Values:
-        """Return the strain energy (T, K), mJ, of the skin over the contact disc down to a depth of 2 mm, by equation
-        3; 0 without contact.
-        """
-        radius, radial, hoop = self.profile()
-        gradient = torch.zeros(*radial.shape, 2, 2, dtype=torch.float64)
-        gradient[..., 0, 0], gradient[..., 1, 1] = torch.from_numpy(radial), torch.from_numpy(hoop)
-        density = np.asarray(strain_energy_density(green_lagrange(gradient)))
-        return np.asarray(DEPTH_MM * np.trapezoid(np.nan_to_num(density) * 2 * np.pi * radius, radius, axis=-1))
+    @cached_property
+    def dilated(self) -> SinceOnset:
+        """Return the skin since onset in the dilated contact, from which the lab's script counts divergence."""
+        return since_onset(self.chain, _DILATED_M)
+
+    @cached_property
+    def own(self) -> SinceOnset:
+        """Return the skin since each point's own onset, from which this engine counts by default."""
+        return since_onset(self.chain)
 
     def rate(self, series: Values) -> Values:
         """Return the time derivatives (T, K), per second, of series (T, K): slopes of lines fitted to 0.12 s of values,
@@ -77,6 +69,21 @@ class SimulatedPresses:
         rates = savgol_filter(series, 2 * width + 1, polyorder=1, deriv=1, delta=step, axis=0, mode="constant")
         rates[:width] = rates[-width:] = np.nan
         return np.asarray(rates)
+
+
+def strain_percent(skin: SinceOnset) -> Values:
+    """Return the Green-Lagrange strain (T, K) along an axis, %: the median over the contact of the mean over all
+    directions.
+    """
+    mean = sum(slope + slope.square() / 2 for slope in (skin.radial, skin.hoop)).nan_to_num(0.0) / 2
+    return 100 * np.nan_to_num(weighted_median(mean, skin.ring_area).numpy())
+
+
+def energy_mj(skin: SinceOnset) -> Values:
+    """Return the strain energy (T, K), mJ, of the skin over the contact down to a depth of 2 mm, by equation 3."""
+    gradient = torch.diag_embed(torch.stack((skin.radial, skin.hoop), -1).nan_to_num(0.0))
+    density = strain_energy_density(green_lagrange(gradient))
+    return np.asarray(DEPTH_MM * (density * 1e6 * skin.ring_area).sum(-1))
 
 
 def simulate_presses(

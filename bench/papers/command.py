@@ -10,10 +10,9 @@ from tqdm import tqdm
 from bench.papers import method_rows, press_figures, press_rows, slide_figures, slide_rows
 from bench.papers.drawn import PrintedFigure
 from bench.papers.page import TITLES, write_page, write_results
-from bench.papers.presses import record_and_analyse
+from bench.papers.presses import PressStudy, record_and_analyse
 from bench.papers.printed import Row
 from bench.papers.slides import record_and_measure
-from fingerflow.study.simulated_trials import Design
 
 _ABOUT_SLIDES = (
     "Ten slides at 60 Hz with a pixel of 40 µm: in four the stick region collapses at the printed sizes and "
@@ -47,7 +46,7 @@ def main(arguments: list[str]) -> None:
             about, rows, figures = _ABOUT_SLIDES, slide_rows.ROWS, slide_figures.FIGURES
         else:
             source = record_and_analyse(folder / (f"{paper}-quick" if options.quick else paper), options.quick)
-            about, figures = _about(source.design), press_figures.FIGURES
+            about, figures = _about(source), press_figures.FIGURES
             rows = sorted((*method_rows.ROWS, *press_rows.ROWS), key=lambda row: int(row.id[1:]))
         answers = [row.answer(source) for row in tqdm(rows, desc="rows")]
         drawn = [one.write(source, page / paper) for one in tqdm(figures, desc="figures")]
@@ -55,11 +54,14 @@ def main(arguments: list[str]) -> None:
     print(f"page: {write_page(page)}")
 
 
-def _about(design: Design) -> str:
-    high, low = design.friction
+def _about(study: PressStudy) -> str:
+    design, (high, low) = study.design, study.design.friction
     return (
-        f"A study of {design.participants} participants, {design.trials} pair(s) of presses each at every one of "
+        f"An experiment of {design.participants} participants, {design.trials} pairs of presses each at every one of "
         f"{len(design.amplitudes)} amplitudes: a skin chain turned about its axis, softer for half of the "
-        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. The observer feels "
-        "the difference of divergence, with noise. Equations, settings and models are checked beside it."
+        f"participants, with frictions of {high:g} without and {low:g} at the largest vibration. Every press has the "
+        f"true numbers of its chain and errors as large as those of {len(study.pictured)} of such presses, which were "
+        "rendered as recordings and measured. The observer feels the difference of divergence since onset, with "
+        "noise, better in fast presses. Strain, energy and divergence are those of the printed analysis, and beside "
+        "them those of this engine. Equations, settings and models are checked too."
     )

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment
 
 from bench.papers.drawn import DrawnFigure
-from bench.papers.printed import Answer
+from bench.papers.printed import PREDICTED, PUT_IN, SETTING, Answer
 from fingerflow import __version__
 from fingerflow.results.atomic_write import MARK, write_atomically
 
@@ -39,10 +39,17 @@ def write_results(folder: Path, paper: str, about: str, rows: Sequence[Answer], 
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
-    """Return the results of each paper in a folder as a dictionary, with the number of rows per verdict in `counts`."""
+    """Return the results of each paper in a folder as a dictionary, with the number of rows per verdict in `counts`, by
+    what the simulation knew of them.
+    """
     paths = [folder / f"{paper}.json" for paper in TITLES]
     found = [json.loads(path.read_text(encoding="utf-8")) for path in paths if path.exists()]
-    return [{**one, "counts": dict(Counter(row["verdict"] for row in one["rows"]).most_common())} for one in found]
+    return [{**one, "counts": {basis: counts for basis in (PREDICTED, PUT_IN, SETTING)
+                               if (counts := _verdicts(one["rows"], basis))}} for one in found]  # fmt: skip
+
+
+def _verdicts(rows: list[dict[str, Any]], basis: str) -> dict[str, int]:
+    return dict(Counter(row["verdict"] for row in rows if row["basis"] == basis).most_common())
 
 
 def write_page(folder: Path) -> Path:

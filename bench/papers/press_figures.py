@@ -138,7 +138,7 @@ def _strain(study: PressStudy) -> Drawn:
         _curve(study, "E", "strain"),
         SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
         SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
-        SheetPanel.single("F", draw_curves, study.rate_curves, "strain_rate"),
+        _curve(study, "F", "strain_rate"),
         *_of_trials(study, "S8"),
     ]
     return _sheet(
@@ -153,7 +153,7 @@ def _strain_energy(study: PressStudy) -> Drawn:
     panels = [
         SheetPanel("A", lambda part: _energy_maps(part, high, low), columns=2),
         _curve(study, "B", "strain_energy"),
-        SheetPanel.single("C", draw_curves, study.rate_curves, "strain_energy_rate"),
+        _curve(study, "C", "strain_energy_rate"),
         *_of_trials(study, "S9"),
     ]
     return _sheet("S9", panels, f"Maps are of two presses of one participant, the rest of the study: {_count(study)}.")

@@ -1,8 +1,8 @@
 """Simulated experiment of Willemet et al. 2021: recordings of a study of presses, its results and statistics."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import stats
 
-from bench.papers.chain import HIGH, SimulatedPresses, simulate_presses
+from bench.papers.chain import SimulatedPresses, simulate_presses
+from bench.papers.experiment import OWN, PRINTED, Experiment, measured_errors, simulate_skins
 from bench.papers.receptors import Depth, compute_strains_at_depth
 from bench.papers.tribometer import TribometerTrace, simulate_trace
 from fingerflow.errors import FingerflowError
@@ -23,22 +23,18 @@ from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, TrialEntry, load_manifest
 from fingerflow.study.run_study import run_study
 from fingerflow.study.simulated import write_recordings
-from fingerflow.study.simulated_trials import Design
+from fingerflow.study.simulated_trials import Design, draw_presses
 from fingerflow.study.statistics import Sample, read_sample, study_statistics
 from fingerflow.study.table import write_tables
 from fingerflow.study.trial_files import MEASURED, read_row
 from fingerflow.synthetic import SyntheticScene, rebuild_scene
 
 Values = NDArray[np.float64]
-_TRUTHS = 8  # number of trials whose deformation is compared with the truth
-_MARGIN = 13  # number of times left out at either end of the rates of the chain
 _LEAST_N = 3.0  # N, least peak force of presses that figures show
-_PEAKS = 200  # largest number of trials whose rates are followed in time
-_BIN_N, _FEWEST_PRESSES = 0.5, 3  # N, width of the force bins for mean rates; least number of presses in a bin
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
-_FULL = Design(trials=2)
-_QUICK = Design(4, 1, (0.0, 1.5, 3.0))  # participants, trials, amplitudes
+_FULL = Design(trials=1)
+_QUICK = Design(participants=2, trials=1, amplitudes=(1.0, 3.0))
 _RESAMPLES = {False: 2000, True: 400}
 
 
@@ -67,22 +63,27 @@ class TypicalPress:
 
 @dataclass(frozen=True)
 class PressStudy:
-    """Simulated study after processing: its trials, metrics, curves and statistics, and the settings of the simulation.
+    """Simulated experiment by an analysis: its trials, metrics, curves and statistics, the settings of the simulation,
+    and the study of those presses that were rendered and measured.
 
     Attributes:
-        frame, curves: DataFrames, as in `trials.parquet` and `curves.csv`.
+        pictured: rows of the table of the presses that were rendered and measured.
+        frame, curves: of all presses, DataFrames as in `trials.parquet` and `curves.csv`.
         statistics: as in `statistics.json`.
         design: of the simulation.
         trace: simulated tribometer trace.
+        own: the same experiment by the analysis of this engine, where this is by the printed one.
     """
 
     manifest: Manifest
+    pictured: Any
     frame: Any
     curves: Any
     sample: Sample
     statistics: dict[str, Any]
     design: Design
     trace: TribometerTrace
+    own: "PressStudy | None" = None
 
     @cached_property
     def chain(self) -> SimulatedPresses:
@@ -126,98 +127,15 @@ class PressStudy:
         return np.asarray(own.loc[places, column].to_numpy(float))
 
     @cached_property
-    def rates(self) -> Any:
-        """Return a DataFrame with the rates of strain and of strain energy in each frame of a press while the normal
-        force rises, and the force there.
-
-        Columns: metric, condition, press, participant, normal_force_N and rate, of 200 presses at most. Metrics are
-        `strain_rate`, the mean of both directions, and `strain_energy_rate`.
-        """
-        import pandas as pd
-
-        parts = []
-        for entry, result in self.evenly_spaced(_PEAKS):
-            force = np.asarray(result["normal_force"], dtype=float)
-            strain = np.asarray(result["median_strain_rate"], dtype=float)[:, :2].mean(1)
-            energy = np.asarray(result["strain_energy_rate"], dtype=float)
-            rising = np.isfinite(force) & (np.arange(force.size) <= np.nanargmax(force))
-            for metric, rate in (("strain_rate", strain), ("strain_energy_rate", energy)):
-                known = rising & np.isfinite(rate)
-                columns = {"metric": metric, "condition": float(entry.condition)}
-                columns |= {"press": entry.name, "participant": entry.participant}
-                parts.append(pd.DataFrame({"normal_force_N": force[known], "rate": rate[known], **columns}))
-        return pd.concat(parts, ignore_index=True)
-
-    @cached_property
-    def rate_curves(self) -> Any:
-        """Return a DataFrame of the rates of strain and of strain energy averaged over participants, by condition and
-        by normal force in steps of 0.5 N.
-
-        Participants are the units of the intervals of 95 %, as in `curves`.
-        """
-        rates = self.rates
-        bins = (rates["normal_force_N"] / _BIN_N).round() * _BIN_N
-        own = rates.groupby(["metric", "condition", bins, "participant"]).agg(
-            rate=("rate", "mean"), trials=("press", "nunique")
-        )
-        of_bins = own.groupby(["metric", "condition", "normal_force_N"])
-        found = of_bins.agg(
-            mean=("rate", "mean"), spread=("rate", "std"), participants=("rate", "size"), trials=("trials", "sum")
-        )
-        found = found[found["trials"] >= _FEWEST_PRESSES].reset_index()
-        reach = stats.t.ppf(0.975, found["participants"] - 1) * found["spread"] / np.sqrt(found["participants"])
-        return found.assign(low=found["mean"] - reach, high=found["mean"] + reach)
-
-    @cached_property
-    def forces_of_peaks(self) -> dict[str, dict[float, float]]:
-        """Return the normal force (N) at which each rate in `rates` is largest, as the median over presses, by metric
-        and vibration amplitude (µm).
-        """
-        own = self.rates
-        peaks = own.loc[own.groupby(["metric", "press"])["rate"].idxmax()]
-        median = peaks.groupby(["metric", "condition"])["normal_force_N"].median()
-        return {metric: median[metric].to_dict() for metric in ("strain_rate", "strain_energy_rate")}
-
-    @cached_property
-    def errors(self) -> tuple[Values, Values]:
-        """Return the errors, measured minus true, of the median displacement (T, 2) mm and the median divergence (T,)
-        over the contact at the largest force of T presses.
-
-        An error is the measured value minus the simulated truth. T is at most 8; divergence has no unit.
-        """
-        moved, spread = [], []
-        for entry, result in self.evenly_spaced(_TRUTHS):
-            frame = int(np.nanargmax(result["normal_force"]))
-            truth = self.truth_of(entry).truth.medians(frame)
-            displacement = np.asarray(result["displacement"][frame])[np.asarray(result["in_contact"][frame]) > 0]
-            moved.append(np.nanmedian(displacement, axis=0) - np.array((truth.displacement_x, truth.displacement_y)))
-            spread.append(float(result["median_divergence"][frame]) - truth.divergence)
-        both = np.array(moved), np.array(spread)
-        known = np.isfinite(both[0]).all(1) & np.isfinite(both[1])
-        return both[0][known], both[1][known]
-
-    @cached_property
-    def chain_strain(self) -> tuple[Values, Values]:
-        """Return, at high friction, the median radial strain (3,) % of the skin-chain model at 1, 2 and 3 N relative to
-        the undeformed finger, and the forces (2,) N at which strain and strain energy change fastest.
-        """
-        chain, k = self.chain, self.chain.friction.index(HIGH)
-        strain, inner = 100 * np.median(chain.profile()[1], axis=-1), slice(_MARGIN, -_MARGIN)
-        fastest = [chain.rate(np.nan_to_num(series))[inner, k].argmax() for series in (strain, chain.energy())]
-        return np.interp((1.0, 2.0, 3.0), chain.force, strain[:, k]), chain.force[inner][fastest]
-
-    @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
         """Return two presses of one participant with similar largest forces (3 N or more): at high and at low friction.
 
-        Without vibration friction is high, at the largest amplitude low.
+        The reference press has high friction, one at the largest amplitude low friction.
 
         Raises FingerflowError if no participant has both.
         """
-        frame = self.measured[self.measured["max_force"] >= _LEAST_N]
-        still, vibrating = (
-            frame[frame["condition"] == one] for one in (min(self.design.amplitudes), max(self.design.amplitudes))
-        )
+        frame = self.pictured[self.pictured["max_force"] >= _LEAST_N]
+        still, vibrating = (frame[frame["condition"] == one] for one in (0.0, max(self.design.amplitudes)))
         pairs = still.merge(vibrating, on="participant", suffixes=("", "_vibrating"))
         if pairs.empty:
             raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
@@ -231,42 +149,46 @@ class PressStudy:
         assert result is not None
         return TypicalPress(result, self.manifest.build_scene(entry))
 
-    def evenly_spaced(self, most: int) -> Iterator[tuple[TrialEntry, xr.Dataset]]:
-        """Yield at most `most` presses, evenly spaced in the list of all, with their results."""
-        step = max(1, len(self.manifest.trials) // most)
-        for entry in self.manifest.trials[::step][:most]:
-            if (result := self.result_of(entry)) is not None:
-                yield entry, result
-
 
 def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
-    """Simulate the recordings, process them as a study, and compute its statistics; existing files are kept.
+    """Simulate the experiment, and a part of its presses as recordings that are processed as a study; existing files
+    are kept.
 
     Raises FingerflowError if the folder holds a study of another design, or a file cannot be written.
     """
     import pandas as pd
 
-    recordings, design = folder / "recordings", _QUICK if quick else _FULL
+    recordings, pictured = folder / "recordings", _QUICK if quick else _FULL
     known = recordings / "truth.json"
-    if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(design))):
+    if known.exists() and json.loads(known.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(pictured))):
         raise FingerflowError(f"{known} is of another design: name another folder, or remove {folder}")
     if not (recordings / "study.toml").exists():  # the study file is written after all recordings
-        write_recordings(recordings, design)
+        write_recordings(recordings, pictured)
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)
     run_study(manifest)
-    tables = write_tables(manifest)
-    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
-    for column in [name for name in frame if name.startswith("true_")]:
-        frame[column] = frame[column].astype(float)
-    sample = read_sample(frame)
+    measured = pd.read_parquet(write_tables(manifest)[0])
+    design, skins = Design(), simulate_skins(Design())
+    truth = Experiment(pictured, draw_presses(pictured), skins, OWN).frame({}, 0)
+    parts = manifest, measured[measured["status"] == MEASURED], design
+    errors = measured_errors(parts[1], truth)
+    presses = draw_presses(design)
     trace = simulate_trace(design.friction_for, max(design.amplitudes))
-    return PressStudy(
-        manifest=manifest,
-        frame=frame,
-        curves=curves,
-        sample=sample,
-        statistics=study_statistics(sample, _RESAMPLES[quick]),
-        design=design,
-        trace=trace,
-    )
+    own = study_of(Experiment(design, presses, skins, OWN), parts, errors, trace, _RESAMPLES[quick])
+    printed = study_of(Experiment(design, presses, skins, PRINTED), parts, errors, trace, _RESAMPLES[quick])
+    return replace(printed, own=own)
+
+
+def study_of(
+    experiment: Experiment,
+    parts: tuple[Manifest, Any, Design],
+    errors: Mapping[str, float],
+    trace: TribometerTrace,
+    resamples: int,
+) -> PressStudy:
+    """Return an experiment with its statistics; `parts` are manifest and table of the rendered presses, and design."""
+    manifest, pictured, design = parts
+    frame = experiment.frame(errors, design.seed)
+    sample = read_sample(frame)
+    statistics = study_statistics(sample, resamples)
+    return PressStudy(manifest, pictured, frame, experiment.curves(), sample, statistics, design, trace)

@@ -1,13 +1,27 @@
-"""Comparison of a printed result with the reproduced one: whether they agree, differ, or cannot be compared."""
+"""Comparison of a printed result with the reproduced one, by what the simulation knew of it beforehand.
+
+Settings and equations hold or differ, and numbers that were put into the simulation are read back or differ: neither is
+evidence. A prediction is right where the 95 % interval of each number lies within a factor of 2 of print, wrong where
+one lies outside, and undecided otherwise: a vague result meets any printed interval.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from functools import partial
+from typing import Any, Generic, Literal, TypeVar
 
 Interval = tuple[float, float]
 Source = TypeVar("Source")
 
-AGREES, DIFFERS, NOT_HAD, NOT_PRINTED = "agrees", "differs", "not to be had", "not printed"
+Basis = Literal["setting or equation", "put in", "predicted"]
+SETTING: Basis = "setting or equation"
+PUT_IN: Basis = "put in"
+PREDICTED: Basis = "predicted"
+
+HOLDS, READ_BACK, DIFFERS = "holds", "read back", "differs"
+RIGHT, WRONG, UNDECIDED = "right", "wrong", "undecided"
+NOT_HAD, NOT_PRINTED = "not to be had", "not printed"
+FACTOR = 2.0  # largest ratio of predicted and printed numbers, either way, that counts as equivalent
 UNEXPLAINED = "not explained"
 _TWO_SIDED = 1.96  # half width of a 95 % interval in standard deviations
 
@@ -22,7 +36,7 @@ class Obtained:
         numbers: an interval for each printed number, in its unit.
         truth: of the simulation, as text; empty where the result is no measurement.
         because: why the two differ, or why nothing can be obtained.
-        agrees: whether they agree, where numbers do not decide it.
+        agrees: whether they agree, where numbers do not decide it; None without numbers where nothing decides it.
     """
 
     text: str
@@ -44,6 +58,7 @@ class Row(Generic[Source]):
         where: section or figure.
         numbers: intervals of the printed numbers: deviations where they are printed, otherwise the rounding.
         obtain: computes the result.
+        basis: what the simulation knew of the result.
     """
 
     id: str
@@ -52,10 +67,11 @@ class Row(Generic[Source]):
     where: str
     numbers: tuple[Interval, ...]
     obtain: Callable[[Source], Obtained]
+    basis: Basis = SETTING
 
     def answer(self, source: Source) -> "Answer":
         """Compute the reproduced counterpart of this printed result from the simulated experiment `source`, and return
-        both with a verdict: they agree if each number's interval overlaps the printed one.
+        both with a verdict.
 
         Raises ValueError if the numbers of printed and obtained results do not correspond.
         """
@@ -66,21 +82,41 @@ class Row(Generic[Source]):
             verdict = NOT_PRINTED
         else:
             agrees = found.agrees
-            if agrees is None:
-                if len(found.numbers) != len(self.numbers) or not self.numbers:
+            if agrees is None and (self.numbers or found.numbers):
+                if len(found.numbers) != len(self.numbers):
                     raise ValueError(f"{self.id}: {len(self.numbers)} printed numbers, {len(found.numbers)} obtained")
-                pairs = zip(self.numbers, found.numbers, strict=True)
-                agrees = all(low <= top and bottom <= high for (low, high), (bottom, top) in pairs)
-            verdict = AGREES if agrees else DIFFERS
-        because = found.because or UNEXPLAINED if verdict in (DIFFERS, NOT_HAD) else ""
+                agrees = (equivalent if self.basis == PREDICTED else meet)(self.numbers, found.numbers)
+            names = {SETTING: (HOLDS, DIFFERS), PUT_IN: (READ_BACK, DIFFERS), PREDICTED: (RIGHT, WRONG)}[self.basis]
+            verdict = UNDECIDED if agrees is None else names[not agrees]
+        because = found.because or UNEXPLAINED if verdict in (DIFFERS, WRONG, UNDECIDED, NOT_HAD) else ""
         printed = self.printed or "not printed"
-        return Answer(self.id, self.quantity, printed, self.where, found.text, found.truth, verdict, because)
+        return Answer(
+            self.id, self.quantity, printed, self.where, found.text, found.truth, verdict, because, self.basis
+        )
+
+
+def meet(printed: tuple[Interval, ...], obtained: tuple[Interval, ...]) -> bool:
+    """Return True if every printed interval overlaps the obtained one."""
+    return all(low <= top and bottom <= high for (low, high), (bottom, top) in zip(printed, obtained, strict=True))
+
+
+def equivalent(printed: tuple[Interval, ...], obtained: tuple[Interval, ...]) -> bool | None:
+    """Return True if all obtained intervals lie within a factor of 2 of the middle of the printed ones, False if one
+    lies outside, else None.
+    """
+    inside = []
+    for (low, high), (bottom, top) in zip(printed, obtained, strict=True):
+        least, most = sorted(factor * (low + high) / 2 for factor in (1 / FACTOR, FACTOR))
+        if top < least or bottom > most:
+            return False
+        inside.append(least <= bottom and top <= most)
+    return True if all(inside) else None
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Row of the page's results table: printed and reproduced result, simulated truth, verdict (agrees, differs, or why
-    not compared), and reason.
+    """Row of the page's results table: printed and reproduced result, simulated truth, verdict, reason, and what the
+    simulation knew of the result.
     """
 
     id: str
@@ -91,6 +127,12 @@ class Answer:
     truth: str
     verdict: str
     because: str
+    basis: Basis
+
+
+#: Rows of numbers that the simulation was given or tuned to, and of numbers that it was not.
+put_in = partial(Row, basis=PUT_IN)
+predicted = partial(Row, basis=PREDICTED)
 
 
 def exactly(*values: float) -> tuple[Interval, ...]:

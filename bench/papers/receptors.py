@@ -91,7 +91,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
     """Draw figure S10 C: normal stress (kPa) inside the skin at full load, with receptors as black dots."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
-    for one, friction in zip(axes, (LOW, HIGH), strict=True):
+    for one, friction in zip(axes, (min(presses.friction), HIGH), strict=True):
         values = depth.sigma_z[presses.friction.index(friction)]
         image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="YlOrRd_r", vmin=lowest, vmax=0)
         for down in RECEPTOR_DEPTHS_M:

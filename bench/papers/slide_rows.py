@@ -9,16 +9,17 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
-from bench.papers.printed import Interval, Obtained, Row, exactly, likely, rounded
+from bench.papers.printed import Interval, Obtained, Row, exactly, likely, put_in, rounded
 from bench.papers.slides import ABRUPT, EXPECTED, FADING, JudgedSlide, Slides
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, friction_ratio, load_ratio
 from fingerflow.models.partial_slip import stuck_area as stuck_area_at
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR, SMALLEST_AREA, TrialVerdict
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.recordings import open_forces
+from fingerflow.schema.rounding import format_uncertainty
 
 Values = NDArray[np.float64]
 _EXACT = 1e-6  # largest relative error of quadratures and roots
@@ -160,60 +161,35 @@ def _force_rate(slides: Slides) -> Obtained:
 # Rows on the model, in units in which the contact is a disc of radius 1 and N is 1.
 
 
-def _pressure(radius: Values | float) -> Values:
-    """Return the contact pressure of equation 1, for a contact of unit radius and unit normal force, at distances
-    `radius` from its centre.
-    """
-    return np.asarray(2 / math.pi * (1 - np.square(radius)))
-
-
-def _traction(radius: Values, stuck: float) -> Values:
-    """Return the tangential traction of equations 2 and 3, for a contact of unit radius and unit normal force, at
-    distances `radius` from its centre, if the share `stuck` (d²) of its area sticks.
-    """
-    slipping = _KINETIC * _pressure(radius)
-    return np.where(radius**2 < stuck, _STATIC * 2 / math.pi * (1 - stuck), slipping)
-
-
-def _over_disc(values: Values, radius: Values) -> float:
-    return float(np.trapezoid(values * 2 * math.pi * radius, radius))
-
-
 def _equal(text: str, error: float) -> Obtained:
     return Obtained(f"{text}, to {error:.1g}", because="the model differs", agrees=error < _EXACT)
 
 
-_RADIUS: Values = np.linspace(0, 1, 200_001)
+def _term(text: str, static: float, kinetic: float, areas: tuple[float, ...]) -> Callable[[Slides], Obtained]:
+    """Return the function that compares T/N of `load_ratio` at stuck areas d² with the printed traction, integrated
+    over the disc.
+
+    T/N is linear in both coefficients: its change by `static` and `kinetic` is the integral of their terms alone.
+    """
+
+    def obtain(_: Slides) -> Obtained:
+        errors = []
+        for area in areas:
+            held = math.pi * area * _pressure(math.sqrt(area))  # equation 3: the static limit at the border d
+            slipping = quad(lambda radius: 2 * math.pi * radius * _pressure(radius), math.sqrt(area), 1)[0]
+            change = float(load_ratio(area, 1 + static, 1 + kinetic) - load_ratio(area, 1.0, 1.0))
+            errors.append(abs(change - static * held - kinetic * slipping))
+        return _equal(f"{text} of `load_ratio`, by quadrature", max(errors))
+
+    return obtain
 
 
-def _pressure_integral(_: Slides) -> Obtained:
-    error = max(abs(_over_disc(_pressure(_RADIUS), _RADIUS) - 1), float(_pressure(1.0)))
-    return _equal("integral over the ellipse N, zero at its border (quadrature)", error)
+def _pressure(radius: float) -> float:
+    """Return the contact pressure of equation 1 at a distance from the centre."""
+    return 2 / math.pi * (1 - radius**2)
 
 
-def _traction_jump(_: Slides) -> Obtained:
-    stuck = 0.4
-    inside, outside = _traction(math.sqrt(stuck) + np.array([-1e-12, 1e-12]), stuck)
-    error = abs(inside / outside * _KINETIC / _STATIC - 1)
-    return _equal("the traction jumps by the factor μs/μk at the border", error)
-
-
-def _static_limit(_: Slides) -> Obtained:
-    stuck = np.linspace(0.01, 0.99, 99)
-    limit = _STATIC * _pressure(np.sqrt(stuck))
-    held = np.array([_traction(np.zeros(1), one)[0] for one in stuck])
-    return _equal("traction of the stuck part μs p at its border", float(np.abs(held / limit - 1).max()))
-
-
-def _total(_: Slides) -> Obtained:
-    stuck = np.linspace(0.1, 0.9, 9)
-    found = []
-    for one in stuck:
-        outer = np.linspace(math.sqrt(one), 1, 200_001)
-        held = float(_traction(np.zeros(1), one)[0])
-        found.append(math.pi * one * held + _over_disc(_KINETIC * _pressure(outer), outer))
-    error = np.abs(np.array(found) - load_ratio(stuck, _STATIC, _KINETIC).numpy()).max()
-    return _equal("quadrature of the traction is T of `load_ratio`", float(error))
+_AREAS = tuple(np.linspace(0.1, 0.9, 9))
 
 
 def _law(_: Slides) -> Obtained:
@@ -305,11 +281,12 @@ _DURATIONS = rounded(130, 150, 280, 310, digit=10)
 _SIZE: tuple[Interval, ...] = ((31.0, 32.0), (58.0, 59.0))  # the printed percentages are truncated, not rounded
 
 ROWS: tuple[Row[Slides], ...] = (
-    Row("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),
-    Row("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2), _outcomes),
-    Row("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
-    Row("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
-    Row("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
+    put_in("A1", "trials", "10", "abstract, 2.2", exactly(10), _trials),
+    put_in("A2", "outcome", "4 with minimal area, 4 without, 2 inconclusive", "abstract, 3", exactly(4, 4, 2),
+        _outcomes),
+    put_in("A3", "critical d²", "0.10 to 0.34", "2b, 3", rounded(0.10, 0.34, digit=0.01), _critical_areas),
+    put_in("A4", "critical linear size", "31 to 58 %", "3", _SIZE, _extents),
+    put_in("A5", "duration of the loss", "130, 150, 280, 310 ms", "2b, 3", _DURATIONS, _durations),
     Row("A6", "corridor", "±5 %", "2b", exactly(0.05),
         lambda _: Obtained(f"±{100 * CORRIDOR:g} %", exactly(CORRIDOR))),
     Row("A7", "existence threshold", "d² > 0.05", "2b", exactly(0.05), _existence),
@@ -317,15 +294,19 @@ ROWS: tuple[Row[Slides], ...] = (
     Row("A9", "d² measured", "", "1", (), _measured),
     Row("A10", "imaging rate", "60 Hz", "2.2", rounded(60, digit=1), _imaging_rate),
     Row("A11", "force sampling", "1.0 kHz", "2.2", rounded(1.0, digit=0.1), _force_rate),
-    Row("A12", "pressure", "p = 2N/(πab) (1 - x²/a² - y²/b²)", "Eq 1", (), _pressure_integral),
-    Row("A13", "traction", "q uniform where stuck, μk p where slipping", "Eq 2", (), _traction_jump),
-    Row("A14", "stuck traction", "q = μs 2N/(πab) (1 - d²)", "Eq 3", (), _static_limit),
-    Row("A15", "total T", "πab d² q + μk N (1 - d²)²", "Eq 4", (), _total),
+    Row("A12", "pressure", "p = 2N/(πab) (1 - x²/a² - y²/b²)", "Eq 1", (),
+        _term("its integral is N: T/N μk where all skin slips,", 0.0, 1.0, (0.0,))),
+    Row("A13", "traction", "q uniform where stuck, μk p where slipping", "Eq 2", (),
+        _term("the integral of μk p where skin slips is the term in μk", 0.0, 1.0, _AREAS)),
+    Row("A14", "stuck traction", "q = μs 2N/(πab) (1 - d²)", "Eq 3", (),
+        _term("μs p at the border d, over the stuck area, is the term in μs", 1.0, 0.0, _AREAS)),
+    Row("A15", "total T", "πab d² q + μk N (1 - d²)²", "Eq 4", (),
+        _term("the integral of the traction is T/N", _STATIC, _KINETIC, _AREAS)),
     Row("A16", "law", "(2μs - μk) d⁴ - 2(μs - μk) d² = μk - T/N", "Eq 5", (), _law),
     Row("A17", "critical d² (model)", "(μs - μk)/(2μs - μk)", "2.1", (), _fold),
     Row("A18", "friction ratio from it", "μk/μs = (1 - d²)/(2 - d²)", "2.1", (), _inversion),
     Row("A19", "equal friction", "d² = 1 - (T/N)/μk", "2.1", (), _equal_friction),
     Row("A20", "earlier model", "exponent 2/3", "2.1", exactly(2 / 3), _tada),
     Row("A21", "condition for a minimal area", "μk < μs (body); μk > μs (abstract)", "1, 2.1", (), _condition),
-    Row("A22", "curve shape", "no parabolic decay", "3", (), _shape),
+    put_in("A22", "curve shape", "no parabolic decay", "3", (), _shape),
 )  # fmt: skip

@@ -5,7 +5,8 @@ direction s = sign(dx),
 
     dF/dx = sigma_0 |1 - s F / F_c|^n sign(1 - s F / F_c)
 
-with the limit F_c = mu p. The printed time derivative has a factor "s" too many: dF/dt = (dF/dx) (dx/dt). With
+with the limit F_c = mu p, and dF/dt = (dF/dx) (dx/dt): the "s" before the printed derivative is most likely a line
+mark of the scan. With
 u = 1 - s F / F_c, which is 0 at the limit, u^(1 - n) falls in proportion to the distance, at the rate
 (1 - n) sigma_0 / F_c. A step of any length therefore has a closed form, and a sustained force does not creep with the
 step length.

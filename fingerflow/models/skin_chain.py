@@ -6,12 +6,15 @@ It is derived from an energy, after the section "Skin deformation model".
 undeformed half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
 
     E = 1/2 k_m sum |u_(i+1) - u_i|^2                  links between neighbours
-      + 1/2 (k_t - k_s) sum (|X_i - P| - R)^2          tissue along the line to the bone
-      + 1/2 k_s sum |u_i - U|^2                        tissue in every direction, k_s = k_t / (2 (1 + nu))
-      + 1/2 k_m sum over both ends |u_i - U|^2         the nail
+      + sum W(R - |X_i - P|)                           tissue along the line to the bone
+      + 1/2 k_s sum exp(c_i / c_0) |u_i - U|^2         tissue in every direction
+      + 1/2 k_n sum over both ends |u_i - U|^2         the nail
       + 1/2 k_c sum min(z_i, 0)^2                      the plate, a penalty
 
-A column of tissue has the stiffness k_t along itself and k_s across, as a solid's shear modulus is E / (2 (1 + nu)).
+A column of tissue has the stiffness k_t along itself and k_s across, as a solid has E and E / (2 (1 + nu)). Pulp
+stiffens as it is compressed: both grow with c = R - |X - P| as exp(c / c_0) (Serina 1997; Pawluk & Howe 1999), so that
+W(c) = (k_t - k_s) c_0 [c_0 (exp(c / c_0) - 1) - c]. A stretched column, and one with 1 / c_0 = 0, is linear, W = (k_t -
+k_s) c^2 / 2.
 All motion is damped: zeta dX_i/dt = -dE/dX_i - F_i, and the bone likewise with the load on it. F_i is Dahl's friction
 along x under the limit mu k_c max(-z_i, 0), see `friction`. Without load, E decreases exactly by the dissipated power
 zeta |dX/dt|^2 + F dx/dt.
@@ -24,16 +27,17 @@ motion of each element and prevents part of the spreading: more friction, less d
 U_(i+1)); as printed it is unstable. Links that resist only a change of length would fold, because the chain does not
 resist bending: at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement.
 The printed tissue springs act by component with k sin(alpha), k cos(alpha). That is no spring's force and does not
-couple the directions; here the forces are derivatives of E. The published script's friction points along the sliding
-velocity and adds energy. Its term in nu is a sign function along the chain, which pushes the two halves apart as
-blocks with a jump in the middle; here nu enters k_s alone. Lateral motion is therefore that of another model. Pressure,
-contact length and the sign and order of magnitude of friction's effect can be compared with the paper's curves. The
-profiles of displacement and divergence along the contact cannot.
+couple the directions; here the forces are derivatives of E. Friction in the last version of the published script points
+along the sliding velocity and adds energy; in those before it opposes motion but never saturates. The term in nu is a
+sign function along the chain, which pushes the two halves apart as blocks with a jump in the middle; here nu enters k_s
+alone, of the linear sets. Lateral motion is therefore that of another model. Pressure, contact length and the sign and
+order of magnitude of friction's effect can be compared with the paper's curves. The profiles of displacement and
+divergence along the contact cannot.
 
 The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x, summarised by
 its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is negative,
-and most of an area of revolution lies there. A median by area is therefore insensitive to friction: 5, 9 and 8 um/mm at
-mu = 0, 0.05 and 1 with the lab's parameters and 3 N, where the median along the contact is 44, 22 and 16.
+and most of an area of revolution lies there. A median by area is therefore insensitive to friction, where the
+median along the contact is 48, 22 and 17 um/mm at mu = 0, 0.05 and 1 with the lab's parameters, 251 elements and 3 N.
 """
 
 import math
@@ -109,7 +113,7 @@ def press(
 
     Args:
         friction: coefficient mu >= 0, a number or a tensor for many presses.
-        parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
+        parameters: "lab", "paper", "fitted" or `SkinParameters`, whose tensors broadcast with friction and loads.
         load_n: force that presses the bone down, N.
         tangential_n: force that pulls the bone along +x, N.
         elements: 4 or more; the parameters refer to 501 elements and are converted.
@@ -217,9 +221,10 @@ def _pressed_chain(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor
     displacement = at.position - reference
     force = chains.contact[..., None] * (-z).clamp_min(0)
     touching = force > CONTACT_N
-    length = _between_neighbours(x)
+    (length,) = torch.gradient(x, dim=-1)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]
-    slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
+    moved, spacing = torch.gradient(torch.stack((displacement[..., 0], reference[..., 0])), dim=-1)[0]
+    slope = moved / spacing
     # Hoop strain u / x: the odd part of u about the axis, divided by the distance from it; on the axis it is the slope.
     across = reference[..., 0] - reference[..., 0].flip(-1)
     opposite = displacement[..., 0] - displacement[..., 0].flip(-1)
@@ -264,15 +269,6 @@ def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
     left, right = touching[..., :-1], touching[..., 1:]
     partial = torch.where(left, beyond(here, before), beyond(after, behind))
     return torch.where(left & right, 1.0, torch.where(left | right, partial, 0.0))
-
-
-def _between_neighbours(values: Tensor) -> Tensor:
-    """Return half the difference between the values (..., N) of each element's two neighbours; at both ends, the
-    difference to the only neighbour.
-    """
-    inside = (values[..., 2:] - values[..., :-2]) / 2
-    ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
-    return torch.cat((ends[0], inside, ends[1]), -1)
 
 
 def weighted_median(values: Tensor, weights: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import exprel
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ class Chain(NamedTuple):
     membrane: float  # N/m, stiffness of a link between neighbours, in every direction
     tissue: float  # N/m, stiffness along the line to the bone, k_t - k_s: without the isotropic part `shear`
     shear: float  # N/m, isotropic stiffness between element and bone
+    stiffening: float  # 1/m, exponential rate at which both grow with the compression of a column, 1 / c_0
     nail: float  # N/m, stiffness of the links at both ends, in every direction
     contact: float  # N/m, stiffness of the plate
     damping: float  # N s/m, damping of an element
@@ -54,21 +56,16 @@ def elastic_forces(chain: Chain, nodes: Array) -> Array:
     """Compute the elastic forces (N + 1, 2), N, on elements and bone of a chain at positions `nodes` (N + 1, 2), m: the
     negative gradient of the elastic energy.
     """
-    x, z, across, down = _lines(chain, nodes)
-    pull_x, pull_z = chain.membrane * np.diff(x), chain.membrane * np.diff(z)
-    tight = chain.tissue * (1 - chain.radius / np.hypot(across, down))
-    bone = nodes[-1]
-    held_x, held_z = tight * across + chain.shear * (x - bone[0]), tight * down + chain.shear * (z - bone[1])
-    for end in (0, -1):
-        held_x[end] += chain.nail * (x[end] - bone[0])
-        held_z[end] += chain.nail * (z[end] - bone[1])
+    moved, column = nodes[:-1] - chain.reference, _Columns(chain, nodes)
+    pull = chain.membrane * np.diff(moved, axis=0)
+    held = column.shear * column.sheared - column.push * column.line
+    held[:, [0, -1]] += chain.nail * column.sheared[:, [0, -1]]
     forces = np.empty_like(nodes)
-    forces[:-1, 0], forces[:-1, 1] = -held_x, chain.contact * np.maximum(-nodes[:-1, 1], 0) - held_z
-    forces[:-2, 0] += pull_x
-    forces[1:-1, 0] -= pull_x
-    forces[:-2, 1] += pull_z
-    forces[1:-1, 1] -= pull_z
-    forces[-1] = held_x.sum(), held_z.sum()
+    forces[:-1] = -held.T
+    forces[:-1, 1] += chain.contact * np.maximum(-nodes[:-1, 1], 0)
+    forces[:-2] += pull
+    forces[1:-1] -= pull
+    forces[-1] = held.sum(1)
     return forces
 
 
@@ -76,17 +73,36 @@ def tissue_slopes(chain: Chain, nodes: Array) -> tuple[Array, Array, Array]:
     """Compute the stiffnesses, N/m, of the springs (tissue, shear and nail) between each of N elements and the bone, at
     positions `nodes` (N + 1, 2), m: the entries xx, xz and zz, (N,) each, of a symmetric 2 x 2 matrix.
     """
-    _, _, across, down = _lines(chain, nodes)
-    along = np.hypot(across, down)
-    ratio = chain.radius / along
-    turned, plain = chain.tissue * ratio / along**2, chain.tissue * (1 - ratio) + chain.shear
+    column = _Columns(chain, nodes)
+    (along_x, along_z), (shear_x, shear_z) = column.line, column.sheared
+    turned, twice = column.slope + column.push / column.length, column.shear * column.stiffening
+    plain = column.shear - column.push / column.length
     plain[[0, -1]] += chain.nail
-    return turned * across**2 + plain, turned * across * down, turned * down**2 + plain
+    return (
+        turned * along_x**2 - 2 * twice * along_x * shear_x + plain,
+        turned * along_x * along_z - twice * (along_x * shear_z + along_z * shear_x),
+        turned * along_z**2 - 2 * twice * along_z * shear_z + plain,
+    )
 
 
-def _lines(chain: Chain, nodes: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the displacement of N elements along x and z, and the lines along x and z from the bone's point in the
-    centre to them, (N,) m each.
+class _Columns:
+    """State of the columns of tissue between N elements and the bone: geometry, stiffness and force.
+
+    With c = R - |X - P|, d = u - U and the unit vector e along X - P, the energy of a column is W(c) + 1/2 k |d|^2,
+    k = k_s exp(c / c_0). It pushes the element along e by W' + k |d|^2 / (2 c_0) and across by -k d.
     """
-    (x, z), (first_x, first_z), bone = nodes[:-1].T, chain.reference.T, nodes[-1]
-    return x - first_x, z - first_z, x - bone[0], z - (chain.radius + bone[1])
+
+    def __init__(self, chain: Chain, nodes: Array) -> None:
+        (x, z), (first_x, first_z), (bone_x, bone_z) = nodes[:-1].T, chain.reference.T, nodes[-1]
+        across, down = x - bone_x, z - (chain.radius + bone_z)
+        self.sheared = np.stack((across - first_x, z - first_z - bone_z))  # (2, N) m, d
+        self.length = np.hypot(across, down)  # (N,) m, |X - P|
+        self.line = np.stack((across / self.length, down / self.length))  # (2, N), e
+        compression = chain.radius - self.length
+        self.stiffening = np.where(compression > 0, chain.stiffening, 0.0)  # (N,) 1/m; a stretched column is linear
+        grown = np.exp(self.stiffening * compression)
+        self.shear = chain.shear * grown  # (N,) N/m, k
+        bulge = self.shear * self.stiffening * (self.sheared[0] ** 2 + self.sheared[1] ** 2) / 2
+        # exprel(x) = (exp(x) - 1) / x is 1 at 0: without stiffening W' = (k_t - k_s) c.
+        self.push = chain.tissue * compression * exprel(self.stiffening * compression) + bulge  # (N,) N
+        self.slope = chain.tissue * grown + self.stiffening * bulge  # (N,) N/m, -d push / d length

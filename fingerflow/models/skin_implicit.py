@@ -10,6 +10,7 @@ estimate keeps the step short; locating the kink brings no gain.
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs
@@ -149,29 +150,21 @@ def _try_step(
     """
     c, share, start = C * step, step / duration, state.nodes
 
-    def stage(
-        rubbed: Array, origin: Array, base: Array, guess: Array, at: Array
-    ) -> tuple[Array, Array, Array, Arrow] | None:
-        solution = _newton(chain, mu, rubbed, origin, base, guess, at, c, tolerance)
-        if solution is None:
-            return None
-        nodes, rubbing, arrow = solution
-        return nodes, rubbing, (nodes - base) / c, arrow
-
-    first = stage(
-        *(state.friction, start, start + c * state.velocity, start + GAMMA * step * state.velocity),
-        _interpolate_load(load, begin + GAMMA * share),
-    )
+    solve = partial(_newton, chain, mu, c, tolerance)
+    base = start + c * state.velocity
+    later = _interpolate_load(load, begin + GAMMA * share)
+    first = solve(state.friction, start, base, start + GAMMA * step * state.velocity, later)
     if first is None:
         return np.inf
-    middle, rubbing, velocity, _ = first
-    second = stage(
-        *(rubbing, middle, TO_LATER * middle - TO_EARLIER * start, middle + (1 - GAMMA) * step * velocity),
-        _interpolate_load(load, begin + share),
-    )
+    middle, rubbing, _ = first
+    velocity = (middle - base) / c
+    base = TO_LATER * middle - TO_EARLIER * start
+    guess = middle + (1 - GAMMA) * step * velocity
+    second = solve(rubbing, middle, base, guess, _interpolate_load(load, begin + share))
     if second is None:
         return np.inf
-    end, last_rubbing, last_velocity, arrow = second
+    end, last_rubbing, arrow = second
+    last_velocity = (end - base) / c
     curved = state.velocity / GAMMA - velocity / (GAMMA * (1 - GAMMA)) + last_velocity / (1 - GAMMA)
     side = chain.dampers * (ERROR * step * curved)
     error = float(np.abs(arrow.solve(side)).max()) / tolerance
@@ -181,16 +174,9 @@ def _try_step(
 
 
 def _newton(
-    chain: Chain,
-    mu: Array,
-    rubbed: Array,
-    origin: Array,
-    base: Array,
-    guess: Array,
-    load: Array,
-    c: float,
-    tolerance: float,
-) -> tuple[Array, Array, Arrow] | None:
+    chain: Chain, mu: Array, c: float, tolerance: float,
+    rubbed: Array, origin: Array, base: Array, guess: Array, load: Array,
+) -> tuple[Array, Array, Arrow] | None:  # fmt: skip
     """Solve an implicit step, damping (X - base) = c forces(X), for the positions X (N + 1, 2) of elements and bone by
     Newton's method from a guess; return X, the friction forces (N,) and the last matrix.
 

@@ -44,7 +44,7 @@ class Chains:
 
     shape: torch.Size
     reference: Tensor  # (..., N, 2) m, undeformed positions
-    numbers: Tensor  # (..., 10) parameters named in NUMBERS
+    numbers: Tensor  # (..., 11) parameters named in NUMBERS
     width: Tensor  # (...) m, width across the chain
 
     @staticmethod
@@ -57,10 +57,10 @@ class Chains:
         def number(name: str, of: SkinParameters = parameters) -> Tensor:
             return torch.as_tensor(getattr(of, name), dtype=torch.float64).expand(shape)
 
-        radius, tissue = number("radius"), number("tissue_stiffness")
-        shear = tissue / (2 * (1 + number("poisson_ratio")))
-        nail, bone_damping = number("membrane_stiffness", skin), number("damping", skin)
-        springs = (number("membrane_stiffness"), tissue - shear, shear, nail, number("contact_stiffness"))
+        radius, shear = number("radius"), number("shear_stiffness")
+        nail, bone_damping = number("nail_stiffness"), number("damping", skin)
+        pulp = number("tissue_stiffness") - shear, shear, number("stiffening")
+        springs = (number("membrane_stiffness"), *pulp, nail, number("contact_stiffness"))
         dampers = (number("damping"), bone_damping)
         numbers = (radius, *springs, *dampers, number("friction_stiffness"), number("friction_exponent"))
         reference = radius[..., None, None] * torch.from_numpy(half_circle(count, 1.0))

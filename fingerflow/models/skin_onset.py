@@ -15,20 +15,33 @@ from fingerflow.models.skin_chain import PressedChain, weighted_median
 _SYMMETRY = 1e-6  # largest asymmetry that is accepted as rounding, as a share of the contact radius
 
 
+FIRST_FRAME_M = 1e3  # m, a rim that no finger exceeds: skin counts from the first time with contact
+
+
 @dataclass(frozen=True)
 class SinceOnset:
-    """Radial displacement and divergence of pressed skin since each element touched the plate, at T times and for M
+    """Radial displacement and its gradient of pressed skin since each element touched the plate, at T times and for M
     elements from the finger's axis outward.
 
-    Values of elements off the contact are NaN.
+    Values of elements off the contact and its rim are NaN.
     """
 
     radius: Tensor  # (T, ..., M) m, present distance from the axis
     displacement: Tensor  # (T, ..., M) m, outward displacement since the onset
-    divergence_field: Tensor  # (T, ..., M) dimensionless
-    area_median: Tensor  # (T, ...) median of the divergence weighted by contact area, as over the pixels of an image
-
+    radial: Tensor  # (T, ..., M) du/dxi
+    hoop: Tensor  # (T, ..., M) u/xi
+    ring_area: Tensor  # (T, ..., M) m², part of the contact disc that an element stands for
     contact_area: Tensor  # (T, ...) m², area of the contact disc
+
+    @property
+    def divergence_field(self) -> Tensor:
+        """Return the divergence (T, ..., M), dimensionless."""
+        return self.radial + self.hoop
+
+    @property
+    def area_median(self) -> Tensor:
+        """Return the median (T, ...) of the divergence, weighted by contact area as over the pixels of an image."""
+        return weighted_median(self.divergence_field.nan_to_num(0.0), self.ring_area)
 
     def mean_within(self, share: float) -> Tensor:
         """Return the mean divergence (T, ...) over the inner part of the contact, a disc whose radius is a `share` of
@@ -42,12 +55,17 @@ class SinceOnset:
         return (ring * self.divergence_field.nan_to_num(0.0)).sum(-1) / ring.sum(-1)
 
 
-def since_onset(press: PressedChain) -> SinceOnset:
+def since_onset(press: PressedChain, rim_m: float = 0.0) -> SinceOnset:
     """Compute radial displacement and divergence of the skin since each point first touched the plate, for presses at T
     times as returned by `follow`.
 
     The times must be close enough that the contact edge moves evenly between two. A median by area is small: divergence
     falls from the middle outward and is negative at the edge, where most of the area lies.
+
+    Args:
+        press: at several times, the first without contact.
+        rim_m: width of a rim around the contact in which skin counts already, as in a dilated contact; with
+            `FIRST_FRAME_M` all skin counts from the first time with contact. Areas are those of the contact itself.
 
     Raises:
         ValueError: no time dimension, or a press that is not mirrored about its axis, as under a tangential load.
@@ -64,6 +82,9 @@ def since_onset(press: PressedChain) -> SinceOnset:
             "tangential loads, slides and friction that differs from side to side"
         )
     height = (z + z.flip(-1))[..., z.shape[-1] // 2 :] / 2
+    on_plate = height < 0
+    if rim_m:
+        height = torch.where(half[..., None] > 0, outward - half[..., None] - rim_m, outward)
     inside = height < 0
     first = inside.to(torch.uint8).argmax(0, keepdim=True)
     before = (first - 1).clamp_min(0)
@@ -77,17 +98,16 @@ def since_onset(press: PressedChain) -> SinceOnset:
     slope = _slope(moved, onset, x.shape[-1] % 2 == 1)
     on_axis = onset < 1e-3 * _SYMMETRY * half.amax(0).clamp_min(1e-4)[..., None]
     hoop = torch.where(on_axis, slope, moved / torch.where(on_axis, 1.0, onset))
-    field = slope + hoop
     between = (outward[..., 1:] + outward[..., :-1]) / 2
-    outer = torch.cat((torch.where(inside[..., 1:], between, half[..., None]), half[..., None]), -1)
+    outer = torch.cat((torch.where(on_plate[..., 1:], between, half[..., None]), half[..., None]), -1)
     inner = torch.cat((torch.zeros_like(outward[..., :1]), between), -1)
-    weight = torch.where(inside, outer - inner, 0.0).clamp_min(0.0)
-    filled = field.nan_to_num(0.0)
+    weight = torch.where(on_plate, outer - inner, 0.0).clamp_min(0.0)
     return SinceOnset(
         radius=torch.where(inside, outward, torch.nan),
         displacement=moved,
-        divergence_field=field,
-        area_median=weighted_median(filled, weight * (outer + inner)),
+        radial=slope,
+        hoop=hoop,
+        ring_area=torch.pi * weight * (outer + inner),
         contact_area=torch.pi * half.square(),
     )
 

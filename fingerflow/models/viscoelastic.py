@@ -3,7 +3,8 @@
     eta de_y/dt + E e_y = sigma_y - nu sigma_z,   eta de_z/dt + E e_z = sigma_z - nu sigma_y
 
 The rate is E / eta = 100 1/s: a time constant of 10 ms and a corner frequency of 100 / (2 pi) = 15.9 Hz, where the text
-states 100 Hz. This equation's Poisson ratio is not printed; 0.4 is the paper's value, from its strain energy.
+states 100 Hz. The equation is that of plane stress, where equations 2 and 11 of the paper are plane strain. Its Poisson
+ratio is not printed: 0.4 is that of the paper's strain energy, 0.49 that of the lab's script.
 """
 
 import math

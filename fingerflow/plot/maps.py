@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.plot.wording import frame_text
 from fingerflow.results.napari_reader import DIVERGING
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fingerflow.models.observer import Estimate, Groups, PrintedObserver, PsychometricFit
 from fingerflow.models.observer.psychometric import SHARE
 from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
-from fingerflow.plot.rounding import format_interval
+from fingerflow.schema.rounding import format_interval
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
@@ -30,8 +30,8 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
             x = np.linspace(middles[0], middles[-1], 300)
             curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, linestyle=dashes, label=name)
-    d_prime = f"d' = {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
-    axes.set_title(f"{d_prime}, {observer.trials[0]} correct, {observer.trials[1]} incorrect")
+    d_prime = f"d' of the Gaussians {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
+    axes.set_title(d_prime)
     return finished(
         axes,
         f"Trials answered correctly and incorrectly by {metric} over its 0.9 quantile, with fitted Gaussians. d': "
@@ -44,12 +44,8 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     """Draw figure S11 B: ROC curves, that is hit rate against false-alarm rate for all criteria, one curve a metric."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.6)
     for (name, observer), style in zip(observers.items(), line_styles(len(observers), ordered=True), strict=True):
-        axes.plot(
-            observer.false_alarms,
-            observer.hits,
-            label=f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})",
-            **style,
-        )
+        label = f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})"
+        axes.plot(observer.false_alarms, observer.hits, label=label, **style)
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1))
     finished(
         axes,
@@ -90,19 +86,22 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
     finite = finite[np.isfinite(finite)]
     _, edges, _ = axes.hist(finite, bins=max(6, round(2 * finite.size**0.5)), color=GREY, alpha=0.6)
     if groups.groups:
-        x = np.linspace(edges[0] - 2 * groups.deviation, edges[-1] + 2 * groups.deviation, 300)
-        for mean, share, style in zip(groups.means, groups.shares, line_styles(2), strict=True):
-            density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
+        two = groups.groups == 2
+        means, shares = (groups.means, groups.shares) if two else ((finite.mean(),), (1.0,))
+        deviation = groups.deviation if two else finite.std()
+        x = np.linspace(edges[0] - 2 * deviation, edges[-1] + 2 * deviation, 300)
+        for mean, share, style in zip(means, shares, line_styles(len(means)), strict=True):
+            density = np.exp(-(((x - mean) / deviation) ** 2) / 2) / (deviation * (2 * np.pi) ** 0.5)
             axes.plot(x, share * density * finite.size * (edges[1] - edges[0]), **style)
-        axes.axvline(groups.border, color=INK, linestyle=":")
+        axes.axvline(groups.border if two else np.nan, color=INK, linestyle=":")
         axes.set_title(
             f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}, {groups.participants} participants"
         )
     axes.set(xlabel=quantity, ylabel="participants")
     return finished(
         axes,
-        "Histogram of the participants' medians, and the mixture of two Gaussians of one standard deviation where it "
-        f"explains them better than one (p); dotted: border of the groups. n = {finite.size} participants.",
+        "Histogram of the participants' medians, and the Gaussian of all, or the mixture of two of one standard "
+        f"deviation where it explains them better (p), with the border dotted. n = {finite.size} participants.",
     )
 
 

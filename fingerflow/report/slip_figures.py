@@ -17,7 +17,7 @@ from fingerflow.models.partial_slip import (
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished, line_styles
 from fingerflow.plot.captions import describe
-from fingerflow.plot.rounding import format_uncertainty
+from fingerflow.schema.rounding import format_uncertainty
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 PRINTED = "moved by less than 40 µm"

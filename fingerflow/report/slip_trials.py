@@ -18,8 +18,8 @@ from fingerflow.plot.captions import describe
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.plot.panels import join_captions, row_of_panels
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report.slip_figures import draw_motion, draw_over_time, draw_trial, draw_trials
+from fingerflow.schema.rounding import format_uncertainty
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,12 @@ _FIELD_STD_EQUATION = (
     "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
 )
 _MEDIAN_STD_EQUATION = (
-    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
-    "from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), Δ_border the "
-    "change by an ellipse 0.06 mm smaller, less the noise in it, late the "
-    "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
-    "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
+    "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
+    "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
+    "of fields √E points below and above, E points moved in, common on presses 0.9 deviations of a displacement over "
+    "the gauge length"
 )
 _AREA_STD_EQUATION = (
     "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "
@@ -52,6 +53,7 @@ _AREA_STD_EQUATION = (
 _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _RATE_EQUATION = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
+_RATE_STD_EQUATION = "σ² = Σ w² σᵢ², w the weights of that slope, σᵢ the deviations of the frames"
 _STRAIN_EQUATION = (
     "e_xx = u_x + (u_x² + v_x²)/2, e_yy = v_y + (u_y² + v_y²)/2, e_xy = (u_y + v_x)/2 + (u_x u_y + v_x v_y)/2; "
     "as_printed: e_xy without its products; infinitesimal: without any"
@@ -72,10 +74,33 @@ def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
     return deviation
 
 
+def _real_area_std(real_area: Any) -> Any:
+    """Return the standard deviation, mm^2, of the real contact area (frames,), most of it shared by all frames.
+
+    The edges of ridges are blurred, and the median takes their corners: measured on presses through real prints.
+    """
+    return (0.025**2 * real_area ** (4 / 3) + 0.01**2) ** 0.5
+
+
+def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
+    """Return the standard deviation of the ratio of two areas with independent errors."""
+    return (real_std**2 + (real_area / gross_area * gross_std) ** 2) ** 0.5 / gross_area
+
+
+def _ellipse_std(lengths: Any) -> Any:
+    """Return the standard deviation, mm, of lengths of the ellipse: the same on contacts of 1 to 60 mm^2."""
+    return 0 * lengths + 0.028
+
+
+def _angle_std(semi_axes: Any) -> Any:
+    """Return the standard deviation, rad, of the angle of an ellipse, at most that of any angle, pi / sqrt(12)."""
+    return 1 / (12 / pi**2 + ((semi_axes[..., 0] - semi_axes[..., 1]) / 0.03) ** 2) ** 0.5
+
+
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
 #: Names of the frame status values; only usable frames have results.
-FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
+FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns", "noise")
 DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
 SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
 
@@ -107,6 +132,9 @@ CONTACT = (
         equation="Otsu's threshold of 1 − (I − D)/(I₀ − D), or contact.threshold"),
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
         equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
+    Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
+        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges",
+        formula=_real_area_std, of=("real_contact_area",)),
     Variable("gross_contact_area", FRAME, "mm2",
         "apparent (gross) contact area, that of the region which the contact spans",
         equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
@@ -120,12 +148,21 @@ CONTACT = (
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
         equation="real_contact_area / gross_contact_area", formula=truediv,
         of=("real_contact_area", "gross_contact_area")),
+    Variable("contact_area_ratio_std", FRAME, "1", "standard deviation of contact_area_ratio",
+        equation="√(σ²(real) + ratio² σ²(gross)) / gross_contact_area", formula=_ratio_std,
+        of=("real_contact_area", "real_contact_area_std", "gross_contact_area", "gross_contact_area_std")),
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
         equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
+    Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
+        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_center",)),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
         equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
+    Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
+        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_semi_axes",)),
     Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
         equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
+    Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
+        equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
     Variable("gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
         equation="1 in cells of the gross contact", unasked=False),
 )
@@ -200,6 +237,9 @@ DISPLACEMENT = (
     Variable("onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
         equation="first frame of the first three in a row that the gross contact covers the point",
         label="frame of onset"),
+    Variable("onset_frame_std", POINT, "1", "standard deviation of onset_frame, in frames",
+        equation="σ² = 0.12 + 2.1 ((e v)²/(1 + d) + d³/(d + 1.4)), d = b v, v frames in which the border passes 1 mm "
+        "of skin, b = 0.06 mm its deviation, e = 0.035 mm that of the ellipse; the factors are measured"),
     Variable("entry", POINT, "1",
         "how skin came into contact: the growing contact covered it, or it moved in over a border at rest. Fields of "
         "skin that moved in count since its own entry, F(t) F(entry)^-1 - I, those of a triangle since the last of its "
@@ -266,6 +306,8 @@ FIELDS = (
         shown_in=UM_PER_MM),
     Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
         shown_in=UM_PER_MM_S),
+    Variable("median_divergence_rate_std", FRAME, "1/s", f"{_ERROR} rate of median_divergence",
+        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
     Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
         equation="median of the curl at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
     Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}", equation=_MEDIAN_STD_EQUATION,
@@ -277,6 +319,8 @@ FIELDS = (
         equation=_MEDIAN_STD_EQUATION, shown_in=UM_PER_MM),
     Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain",
         equation=_RATE_EQUATION, shown_in=UM_PER_MM_S),
+    Variable("median_strain_rate_std", ("frame", "strain_component"), "1/s", f"{_ERROR} rate of median_strain",
+        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
 )
 
 STRAIN = (
@@ -293,6 +337,9 @@ STRAIN = (
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
         equation="w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²",
         shown_in=MICROJOULE),
+    Variable("strain_energy_density_std", TRIANGLE, "mJ/mm3", "standard deviation of the strain energy density", "f4",
+        equation="σ² = g Σ gᵀ + tr(H Σ H Σ)/2 + w(σ)², g and H the first and second derivatives of w by the strain, "
+        "Σ = diag(strain_std²), w(σ) what errors add on average", shown_in=MICROJOULE),
     Variable("strain_energy", FRAME, "mJ", "strain energy of the whole contact, up to its border",
         equation="h ⟨∫_contact w dA⟩, the mean over smooth displacement fields that vanish at an advancing border, "
         "given the points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w "
@@ -311,6 +358,7 @@ STRAIN = (
         "perimeter, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
         "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
+    Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
 )
 
 SLIP = (

@@ -14,13 +14,13 @@ from jinja2 import Environment
 
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import PNG, FigureFiles
-from fingerflow.plot.rounding import format_interval, format_uncertainty
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.view_painter import ViewPainter
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.results.result import load_result, open_result
+from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.spreadsheet_cell import plain_cell
 from fingerflow.schema.trial_columns import NUMBERS

@@ -1,30 +1,33 @@
 """Simulated trials of a study: random parameters of each press, and the answers of a simulated observer.
 
 A trial is a two-interval forced choice of Willemet et al. 2021: a reference press without vibration, and a comparison
-press at one of seven amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
+press at one of six amplitudes. Each number that is drawn has its source in `Design`; B34 and so on are the printed
 values of that paper's supplement.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from fingerflow.models.skin_chain import weighted_median
+from fingerflow.models.skin_chain import PressedChain, follow
+from fingerflow.models.skin_onset import since_onset
+from fingerflow.models.skin_parameters import PARAMETERS
 from fingerflow.synthetic import Camera, ChainPress
+from fingerflow.synthetic.chain_press import PATH_N_S, force_share
 
 Values = NDArray[np.float64]
-Felt = Literal["divergence", "real_contact_area"]
 
 _ELEMENTS = 501
-_PATHS_N = (5.0, 18.0)  # N, largest forces of the simulated chains: a press takes the first that reaches its own
 _SHARES = 0.17, 0.8  # least and largest share of touching ridges; with less a ridge would be two pixels wide or less
-_RINGS = 64  # number of rings of the contact, in each of which divergence since onset is evaluated
-_FORCES_N = np.geomspace(1.0, 18.0, 21)  # N, forces in the tables of divergence and area
+_SKIN = "fitted"  # parameters of the chain
+# Of the chains whose divergence and area the observer feels: with 501 elements and 5e-8 m they take twenty times as
+# long.
+_TIMES, _FEW_ELEMENTS, _TOLERANCE_M = 129, 251, 5e-7
 
 
 @dataclass(frozen=True)
@@ -33,16 +36,17 @@ class Design:
 
     Attributes:
         participants: the second half of them has softer skin.
-        trials: pairs of presses of each participant in each condition.
-        amplitudes: µm of vibration of the comparison, one per condition (seven levels: B42); the reference has none.
+        trials: pairs of presses of each participant in each condition: F(5,70) and F(6,1593) of B54 and B42 fit 15
+            participants, six amplitudes beside the reference, and nine pairs.
+        amplitudes: µm of vibration of the comparison, one per condition; the reference has none.
         friction: coefficient without vibration and at the largest amplitude (not printed; it has to hold the printed
             angles, and divergence of the chain rises from 0 to 0.02 over this range at the mean force). Its
             logarithm falls with the square root of the amplitude.
-        softness: of firmer and softer skin, divisors of the chain's printed stiffnesses. The mean apparent area at the
-            peak is 70.1 mm² (B5); the ratio is that at which two groups are found and the softer one is better at small
-            amplitudes (B66), which takes twice the printed spread of areas.
-        force_rate: mean and standard deviation of the peak force over the time to it, N/s (B38; the printed mean force
-            over the mean time is 3.7). Gamma distributed, as a normal one would be negative in every ninth trial.
+        softness: of firmer and softer skin, divisors of the stiffnesses of the fitted tissue; the membrane is that of
+            literature. Together with the forces they have the printed spread of apparent areas (B5).
+        force: mean of the peak force, N (B34), and standard deviations of its logarithm over participants, over the
+            pairs of one, and between the presses of a pair, in force and in time (not printed: force does not predict
+            answers, B37, so pairs are alike).
         force_range: N, outside of which a trial is drawn again (B34).
         time_to_peak: mean and standard deviation, s (B35), normal.
         duration: shortest and longest time from first contact to the last frame, s (B36).
@@ -56,31 +60,36 @@ class Design:
         real_area_fall: share by which vibration at the largest amplitude reduces it (B8), linear in the amplitude.
         real_area_noise: relative standard deviation from press to press (not printed: with it Spearman's rho of slope
             and amplitude is -0.28, B7).
-        feels: what the observer compares between the two presses, at the peak of the force.
-        noise: standard deviation of that difference as perceived: of divergences, and of areas in mm² (not printed).
+        noise: standard deviation of the difference of divergence at the peak, as the observer perceives it (not
+            printed).
+        felt_rate: N/s, rate r of the force at which evidence counts by 1 - 1/e, as 1 - exp(-rate / r) (B39: faster
+            presses are answered better).
+        cues: weights, in standard deviations of the noise, of a smaller force angle (1/rad) and of a larger
+            displacement of the finger (1/mm): a quarter for their usual differences (B41, B45).
         frame_rate: frames per second; the lab has 300 (B12).
         mm_per_px: of the contact view (B12): skin that is spread by low friction is lost in coarser pictures.
         view_px: side of either view, both are square.
         seed: of all random numbers.
     """
 
-    participants: int = 16
-    trials: int = 14
-    amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-    friction: tuple[float, float] = (0.5, 0.16)
-    softness: tuple[float, float] = (2.8, 4.3)
-    force_rate: tuple[float, float] = (3.6, 3.0)
+    participants: int = 15
+    trials: int = 9
+    amplitudes: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+    friction: tuple[float, float] = (0.4, 0.15)
+    softness: tuple[float, float] = (0.7, 1.4)
+    force: tuple[float, float, float, float] = (5.5, 0.45, 0.25, 0.12)
     force_range: tuple[float, float] = (1.0, 18.0)
     time_to_peak: tuple[float, float] = (1.47, 0.39)
     duration: tuple[float, float] = (1.0, 2.5)
     hold: tuple[float, float] = (0.15, 0.5)
     angle: tuple[float, float] = (9.9, 4.2)
     displacement: tuple[float, float] = (0.08, 0.10)
-    real_area: tuple[float, float] = (23.7, 2.8)
+    real_area: tuple[float, float] = (23.7, 4.2)
     real_area_fall: float = 0.38
     real_area_noise: float = 0.4
-    feels: Felt = "divergence"
-    noise: tuple[float, float] = (0.003, 3.0)
+    noise: float = 0.006
+    felt_rate: float = 3.0
+    cues: tuple[float, float] = (2.5, 1.8)
     frame_rate: float = 20.0
     mm_per_px: float = 0.0325
     view_px: int = 512
@@ -144,7 +153,7 @@ def draw_presses(design: Design) -> Presses:
     participant = np.repeat(np.arange(design.participants), per_person.size)
     count = amplitude.size
     soft = design.is_soft()[participant]
-    force, time = _draw_kinematics(design, draw, count)
+    force, time = _draw_kinematics(design, draw, participant)
     hold = draw.uniform(*design.hold, count)
     friction = design.friction_for(amplitude)
     angle = np.radians(design.load_angle(amplitude)) * draw.gamma(4.0, 0.25, count)
@@ -163,7 +172,7 @@ def draw_presses(design: Design) -> Presses:
         shift=np.stack((length * np.cos(direction), length * np.sin(direction)), -1),
         divergence=divergence,
         gross_contact_area=area,
-        real_contact_area=area * _draw_real_share(design, draw, participant, amplitude),
+        real_contact_area=area * _draw_real_share(design, draw, participant, amplitude, float(area.mean())),
         seed=draw.integers(1 << 30, size=count),
     )
 
@@ -172,65 +181,80 @@ def answer_table(design: Design, reference: Presses, comparison: Presses) -> NDA
     """Return the answers (T,) of a simulated observer in T trials, given the two presses of each: True if the
     comparison press felt more slippery.
 
-    More divergence, or less real contact, is felt as more slippery.
+    More divergence is felt as more slippery, the better the faster the press; a smaller angle and a larger displacement
+    are felt so a little.
     """
-    by_area = design.feels == "real_contact_area"
-    difference = getattr(comparison, design.feels) - getattr(reference, design.feels)
-    draw = np.random.default_rng((design.seed, 1))
-    felt = (-difference if by_area else difference) + design.noise[by_area] * draw.standard_normal(difference.size)
-    return np.asarray(felt > 0)
+    seen = -np.expm1(-comparison.force / comparison.time_to_peak / design.felt_rate)
+    angle, displacement = design.cues
+    evidence = seen * (comparison.divergence - reference.divergence) / design.noise
+    evidence += angle * (reference.angle - comparison.angle)
+    evidence += displacement * (np.hypot(*comparison.shift.T) - np.hypot(*reference.shift.T))
+    return np.asarray(evidence + np.random.default_rng((design.seed, 1)).standard_normal(evidence.size) > 0)
 
 
 def make_recording(design: Design, presses: Presses, number: int) -> ChainPress:
     """Return press `number` of a study as a synthetic recording."""
-    time, duration = float(presses.time_to_peak[number]), float(presses.duration[number])
-    frames_before = 2
-    contact_time = 0.02
-    return replace(
-        _press(design, float(presses.friction[number]), bool(presses.soft[number]), float(presses.force[number])),
-        n_frames=frames_before + 1 + math.ceil((contact_time + duration) * design.frame_rate),
+    press = {field.name: getattr(presses, field.name)[number] for field in fields(presses)}
+    side, frames_before, contact_time = design.view_px, 2, 0.02
+    return ChainPress(
+        friction=float(press["friction"]),
+        parameters=_SKIN,
+        softness=design.softness[int(press["soft"])],
+        force=float(press["force"]),
+        steady=True,
+        path_force=design.force_range[1],
+        elements=_ELEMENTS,
+        frame_shape=(side, 2 * side),
+        mm_per_px=design.mm_per_px,
+        finger=(0.49 * side * design.mm_per_px,) * 2,
+        n_frames=frames_before + 1 + math.ceil((contact_time + press["duration"]) * design.frame_rate),
         frame_rate=design.frame_rate,
         frames_before_trigger=frames_before,
         contact_time=contact_time,
-        rise_time=time,
+        rise_time=float(press["time_to_peak"]),
         relaxation=0.05,
-        drag=math.tan(presses.angle[number]),
-        shift=(float(presses.shift[number, 0]), float(presses.shift[number, 1])),
-        contact_fraction=float(presses.real_contact_area[number] / presses.gross_contact_area[number]),
-        camera=Camera(seed=int(presses.seed[number])),
+        drag=math.tan(press["angle"]),
+        shift=(float(press["shift"][0]), float(press["shift"][1])),
+        contact_fraction=float(press["real_contact_area"] / press["gross_contact_area"]),
+        camera=Camera(seed=int(press["seed"])),
     )
 
 
-def median_divergence(press: ChainPress) -> float:
-    """Return the true median divergence, without unit, over the apparent contact of a simulated press at the end of the
-    force rise.
-
-    The divergence of each point counts from its onset of contact. It is the truth of the pictures, evaluated along one
-    radius: skin and contact are those of a body of revolution.
+@lru_cache(maxsize=8)
+def simulate_skin(friction: tuple[float, ...], softness: float, most: float) -> tuple[Values, PressedChain]:
+    """Simulate the presses of a design's skin at K coefficients of friction to a force of `most` N, as `ChainPress`
+    does with a path to this force; return the normal forces (T,), N, and the states (T, K, ...) of the chains.
     """
-    at_peak = replace(press, n_frames=1, frames_before_trigger=0, contact_time=-press.rise_time)
-    ellipse = at_peak.truth.ellipse(0)
-    assert ellipse is not None
-    radius = ellipse.semi_axes[0] * (np.arange(_RINGS) + 0.5) / _RINGS
-    material = at_peak.truth.material(np.stack((radius, 0 * radius), -1) + ellipse.centre, 0)
-    field = np.trace(at_peak.truth.gradient(material, 0), axis1=-2, axis2=-1)
-    finite = np.isfinite(field)
-    return float(weighted_median(torch.from_numpy(field[finite]), torch.from_numpy(radius[finite])))
+    share = np.linspace(0, 1, _TIMES)
+    force, time = torch.from_numpy(most * force_share(share)), torch.from_numpy(most / PATH_N_S * share)
+    skin, coefficients = PARAMETERS[_SKIN].softer(softness), torch.tensor(friction, dtype=torch.float64)
+    chain = follow(
+        coefficients, time, force[:, None], parameters=skin, elements=_FEW_ELEMENTS, tolerance_m=_TOLERANCE_M
+    )
+    return force.numpy(), chain
 
 
-def _draw_kinematics(design: Design, draw: np.random.Generator, count: int) -> tuple[Values, Values]:
-    """Sample at random the peak forces (N) and times to peak (s) of `count` presses."""
-    mean, deviation = design.force_rate
-    shape = (mean / deviation) ** 2
-    force, time = np.empty(count), np.empty(count)
-    left = np.arange(count)
+def _draw_kinematics(
+    design: Design, draw: np.random.Generator, participant: NDArray[np.int64]
+) -> tuple[Values, Values]:
+    """Sample at random the peak forces (N) and times to peak (s) of presses, two in a pair."""
+    mean, of_person, of_pair, within = design.force
+    deviations = np.array((of_person, of_pair, within / math.sqrt(2)))
+    # Quantiles in place of random numbers, in turns of firmer and softer skin: few people are a small sample.
+    ranks = np.concatenate((np.arange(1, design.participants, 2), np.arange(0, design.participants, 2)))
+    person = ndtri((ranks + 0.5) / design.participants)
+    middle = math.log(mean) - deviations @ deviations / 2 + of_person * person
+    force, time = np.empty((2, participant.size // 2, 2))
+    left = np.arange(len(force))
     while left.size:
-        time[left] = draw.normal(*design.time_to_peak, left.size)
-        force[left] = time[left] * draw.gamma(shape, mean / shape, left.size)
-        low, high = design.force_range
-        longest = design.duration[1] - design.hold[0]
-        left = left[(force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)]
-    return force, time
+        alike = np.exp(deviations[2] * draw.standard_normal((2, left.size, 2)))
+        shared = middle[participant[::2][left]] + of_pair * draw.standard_normal(left.size)
+        force[left] = np.exp(shared)[:, None] * alike[0]
+        time[left] = draw.normal(*design.time_to_peak, (left.size, 1)) * alike[1]
+        (low, high), longest = design.force_range, design.duration[1] - design.hold[0]
+        out = (force[left] < low) | (force[left] > high) | (time[left] < 0.4) | (time[left] > longest)
+        left = left[out.any(1)]
+    return force.ravel(), time.ravel()
 
 
 def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: int) -> Values:
@@ -239,56 +263,31 @@ def _lognormal(draw: np.random.Generator, mean: float, deviation: float, count: 
 
 
 def _draw_real_share(
-    design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values
+    design: Design, draw: np.random.Generator, participant: NDArray[np.int64], amplitude: Values, apparent: float
 ) -> Values:
-    """Sample at random the ratio of real to apparent contact area of each press.
+    """Sample at random the ratio of real to apparent contact area of each press, `apparent` mm² in the mean.
 
     It falls with the vibration amplitude, and varies between participants and between presses.
     """
     mean, deviation = design.real_area
     fall = 1 - design.real_area_fall * design._share(amplitude)
     person = _lognormal(draw, 1.0, deviation / mean, design.participants)[participant]
-    share = mean / 70.1 / fall.mean() * fall * person * _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
+    noise = _lognormal(draw, 1.0, design.real_area_noise, amplitude.size)
+    share = mean / apparent / fall.mean() * fall * person * noise
     return np.asarray(np.clip(share, *_SHARES))
-
-
-def _press(design: Design, friction: float, soft: bool, force: float) -> ChainPress:
-    side = design.view_px
-    return ChainPress(
-        friction=friction,
-        softness=design.softness[int(soft)],
-        force=force,
-        steady=True,
-        path_force=next(path for path in _PATHS_N if path >= force),
-        elements=_ELEMENTS,
-        frame_shape=(side, 2 * side),
-        mm_per_px=design.mm_per_px,
-        finger=(0.49 * side * design.mm_per_px,) * 2,
-    )
 
 
 def _peak_values(design: Design, soft: NDArray[np.bool_], amplitude: Values, force: Values) -> tuple[Values, Values]:
     """Return median divergence over the contact and apparent contact area (mm²) of N presses at their peak force, from
-    skin type (`soft`: the softer), vibration amplitude (µm) and peak force (N), each (N,).
-
-    Both are interpolated over the force from tables of the skin-chain model.
+    skin type (`soft`: the softer), vibration amplitude (µm) and peak force (N), each (N,), by interpolation.
     """
-    divergence, area = np.empty(force.size), np.empty(force.size)
-    for friction in np.unique(design.friction_for(amplitude)):
-        for softer in (False, True):
+    divergence, area = np.empty((2, force.size))
+    frictions = design.friction_for(np.unique(amplitude))
+    for softer in (False, True):
+        forces, chain = simulate_skin(tuple(frictions), design.softness[softer], design.force_range[1])
+        skin = since_onset(chain)
+        for k, friction in enumerate(frictions):
             group = (design.friction_for(amplitude) == friction) & (soft == softer)
-            table = _peak_table(design.softness[int(softer)], float(friction))
-            for values, column in ((divergence, 0), (area, 1)):
-                values[group] = np.interp(force[group], _FORCES_N, table[:, column])
+            for values, table in ((divergence, skin.area_median), (area, 1e6 * skin.contact_area)):
+                values[group] = np.interp(force[group], forces, table[:, k].nan_to_num(0.0).numpy())
     return divergence, area
-
-
-@lru_cache(maxsize=256)
-def _peak_table(softness: float, friction: float) -> Values:
-    """Return a table (K, 2) of median divergence and apparent contact area (mm²) that the skin-chain model has at the K
-    forces `_FORCES_N`; `softness` divides the printed stiffnesses of the chain.
-    """
-    design = Design(softness=(softness, softness))
-    presses = [_press(design, friction, False, min(float(force), _PATHS_N[-1])) for force in _FORCES_N]
-    areas = [press.motion.ellipse(1.0) for press in presses]
-    return np.array([(median_divergence(press), area.area) for press, area in zip(presses, areas, strict=True) if area])

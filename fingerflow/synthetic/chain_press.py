@@ -20,7 +20,7 @@ from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 _TIMES = 257  # number of times at which the chain is simulated during the rise
-_PATH_S = 1.5  # s, rise time of a simulated path that several presses share: the printed mean time to the peak
+PATH_N_S = 3.6  # N/s, mean rate of a simulated path that several presses share: the printed one
 _KNOTS = 32  # number of intervals of the splines in time; they smooth the growth of contact by whole elements
 _RADII = 96  # number of intervals of the spline from the axis to the side of the finger
 _SIDE = 0.95  # share of the finger's radius beyond which skin is upright and not visible from below
@@ -37,8 +37,8 @@ class ChainPress(SyntheticScene):
 
     Args:
         friction: coefficient between skin and glass.
-        parameters: of the chain, "paper" or "lab"; the contact with "lab" is half as large.
-        softness: divisor of the parameters' stiffnesses.
+        parameters: of the chain: "paper", "lab", with half the contact, or "fitted", whose pulp stiffens.
+        softness: divisor of the stiffnesses of the tissue.
         force: at the end of the rise, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.
@@ -47,8 +47,8 @@ class ChainPress(SyntheticScene):
         drag: tangential force as a share of the normal force.
         shift: displacement (x, y) in mm of disc and skin from the end of the rise to the last frame.
         elements: of the chain.
-        path_force: force in N to which the chain is simulated, in 1.5 s; that of the press where None, in its time.
-            Presses of one skin, friction and path share one simulation: a chain's motion is quasi-static.
+        path_force: force in N to which the chain is simulated, at 3.6 N/s on average; that of the press where None, in
+            its time. Presses of one skin, friction and path share one simulation, so that their rate has no influence.
     """
 
     friction: float = 0.2
@@ -123,7 +123,7 @@ class ChainPress(SyntheticScene):
         """Return the arguments of `pressed_chain` for this press: friction, skin parameters, softness, force, rise time
         and number of elements.
         """
-        rise_s = self.rise_time if self.path_force is None else _PATH_S
+        rise_s = self.rise_time if self.path_force is None else self.path_force / PATH_N_S
         return self.friction, self.parameters, self.softness, self._path_force, rise_s, self.elements
 
     @property

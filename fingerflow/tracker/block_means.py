@@ -1,4 +1,6 @@
-"""Means of frames over blocks and over lines, by which frames are compared with each other."""
+"""Statistics of a frame's pixels by which it is judged alone, or compared with others: means over blocks and lines, and
+differences of neighbours.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,7 @@ Array = NDArray[Any]
 # narrower ones, ridges that move by half a period per frame would seem to stand still, or to jump and return. A tear,
 # or lost lines, lie in a few rows of blocks.
 _BLOCK_PX, _BLOCKS = 24, 16
+_ROUGH, _ROUGHER, _UNCORRELATED = 0.3, 2.0, 0.5  # limits of `is_noise`
 _SAMPLES = (128, 160)  # least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read
 
 
@@ -45,6 +48,47 @@ def block_means(frames: Array) -> tuple[Array, Array]:
     sums, pixels_each = _sums(sums, 2, columns)
     blocks = sums / (lines_each[:, None] * pixels_each)
     return blocks.astype(np.float32), lines.astype(np.float32)
+
+
+def is_noise(frames: Array, roughness: float) -> Array:
+    """Return the mask (n,) of frames (n, H, W) that are noise without a picture: neighbouring pixels, along lines and
+    across them, differ by more than `roughness` in units of the mean, and nearly as much as pixels far apart.
+
+    The mean squared difference of independent pixels is twice their variance. Of prints with ridges down to 4 px apart
+    it is less than 0.1 of the variance, however fast a contact grows or slides.
+    """
+    pixels, right, below = _neighbours(frames)
+    limit = (roughness * pixels.mean(1)) ** 2
+    noise: Array = _square(pixels, right) > limit
+    if noise.any():
+        least = np.minimum(_square(pixels, right), _square(pixels, below))
+        noise = least > np.maximum(limit, _UNCORRELATED * pixels.var(1))
+    return noise
+
+
+def noise_roughness(glass: Array) -> float:
+    """Return the least roughness of noise, 0.3 or twice that of the empty glass (H, W): the pixels of a colour camera
+    differ.
+    """
+    pixels, right, _ = _neighbours(glass[None])
+    return max(_ROUGH, float(_ROUGHER * np.sqrt(_square(pixels, right)[0]) / max(pixels.mean(), 1)))
+
+
+def _neighbours(frames: Array) -> list[Array]:
+    """Return some 1500 pixels of frames, and their neighbours along lines and across them, as (n, pixels)."""
+    count, height, width = frames.shape
+    down, along = max(1, height // 32), max(1, width // 48)
+    grids = (
+        frames[:, y : max(height - 1, 1) + y : down, x : max(width - 1, 1) + x : along]
+        for y, x in ((0, 0), (0, width > 1), (height > 1, 0))
+    )
+    return [grid.reshape(count, -1).astype(np.float32) for grid in grids]
+
+
+def _square(pixels: Array, neighbours: Array) -> Array:
+    with np.errstate(invalid="ignore"):  # of infinite pixels it is NaN
+        difference = neighbours - pixels
+    return np.einsum("np,np->n", difference, difference) / pixels.shape[1]
 
 
 @functools.cache

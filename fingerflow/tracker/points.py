@@ -32,7 +32,10 @@ from fingerflow.tracker.subset_verification import Verification
 
 Array = NDArray[Any]
 
-_WINDOW_DIFFERS, _DUST_IN_WINDOW = int(TrackStatus.WINDOW_DIFFERS), int(TrackStatus.DUST_IN_WINDOW)
+_UNCERTAIN, _WINDOW_DIFFERS, _DUST_IN_WINDOW = (
+    int(status) for status in (TrackStatus.UNCERTAIN, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_IN_WINDOW)
+)
+_MOST_VARIANCE = 1.0  # px^2, of a position, above which it is not located
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
 
@@ -360,10 +363,11 @@ class Points:
         extra = around.status.shape[1]
         together = join([tracked, around], 1) if extra else tracked
         corrected = self._engine.correct(self._every, together, *self._template_data(extra))
-        if not extra:
-            return corrected
         seeded = slice(len(self))
-        return Corrected(select(corrected.found, slice(None), seeded), *(values[:, seeded] for values in corrected[1:]))
+        found = select(corrected.found, slice(None), seeded)
+        # Few neighbours give a deformation so uncertain that it puts the point many px off.
+        found = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
+        return Corrected(found, *(values[:, seeded] for values in corrected[1:]))
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -445,11 +449,11 @@ class Points:
 
     def _last_warp(self) -> Array:
         """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the
-        key frame; NaN where unknown.
+        key frame; those in the templates where unknown.
         """
         assert self._last is not None
         warp, valid = self._last.warp[-1], is_finite(self._last.expected[-1])
-        return np.where(valid[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
+        return np.where(valid[:, None, None], warp, inverse_2x2(self._inverse_warp)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
         """Return the position variance (n, N) px^2 accumulated since the points were seeded: the sum over all

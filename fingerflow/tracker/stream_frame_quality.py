@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
-from fingerflow.tracker.block_means import block_means
+from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
 from fingerflow.tracker.frame_jumps import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary_limit
@@ -18,8 +18,8 @@ from fingerflow.tracker.frame_jumps import NEARBY, JumpDistances, Ordinary, exce
 Array = NDArray[Any]
 
 USABLE = FRAME_STATUS.index("usable")
-_DARK, _SATURATED, _REPEATED, _JUMPS = (
-    FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns")
+_DARK, _SATURATED, _REPEATED, _JUMPS, _NOISE = (
+    FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns", "noise")
 )
 _STEPS = 64  # number of latest steps between usable frames from which ordinary steps are estimated
 _REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy
@@ -49,6 +49,7 @@ class FrameCheck:
     """Detection of invalid frames of a stream, by brightness and by comparison with the last usable frame.
 
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
+    - Noise: no picture in the contact view (`block_means.is_noise`), however long it lasts.
     - Lost lines: lines of the contact view without light, in up to `LONGEST` frames in a row; then it is the camera's.
     - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
       compared, and only if no more than a fifth of the last frames repeat others.
@@ -67,6 +68,7 @@ class FrameCheck:
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
         black = float(_blocks(dark)[0].mean())
         empty, lines = _blocks(glass)
+        self._roughness = noise_roughness(glass)
         self._lit = lines - black > _LIT * (lines.mean() - black)
         self._least = black + DARK_SHARE * (float(empty.mean()) - black)
         self._top = 2**bit_depth - 1.5
@@ -94,6 +96,8 @@ class FrameCheck:
             status = _SATURATED
         elif (self._lit & (lines < self._least)).any():
             status = _JUMPS
+        elif is_noise(images[0], self._roughness)[0]:
+            status = _NOISE
         return Picture(
             status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]), number
         )

@@ -12,6 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
 from fingerflow.results.largest_load import frame_of_largest
 from fingerflow.results.result import open_result
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import shown_unit
 from fingerflow.view.key_forms import reword
@@ -83,7 +84,7 @@ class Results:
         self._within(frame)
         data = self.data
         numbers: dict[str, Any] = {name: values[frame] for name, values in self._courses.items()}
-        numbers["time"] = float(data["time"][frame])
+        numbers["time"], numbers["text"] = float(data["time"][frame]), self._text_of_frame(frame)
         numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
         arrays: dict[str, NDArray[Any]] = {}
         if "position" in data:
@@ -100,6 +101,22 @@ class Results:
         if shown is not None:
             arrays["shown"] = self._frame_values(shown, frame).astype(np.float32)
         return numbers, arrays
+
+    def _text_of_frame(self, frame: int) -> dict[str, str]:
+        """Return the scalar results of a frame as text in the shown unit, each with its standard deviation, as reports
+        have them: "60.21 ± 0.44"; statuses in words.
+        """
+        text = {}
+        for name, values in self._courses.items():
+            attributes, spread = self.data[name].attrs, self._courses.get(f"{name}_std")
+            factor = shown_unit(name, str(attributes.get("units", ""))).factor
+            if "flag_meanings" in attributes:
+                text[name] = str(attributes["flag_meanings"]).split()[values[frame]].replace("_", " ")
+            elif not name.endswith(("_std", "_rate")):
+                text[name] = format_uncertainty(
+                    factor * values[frame], np.nan if spread is None else factor * spread[frame]
+                )
+        return text
 
     def triangles(self) -> NDArray[np.int32]:
         """Return the triangles between tracked points: indices (M, 3) of the points at the corners of M triangles."""

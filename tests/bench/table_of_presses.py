@@ -10,7 +10,7 @@ from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.simulated_trials import Design
 from fingerflow.study.statistics import read_sample, study_statistics
 
-DESIGN = Design(participants=16, trials=4)
+DESIGN = Design()
 FORCES_N = (1.0, 2.0, 3.0)
 
 
@@ -44,6 +44,8 @@ def table() -> pd.DataFrame:
         "strain_energy": draw.gamma(0.4, 0.8, count) + 0.6 * share,
         "strain_energy_rate": draw.gamma(4.0, 0.3, count),
         "strain_rate": draw.gamma(4.0, 0.01, count),
+        "force_of_strain_rate": draw.normal(0.37, 0.05, count),
+        "force_of_strain_energy_rate": draw.normal(0.4, 0.05, count),
     }
     values["strain"] = 0.40 * values["divergence"] - 0.00225 + draw.normal(0, 0.00105, count)
     values["curl"] = 0.2 * values["divergence"] + draw.normal(0, 0.0005, count)
@@ -85,4 +87,4 @@ def study() -> PressStudy:
     frame = table()
     sample = read_sample(frame)
     statistics = study_statistics(sample, resamples=100)
-    return PressStudy(None, frame, curves(), sample, statistics, DESIGN, None)  # type: ignore[arg-type]
+    return PressStudy(None, frame, frame, curves(), sample, statistics, DESIGN, None)  # type: ignore[arg-type]

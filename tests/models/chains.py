@@ -10,8 +10,8 @@ from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import parameter_set
 
 
-def chain_of(elements: int = 41) -> Chain:
-    return Chains.build(parameter_set("lab"), elements, torch.Size(())).single(0)
+def chain_of(elements: int = 41, parameters: str = "lab") -> Chain:
+    return Chains.build(parameter_set(parameters), elements, torch.Size(())).single(0)
 
 
 def nodes_of(chain: Chain) -> Array:
@@ -39,11 +39,16 @@ def energy(chain: Chain, nodes: Array) -> float:
     """Return the elastic energy (J) of links, tissue, nail and plate, as in the docstring of `skin_chain`."""
     place, bone = nodes[:-1], nodes[-1]
     moved = place - chain.reference - bone
-    line = np.hypot(*(place - np.array([0.0, chain.radius]) - bone).T)
+    compression = chain.radius - np.hypot(*(place - np.array([0.0, chain.radius]) - bone).T)
+    grown, column = np.ones_like(compression), np.square(compression) / 2
+    if chain.stiffening:
+        relative = chain.stiffening * compression
+        grown = np.where(relative > 0, np.exp(relative), 1.0)
+        column = np.where(relative > 0, (grown - 1 - relative) / chain.stiffening**2, column)
     parts = (
         chain.membrane * np.square(np.diff(moved, axis=0)).sum(),
-        chain.tissue * np.square(line - chain.radius).sum(),
-        chain.shear * np.square(moved).sum(),
+        2 * chain.tissue * column.sum(),
+        chain.shear * (grown * np.square(moved).sum(1)).sum(),
         chain.nail * np.square(moved[[0, -1]]).sum(),
         chain.contact * np.square(np.minimum(place[:, 1], 0)).sum(),
     )
@@ -53,7 +58,7 @@ def energy(chain: Chain, nodes: Array) -> float:
 def runge_kutta(chain: Chain, mu: Array, load: Array, duration: float) -> tuple[Array, Array]:
     """Return positions (N, 2) in m and friction (N,) in N of a chain after ``duration`` s under a load (2,) in N.
 
-    Equation 5 has the forces of `skin_forces`; equation 7 is Dahl's friction without its stray factor.
+    Equation 5 has the forces of `skin_forces`; equation 7 is Dahl's friction.
     """
     count = len(mu)
 

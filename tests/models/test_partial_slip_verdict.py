@@ -56,6 +56,26 @@ def test_an_area_that_fades_is_not_taken_for_one_that_vanishes(mu_k: float) -> N
     assert np.isnan(verdict.collapse_ms)
 
 
+@pytest.mark.parametrize(
+    ("mu_k", "last", "identified"),
+    [(0.4, None, True), (0.2, None, True), (0.6, None, True), (0.9, None, True),
+     (0.4, 0.34, False), (0.4, 0.2, False), (0.4, 0.1, False)],
+)  # fmt: skip
+def test_a_fit_that_contradicts_the_verdict_is_refused(mu_k: float, last: float | None, identified: bool) -> None:
+    """Equation 5 fits a straight line exactly, with mu_k = 2 mu_s and no minimal area, where the line ends at one."""
+    trial = simulate_trial(0.8, mu_k, 7, last=last)
+    verdict = judged(trial)
+    slow = verdict.loading()
+    fit = fit_friction(trial.stuck_area[slow], trial.load_ratio[slow], resamples=100)
+    assert fit.identified
+    checked = verdict.check_fit(fit)
+    assert checked.identified == identified
+    if not identified:
+        assert fit.ratio > 1.3 > 1 > verdict.friction_ratio
+        assert re.match(r"the fitted curve, μk/μs \d\.\d\d, loses adhesion at T/N", checked.reason)
+        assert verdict.check_fit(checked) is checked
+
+
 @pytest.mark.parametrize(("rate", "collapse_ms"), [(60, 310), (300, 130)])
 @pytest.mark.parametrize("last", [0.10, 0.15, 0.22, 0.34])
 def test_an_area_that_falls_in_a_straight_line(last: float, collapse_ms: float, rate: float) -> None:

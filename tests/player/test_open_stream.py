@@ -42,3 +42,16 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["real_contact_area"].ravel(), np.arange(8) * 200.0)
     assert table["position_px"].shape == (8, 10, 2)
     assert "real_contact_area (mm²)" in (tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+
+
+@pytest.mark.parametrize(("rate", "warned"), [("", True), ("[recording]\nframe_rate = 40.0\n", False)])
+def test_time_is_that_of_the_recording_and_warnings_are_kept(rate: str, warned: bool, stream: Stream) -> None:
+    """With a frame rate `time` is that of the recording; without one it is that of arrivals, as a warning of the data
+    set says.
+    """
+    stream.scene.write_text(stream.scene.read_text() + rate)
+    assert stream.run(*stream.recorded(8), "--policy", "every").code == 0
+    result = fingerflow.open_stream(stream.folder / "results")
+    assert ("`time` is that of arrivals" in result.attrs["warnings"]) == warned
+    assert np.array_equal(result["time"], np.arange(8) / 40) != warned
+    assert warned or result.sel(time=0.1)["frame"] == 4

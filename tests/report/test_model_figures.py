@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from fingerflow.models import observer as observing
 from fingerflow.models.partial_slip import fit_friction, judge_trial
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report import observer
 from fingerflow.report import slip_figures as partial_slip
+from fingerflow.schema.rounding import format_uncertainty
 from tests.slip_trials import simulate_trial
 
 

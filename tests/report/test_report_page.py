@@ -12,12 +12,12 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.figure_files import FigureFiles
-from fingerflow.plot.rounding import format_uncertainty
 from fingerflow.report import write_report
 from fingerflow.report.cautions import cautions
 from fingerflow.report.key_frames import key_frames
-from fingerflow.report.key_numbers import key_numbers, scatter
+from fingerflow.report.key_numbers import key_numbers
 from fingerflow.results.result import save_result
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.scene import Scene
 from tests.small_trials import SMALL_PRESS, write_small
 
@@ -82,23 +82,9 @@ def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None
         value, spread = (1000 * float(result[f"median_divergence{of}"][one.frame]) for of in ("", "_std"))
         assert lines["median divergence"][k] == format_uncertainty(value, spread)
         assert lines["median divergence"][k] in told(page)
-    area = result["gross_contact_area"].values
-    expected = format_uncertainty(
-        float(area[frames[-1].frame]), float(result["gross_contact_area_std"][frames[-1].frame])
-    )
-    assert lines["gross contact area"][-1] == expected
-
-
-def test_scatter_is_that_of_the_noise_alone() -> None:
-    """The scatter of a parabola is zero, and noise of 0.3 on a parabola is found to 3 %, three times the error of 3000
-    frames.
-    """
-    time = np.linspace(0, 1, 3000)
-    curve = 70 * time**2
-    assert scatter(curve).max() < 1e-9
-    noisy = curve + np.random.default_rng(0).normal(0, 0.3, 3000)
-    assert np.sqrt((scatter(noisy) ** 2).mean()) == pytest.approx(0.3, rel=0.03)
-    assert np.isnan(scatter(curve[:10])).all()
+    for name in ("gross contact area", "real contact area", "contact area ratio"):
+        area, spread = (float(result[name.replace(" ", "_") + of][frames[-1].frame]) for of in ("", "_std"))
+        assert lines[name][-1] == format_uncertainty(area, spread)
 
 
 def test_frames_are_chosen_by_what_happens() -> None:

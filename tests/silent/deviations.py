@@ -22,7 +22,7 @@ from bench.recordings import write_quietly
 from fingerflow import process
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.ops.fields.strain import green_lagrange
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_gradients
 from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.variables import ENTRY
@@ -101,6 +101,10 @@ def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
     for frame in frames.tolist():
         for name, one in (skin.at(frame) | _of_contact(result, scene, frame)).items():
             found[name].append(one)
+    if isinstance(scene, Press):
+        onset, true = result["onset_frame"].values, scene.truth.onset_frame(skin.material)
+        error = np.where(skin.known & (onset > 0) & (true > 0), onset - true, np.nan)
+        found["onset_frame"].append((error, result["onset_frame_std"].values))
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
         for name, each in found.items()
@@ -152,7 +156,11 @@ class _Skin:
             "curl": gradient[:, 1, 0] - gradient[:, 0, 1],
         }.items():
             errors[name] = (result[name].values[frame] - true, result[f"{name}_std"].values[frame])
-        strain = result["strain"].values[frame] - self._strain(moved, frame)
+        true_strain = self._strain(moved, frame)
+        density = strain_energy_density(torch.from_numpy(true_strain)).numpy()
+        measured, stated = (result[f"strain_energy_density{of}"].values[frame] for of in ("", "_std"))
+        errors["strain_energy_density"] = measured - density, stated
+        strain = result["strain"].values[frame] - true_strain
         for column, name in enumerate(_STRAINS):
             errors[f"strain {name}"] = strain[:, column], result["strain_std"].values[frame][:, column]
         return errors
@@ -190,9 +198,13 @@ class _Skin:
 
 def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors:
     """Return errors and deviations of areas, medians and energies in a frame."""
-    true = {"gross_contact_area": scene.truth.gross_contact_area_mm2(frame)}
+    gross, real = scene.truth.gross_contact_area_mm2(frame), scene.truth.real_contact_area_mm2(frame)
+    true: dict[str, Any] = {"gross_contact_area": gross, "real_contact_area": real}
     step = _STEPS_MM[not isinstance(scene, Press)]
-    if true["gross_contact_area"] > _LEAST_MM2:
+    ellipse = scene.truth.ellipse(frame)
+    if gross > _LEAST_MM2 and ellipse is not None:
+        true |= {"contact_area_ratio": real / gross, "ellipse_center": ellipse.centre}
+        true["ellipse_semi_axes"] = sorted(ellipse.semi_axes, reverse=True)
         gradient = _of_contact_skin(scene, frame)
         true |= {f"median_{name}": value for name, value in medians_of(gradient).items()}
         if isinstance(scene, Press):

@@ -1,23 +1,21 @@
-"""Tests of simulated trials: distributions against printed values, and both papers by few trials, from pictures on.
+"""Tests of simulated trials: distributions against printed values, and rendered trials against their truth.
 
 B5 etc. are printed values of Willemet et al. 2021, supplement.
 """
 
-import json
-import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtr
 from scipy.stats import spearmanr
 
-from bench.__main__ import main
-from bench.papers.page import read_results
-from bench.papers.printed import AGREES, UNEXPLAINED
-from fingerflow.models.observer import participant_groups
+from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
+from fingerflow.study.run_study import run_study
 from fingerflow.study.simulated import write_recordings
 from fingerflow.study.simulated_trials import (
     Design,
@@ -25,13 +23,12 @@ from fingerflow.study.simulated_trials import (
     answer_table,
     draw_presses,
     make_recording,
-    median_divergence,
 )
 from fingerflow.study.table import write_tables
 
 pytestmark = pytest.mark.long  # the chains of a design take a minute
 
-DESIGN = Design(participants=400, trials=14)
+DESIGN = Design(participants=400)
 
 
 @pytest.fixture(scope="module")
@@ -40,21 +37,19 @@ def presses() -> Presses:
 
 
 def test_forces_times_and_rates_are_those_printed(presses: Presses) -> None:
-    """Forces, times and rates have the distributions of B34 to B38. The standard error of a mean of 16,800 presses is
-    below 1 %; larger differences come from redrawing presses outside the printed ranges, which the printed numbers do
-    not specify.
+    """Forces, times and rates have the distributions of B34 to B38, but that presses outside the printed ranges are
+    drawn again. Both presses of a pair are alike to 12 %.
     """
-    assert presses.force.mean() == pytest.approx(5.5, abs=0.2)
-    assert 1 <= presses.force.min() < 1.1
-    assert 17 < presses.force.max() <= 18
-    assert presses.time_to_peak.mean() == pytest.approx(1.47, abs=0.02)
-    assert presses.time_to_peak.std() == pytest.approx(0.39, abs=0.03)
-    assert presses.duration.min() == 1.0
-    assert presses.duration.max() == 2.5
-    assert presses.duration.std() > 0.3
     rate = presses.force / presses.time_to_peak
-    assert rate.mean() == pytest.approx(3.6, abs=0.2)
-    assert rate.std() == pytest.approx(3.0, abs=0.6)
+    for values, mean, deviation in ((presses.force, 5.5, 2.9), (presses.time_to_peak, 1.47, 0.39), (rate, 3.9, 2.3)):
+        assert values.mean() == pytest.approx(mean, rel=0.05)
+        assert values.std() == pytest.approx(deviation, rel=0.15)
+    assert 1 <= presses.force.min() < presses.force.max() <= 18
+    assert 1.0 <= presses.duration.min() < presses.duration.max() <= 2.5
+    reference, comparison = presses.pairs()
+    assert np.log(comparison.force / reference.force).std() == pytest.approx(0.12, rel=0.05)
+    persons = np.log(presses.force)
+    assert _by_participant(presses, persons).std() == pytest.approx(0.45, rel=0.1)
 
 
 def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
@@ -73,115 +68,68 @@ def test_angles_and_displacements_are_those_printed(presses: Presses) -> None:
 
 
 def test_contact_areas_are_those_printed(presses: Presses) -> None:
-    """Apparent and real areas over participants, and the effect of vibration on both, agree with B5 to B9."""
-    # Two groups of different sensitivity need twice the printed spread of apparent areas.
-    areas = (presses.gross_contact_area, 70.1, 10.2), (presses.real_contact_area, 23.7, 4.5)
+    """Apparent areas over participants are those of the design, real areas and the effect of vibration on both those of
+    B6 to B9.
+    """
+    areas = (presses.gross_contact_area, 66.0, 11.0), (presses.real_contact_area, 23.7, 6.0)
     for area, mean, deviation in areas:
         own = _by_participant(presses, area)
-        assert own.mean() == pytest.approx(mean, rel=0.02)
-        assert own.std() == pytest.approx(deviation, rel=0.1)
+        assert own.mean() == pytest.approx(mean, rel=0.03)
+        assert own.std() == pytest.approx(deviation, rel=0.15)
     still, most = presses.amplitude == 0, presses.amplitude == 3
     share = presses.real_contact_area / presses.gross_contact_area
     assert 1 - np.median(share[most]) / np.median(share[still]) == pytest.approx(0.38, abs=0.02)
     assert abs(presses.gross_contact_area[most].mean() / presses.gross_contact_area[still].mean() - 1) < 0.04
     _, comparison = presses.pairs()
-    median = _by_participant(presses, presses.real_contact_area, np.median)[comparison.participant]
-    slope = comparison.real_contact_area / median / comparison.force
-    assert spearmanr(slope, comparison.amplitude).statistic == pytest.approx(-0.28, abs=0.06)
+    assert spearmanr(share[1::2], comparison.amplitude).statistic == pytest.approx(-0.28, abs=0.06)
 
 
-def test_soft_participants_feel_small_amplitudes_better(presses: Presses) -> None:
-    """The soft group is better at amplitudes up to 1 µm (B66), by 0.06 with a standard error of 0.008, and most studies
-    of 16 participants show two groups. Equal stimuli are answered by chance, and larger vibrations better.
+def test_large_vibrations_and_fast_presses_are_answered_better(presses: Presses) -> None:
+    """The share of right answers rises with the amplitude, and at the largest with the rate of the force. Without
+    differences the answers are chance, but for a smaller angle and a larger displacement.
     """
     reference, comparison = presses.pairs()
     answers = answer_table(DESIGN, reference, comparison)
-    firm, soft = (
-        np.array(
-            [answers[(comparison.amplitude == one) & (comparison.soft == group)].mean() for one in DESIGN.amplitudes]
-        )
-        for group in (False, True)
-    )
-    both = (firm + soft) / 2
-    assert both[0] == pytest.approx(0.5, abs=0.04)
-    assert both[-1] > 0.9
-    assert (np.diff(both) > -0.02).all()
-    advantage = soft - firm
-    assert abs(advantage[0]) < 0.03
-    assert advantage[1:3].mean() > 0.03
-    more = comparison.divergence - reference.divergence
-    found = [
-        participant_groups(
-            1e3 * np.array([np.median(more[comparison.participant == one]) for one in range(first, 400, 25)]),
-            resamples=200,
-        ).groups
-        for first in range(5)
-    ]
-    assert found.count(2) >= 3
+    shares = [answers[comparison.amplitude == one].mean() for one in DESIGN.amplitudes]
+    assert (np.diff(shares) > -0.02).all()
+    assert shares[0] < 0.65 < 0.8 < shares[-1]
+    even = np.full(answers.size, 1e-2)
+    fast, slow = (
+        answer_table(DESIGN, replace(reference, divergence=0 * even), replace(
+            comparison, divergence=even, force=rate * comparison.time_to_peak))
+        for rate in (9.0, 1.0)
+    )  # fmt: skip
+    assert fast.mean() > slow.mean() + 0.1
+    angled = replace(comparison, divergence=reference.divergence, angle=reference.angle - 0.1, shift=reference.shift)
+    assert answer_table(DESIGN, reference, angled).mean() == pytest.approx(ndtr(0.25), abs=0.02)
 
 
 def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
-    """Tables interpolated over the force agree with the truth of rendered presses to 1 µm/mm, as the curve bends by 15
-    µm/mm between two forces, and to 1 % of the area. The median of the whole disc equals that of a radius to 0.5 µm/mm,
-    the error of their grids.
+    """Tables interpolated over the force agree with the truth of rendered presses to 2 µm/mm, as skin that slides
+    dilates by 10 µm/mm in 1 N, and to 2.5 % of the area, as the contact grows by whole elements.
     """
-    for number in range(3, 63, 12):
+    for number in (1, 9, 37):
         press = make_recording(DESIGN, presses, number)
         truth, peak = press.truth, int(np.argmax(press.normal_force(press.times)))
-        exact = median_divergence(press)
-        assert 1e3 * presses.divergence[number] == pytest.approx(1e3 * exact, abs=1.0)
-        assert presses.gross_contact_area[number] == pytest.approx(truth.gross_contact_area_mm2(-1), rel=0.01)
-        assert presses.real_contact_area[number] == pytest.approx(truth.real_contact_area_mm2(-1), rel=0.03)
+        assert presses.gross_contact_area[number] == pytest.approx(truth.gross_contact_area_mm2(-1), rel=0.025)
+        assert presses.real_contact_area[number] == pytest.approx(truth.real_contact_area_mm2(-1), rel=0.04)
         if press.progress(press.times[peak]) >= 1:
-            assert 1e3 * truth.medians(peak).divergence == pytest.approx(1e3 * exact, abs=0.5)
+            divergence = truth.medians(peak).divergence
+            assert 1e3 * presses.divergence[number] == pytest.approx(1e3 * divergence, abs=2.0)
         assert truth.medians(press.n_frames - 1).displacement_x == pytest.approx(presses.shift[number, 0], abs=1e-9)
 
 
-@pytest.fixture(scope="module")
-def papers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a quick run of both papers."""
-    folder = tmp_path_factory.mktemp("papers")
-    main(["papers", "--quick", "--folder", str(folder)])
-    return folder
-
-
-def test_a_quick_run_goes_from_pictures_to_the_page(papers: Path) -> None:
-    """Slides agree with print, and of the small study of presses what few presses can; every figure but photographs is
-    drawn; a second run measures nothing again.
+def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
+    """A study of four pairs by its commands returns the numbers that were drawn and finds the pairs; an
+    interrupted call continues.
     """
-    found = {one["paper"]: one for one in read_results(papers / "page")}
-    rows = {paper: {row["id"]: row for row in one["rows"]} for paper, one in found.items()}
-    agreeing = {name for own in rows.values() for name, row in own.items() if row["verdict"] == AGREES}
-    assert agreeing >= {f"A{k}" for k in (*range(1, 6), *range(12, 18), 20, 21, 22)}
-    settings = {1, 3, *range(15, 19), *range(21, 27), 30, 33, 56, *range(58, 64)}
-    assert agreeing >= {f"B{k}" for k in settings | {5, 6, 8, 34, 35, 36, 43, 44}}
-    assert not [name for own in rows.values() for name, row in own.items() if row["because"] == UNEXPLAINED]
-    assert not [name for own in rows.values() for name, row in own.items() if "nan" in row["obtained"]]
-    error = re.search(r"RMS error ([\d.]+)", rows["slip"]["A9"]["obtained"])
-    assert error is not None
-    assert float(error[1]) < 0.03
-    for paper, one in found.items():
-        files = [papers / "page" / paper / figure["file"] for figure in one["figures"] if figure["file"]]
-        files += [papers / "page" / "movies" / figure["movie"] for figure in one["figures"] if figure["movie"]]
-        assert len(files) == (18 if paper == "press" else 5)
-        assert all(path.stat().st_size > 5000 for path in files)
-    measured = {path: path.stat().st_mtime_ns for path in papers.rglob("row.json")}
-    assert len(measured) == 10 + 24
-    main(["papers", "slip", "--folder", str(papers)])
-    assert {path: path.stat().st_mtime_ns for path in measured} == measured
-    again = json.loads((papers / "page" / "slip.json").read_text(encoding="utf-8"))
-    assert again["rows"] == found["slip"]["rows"]
-
-
-def test_rendered_presses_are_measured_as_drawn(papers: Path) -> None:
-    """Twelve pairs have the numbers that were drawn and are found; rendering again keeps what is there."""
-    folder = papers / "press-quick" / "recordings"
-    design = Design(**json.loads((folder / "truth.json").read_text(encoding="utf-8")))
-    rendered = {path: path.stat().st_mtime_ns for path in folder.rglob("frames.npy")}
-    write_recordings(folder, design)
-    assert {path: path.stat().st_mtime_ns for path in rendered} == rendered
-    study = load_manifest(folder)
+    design = Design(participants=2, trials=1, amplitudes=(1.0, 3.0), force_range=(2.0, 9.0), view_px=418)
+    write_recordings(tmp_path, design)
+    write_recordings(tmp_path, design)
+    init_study(tmp_path, tmp_path / "answers.csv")
+    study = load_manifest(tmp_path)
     assert study.design == "forced choice"
+    run_study(study, workers=1, progress=False)
     table = pd.read_csv(write_tables(study)[0].with_suffix(".csv"))
     assert (table["status"] == "measured").all()
     drawn = draw_presses(design)
@@ -193,25 +141,23 @@ def test_rendered_presses_are_measured_as_drawn(papers: Path) -> None:
     assert np.abs(table["gross_contact_area"] / table["true_gross_contact_area"] - 1).max() < 0.05
     assert np.abs(table["real_contact_area"] - table["true_real_contact_area"]).max() < 4.5
     # Half of the error of rendered presses is common, due to the border of the contact (docs/accuracy.md).
-    light = table[table["true_force"] < 9]
-    assert 1e3 * np.abs(light["divergence"] - light["true_divergence"]).to_numpy().max() < 5.0
-    assert np.corrcoef(light["divergence"], light["true_divergence"])[0, 1] > 0.9
+    assert 1e3 * np.abs(table["divergence"] - table["true_divergence"]).max() < 5.0
+    assert np.corrcoef(table["divergence"], table["true_divergence"])[0, 1] > 0.9
     compared = table["reference"].notna()
-    assert compared.sum() == 12
+    assert compared.sum() == 4
     assert table["answer"].notna().equals(compared)
     for name in ("divergence", "max_force"):
         own = table.set_index(["participant", "trial"])[name]
         for _, row in table[compared].iterrows():
             expected = row[name] - own[row["participant"], int(row["reference"])]
-            assert row[f"{name}_difference"] == pytest.approx(expected, rel=1e-9, nan_ok=True)
+            assert row[f"{name}_difference"] == pytest.approx(expected, rel=1e-9)
 
 
-def _by_participant(presses: Presses, values: NDArray[np.float64], of: object = np.mean) -> NDArray[np.float64]:
-    assert callable(of)
-    return np.array([of(values[presses.participant == one]) for one in np.unique(presses.participant)])
+def _by_participant(presses: Presses, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([values[presses.participant == one].mean() for one in np.unique(presses.participant)])
 
 
 def _in_order(table: pd.DataFrame, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return drawn values in the order of the rows of a table."""
-    of_each = values.size // table["participant"].nunique()
+    of_each = values.size // 2
     return values[(table["participant"] - 1) * of_each + table["trial"] - 1]

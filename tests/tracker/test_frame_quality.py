@@ -89,6 +89,18 @@ def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
     assert found[14:57] == ["usable"] * 43
 
 
+@pytest.mark.parametrize("growth", [1.05, 1.2, 1.4])
+@pytest.mark.parametrize("picture", [0, 1])
+def test_long_noise_counts_in_no_number_and_fast_growth_does(growth: float, picture: int) -> None:
+    """Of a contact whose area grows fast, each frame counts but eight of noise, or of noise over the picture."""
+    y, x = np.mgrid[:192, :240]
+    radius = 12 * np.minimum(growth ** (np.arange(40) / 2), 7)
+    skins = [np.where(np.hypot(x - 120, y - 96) < size, _skin()[:, :240] - 50, 200) for size in radius]
+    for k in range(6, 14):
+        skins[k] = picture * skins[k] + np.random.default_rng(k).normal(127 - 127 * picture, 70, skins[k].shape)
+    assert _statuses(skins) == ["usable"] * 6 + ["noise"] * 8 + ["usable"] * 26
+
+
 @pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0)])
 def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> None:
     """A repeated frame is recognised if other frames differ; a camera that gives each picture twice has none."""

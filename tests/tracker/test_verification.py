@@ -16,6 +16,7 @@ from fingerflow import process
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.kernels.library import is_present
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.synthetic import Slide
 from fingerflow.tracker import window_match
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.subset_verification import Verification
@@ -220,3 +221,18 @@ def test_points_that_fail_have_no_position_and_are_counted(tmp_path: Path, monke
     np.testing.assert_array_equal(result["position_px"].values[:, 3:], plain["position_px"].values[:, 3:])
     np.testing.assert_allclose(result["window_differs_share"].values, differs.mean(1))
     assert "status window_differs" in warnings_of(result)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", [{}, {"direction": 3.0}, {"creep": 0.9}, {"n_frames": 40, "frame_rate": 33.0}])
+def test_points_of_a_fast_slide_are_on_their_skin_or_lost(tmp_path: Path, change: dict[str, Any]) -> None:
+    """Slides that end at 10 to 16 px a frame, where most points are lost and few have neighbours to judge them."""
+    frames: dict[str, Any] = {"n_frames": 60, "frame_rate": 50.0, "frames_before_trigger": 2} | change
+    small = Slide(**frames, frame_shape=(300, 900), finger=(4.0, 3.4), semi_axes=(2.4, 2.0), travel=4.0)
+    result = process(write_small(tmp_path / "slide", small), ["position_px"])
+    position, tracked = result["position_px"].values, result["status"].values == TrackStatus.TRACKED
+    seeded = np.flatnonzero(tracked[0])
+    skin = np.stack([small.truth.follow(position[0, seeded], 0, frame) for frame in range(small.n_frames)])
+    off = np.linalg.norm(position[:, seeded] - skin, axis=-1)[tracked[:, seeded]]
+    assert len(off) > 7500
+    assert off.max() < 3

@@ -9,6 +9,7 @@ import xarray as xr
 
 from fingerflow.errors import FingerflowError
 from fingerflow.results.result import load_result
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.view.results import Results, course_median
 
 
@@ -33,6 +34,10 @@ def test_a_frame_is_what_the_file_has(results: Results, stored: xr.Dataset) -> N
         assert numbers["time"] == float(stored["time"][frame])
         np.testing.assert_equal(numbers["gross_contact_area"], stored["gross_contact_area"].values[frame])
         np.testing.assert_equal(numbers["ellipse_center"], stored["ellipse_center"].values[frame])
+        area, spread = (float(stored[f"gross_contact_area{of}"][frame]) for of in ("", "_std"))
+        assert numbers["text"]["gross_contact_area"] == format_uncertainty(area, spread)
+        assert numbers["text"]["frame_status"] == "usable"
+        assert not [name for name in numbers["text"] if name.endswith("_std")]
     _, arrays = results.frame(9, "displacement:length")
     expected = np.linalg.norm(stored["displacement"].values[9], axis=-1)
     np.testing.assert_allclose(arrays["shown"], expected, rtol=1e-6)  # sent as float32

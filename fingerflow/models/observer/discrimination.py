@@ -10,6 +10,7 @@ jackknife of a quantile tells nothing.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,11 +86,9 @@ def d_prime(correct: ArrayLike, incorrect: ArrayLike, participants: Participants
     Raises:
         ValueError: infinite values, or participants that do not match.
     """
-
-    def interval(value: float, statistic: Statistic, people: int) -> tuple[Interval, float, str]:
-        return jackknife(value, statistic(1 - np.eye(people)))
-
-    return _estimated((correct, incorrect), participants, 2, _d_prime, interval)
+    return _estimated(
+        (correct, incorrect), participants, 2, _d_prime, lambda value, statistic, people: jackknife(
+            value, statistic(1 - np.eye(people))))  # fmt: skip
 
 
 def auc(
@@ -101,7 +100,7 @@ def auc(
     if a kind has no trial. There is no interval if the two kinds do not overlap, because every resample then gives the
     same area. The interval is that of the bootstrap; other arguments and errors are those of `d_prime`.
     """
-    return _estimated((correct, incorrect), participants, 1, _area, _bootstrapped(resamples, seed))
+    return _estimated((correct, incorrect), participants, 1, _area, partial(bootstrap, resamples=resamples, seed=seed))
 
 
 def compare_auc(
@@ -141,7 +140,7 @@ def compare_auc(
         return lambda weights: first_area(weights) - second_area(weights)
 
     kinds = [np.where(both, left, np.nan) for both, (left, _) in zip(valid, pairs, strict=True)]
-    return _estimated(kinds, participants, 1, difference, _bootstrapped(resamples, seed))
+    return _estimated(kinds, participants, 1, difference, partial(bootstrap, resamples=resamples, seed=seed))
 
 
 def criterion_for_hits(correct: ArrayLike, participants: ArrayLike, resamples: int = 2000, seed: int = 0) -> Estimate:
@@ -170,7 +169,7 @@ def criterion_for_hits(correct: ArrayLike, participants: ArrayLike, resamples: i
 
         return resampled
 
-    return _estimated((correct,), (participants,), 2, quantile, _bootstrapped(resamples, seed))
+    return _estimated((correct,), (participants,), 2, quantile, partial(bootstrap, resamples=resamples, seed=seed))
 
 
 def permutation_p(
@@ -217,14 +216,6 @@ def _estimated(
             return replace(nothing, reason="all values are equal within each kind of trial: no d'")
         interval, p, reason = make_interval(value, statistic, people)
     return replace(nothing, value=value, interval=interval, p=p, reason=reason)
-
-
-def _bootstrapped(resamples: int, seed: int) -> Callable[[float, Statistic, int], tuple[Interval, float, str]]:
-    def interval(value: float, statistic: Statistic, people: int) -> tuple[Interval, float, str]:
-        limits, reason = bootstrap(value, statistic, people, resamples, seed)
-        return limits, math.nan, reason
-
-    return interval
 
 
 def _finite(

@@ -17,6 +17,7 @@ Statistic = Callable[[Values], Values]
 
 LEVEL = 0.95
 UNKNOWN: Interval = (math.nan, math.nan)
+_NONE = UNKNOWN, math.nan  # interval and p-value that cannot be computed
 _FEWEST = 3  # participants that an interval needs
 _AT_ONCE = 10_000_000  # largest number of drawn participants that are compared at a time
 # Added to the seed: data simulated with the same seed must not share random numbers with the resampling.
@@ -51,10 +52,10 @@ def jackknife(estimate: float, without: ArrayLike) -> tuple[Interval, float, str
     """
     each = np.asarray(without, dtype=np.float64)
     if each.size < _FEWEST:
-        return UNKNOWN, math.nan, f"no interval from {each.size} participants: {_FEWEST} are needed"
+        return *_NONE, f"no interval from {each.size} participants: {_FEWEST} are needed"
     error = math.sqrt((each.size - 1) / each.size * float(((each - each.mean()) ** 2).sum()))
     if not error > 1e-12 * abs(estimate):
-        return UNKNOWN, math.nan, "no interval: the estimate is the same, or unknown, without any one participant"
+        return *_NONE, "no interval: the estimate is the same, or unknown, without any one participant"
     student = stats.t(each.size - 1)
     reach = float(student.ppf((1 + LEVEL) / 2)) * error
     return (estimate - reach, estimate + reach), float(2 * student.sf(abs(estimate) / error)), ""
@@ -62,9 +63,9 @@ def jackknife(estimate: float, without: ArrayLike) -> tuple[Interval, float, str
 
 def bootstrap(
     estimate: float, statistic: Statistic, participants: int, resamples: int, seed: int
-) -> tuple[Interval, str]:
-    """Return the bias-corrected and accelerated (BCa) interval of a statistic from resamples of whole participants; and
-    a text that explains a missing interval or dropped resamples.
+) -> tuple[Interval, float, str]:
+    """Return the bias-corrected and accelerated (BCa) interval of a statistic from resamples of whole participants, no
+    p-value (NaN), and a text that explains a missing interval or dropped resamples.
 
     The interval of `scipy.stats.bootstrap` is too narrow for few participants; its normal quantile z is therefore
     replaced by that of Student's t times (P / (P - 1))^(1/2) (Hesterberg 2015).
@@ -75,7 +76,7 @@ def bootstrap(
     if resamples < 100:
         raise ValueError(f"{resamples} resamples are too few for an interval: give 100 or more")
     if participants < _FEWEST:
-        return UNKNOWN, f"no interval from {participants} participants: {_FEWEST} are needed"
+        return *_NONE, f"no interval from {participants} participants: {_FEWEST} are needed"
     people = np.arange(participants)
 
     def resampled(drawn: NDArray[np.intp], axis: int) -> Values:
@@ -91,9 +92,9 @@ def bootstrap(
     )  # fmt: skip
     finite = drawn.bootstrap_distribution[np.isfinite(drawn.bootstrap_distribution)]
     if finite.size < resamples / 2:
-        return UNKNOWN, f"no interval: {resamples - finite.size} of {resamples} resamples lack a class or a spread"
+        return *_NONE, f"no interval: {resamples - finite.size} of {resamples} resamples lack a class or a spread"
     if np.abs(finite - estimate).max() <= 1e-12 * max(abs(estimate), 1):
-        return UNKNOWN, "no interval: every resample gives the same number"
+        return *_NONE, "no interval: every resample gives the same number"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         trimmed = replace(drawn, bootstrap_distribution=finite)
@@ -102,7 +103,7 @@ def bootstrap(
         )
     low, high = corrected.confidence_interval
     if not (math.isfinite(low) and math.isfinite(high)):
-        return UNKNOWN, "no interval: the estimate is unknown without one of the participants"
+        return *_NONE, "no interval: the estimate is unknown without one of the participants"
     reason = "" if finite.size == resamples else f"{resamples - finite.size} of {resamples} resamples lacked a class"
     # Where the statistic takes few values, a quantile may lie slightly on the wrong side of the estimate.
-    return (float(min(low, estimate)), float(max(high, estimate))), reason
+    return (float(min(low, estimate)), float(max(high, estimate))), math.nan, reason

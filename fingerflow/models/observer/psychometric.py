@@ -16,7 +16,6 @@ FORCED_CHOICE, YES_NO = "forced choice", "yes/no"
 GUESSES = {FORCED_CHOICE: 0.5, YES_NO: None}
 SHARE = 0.75  # of answers at the threshold
 _FEWEST_STIMULI = 3
-_STARTS = 3  # number of grid points from which the search starts
 # Bounds of threshold and slope, in ranges of the stimuli, and of the fitted lapse and guess rates.
 _BOUNDS = ((-50.0, 50.0), (-200.0, 200.0), (0.0, 0.24), (0.0, 0.5))
 _PRIOR = 9.0  # Beta(1, 10) of both rates, (1 - rate)^9 (Schuett et al. 2016): lapses and guesses are probably few
@@ -102,13 +101,9 @@ def fit_psychometric(
 
     all_blocks = np.ones(x.size, dtype=bool)
     rates = (0.02,) if guess is not None else (0.02, 0.02)
-    starts = [
-        np.array([threshold, slope, *rates])
-        for threshold in np.linspace(x.min() - 0.5, x.max() + 0.5, 9)
-        for slope in (-16.0, -4.0, -1.0, 1.0, 4.0, 16.0)
-    ]
-    starts.sort(key=lambda start: loss(start, all_blocks))
-    _, best = min((minimised(start, all_blocks) for start in starts[:_STARTS]), key=lambda pair: pair[0])
+    rising = 4.0 if ((x - x.mean()) * (yes / number - yes.sum() / number.sum())).sum() > 0 else -4.0
+    starts = (np.array([threshold, rising, *rates]) for threshold in np.quantile(x, (0.1, 0.5, 0.9)))
+    _, best = min((minimised(start, all_blocks) for start in starts), key=lambda pair: pair[0])
     threshold, slope, lapse, guesses = (*best.tolist(), guess)[:4]
     if abs(float(np.ptp(_curve(np.array([x.min(), x.max()]), threshold, slope, guesses, lapse)))) <= 0.01:
         return replace(

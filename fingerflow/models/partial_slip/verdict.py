@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
 from fingerflow.models.partial_slip.collapse import Collapse, fit_collapse
-from fingerflow.models.partial_slip.evolution import friction_ratio
-from fingerflow.models.partial_slip.fit import frame_noise
+from fingerflow.models.partial_slip.evolution import critical_load_ratio, friction_ratio
+from fingerflow.models.partial_slip.fit import FrictionFit, frame_noise
 
 Values = NDArray[np.float64]
 Outcome = Literal["vanishes abruptly", "diminishes", "inconclusive"]
@@ -95,6 +95,29 @@ class TrialVerdict:
         law may be fitted.
         """
         return slice(0, self.collapse_frame + 1)
+
+    def check_fit(self, fit: FrictionFit) -> FrictionFit:
+        """Return a friction fit to the trial's loading, not identified where its curve contradicts this verdict.
+
+        Equation 5 fits a straight line exactly, with mu_k = 2 mu_s and no minimal area, whatever the area at which the
+        line ends. It must lose adhesion at the measured T/N to 5 %, and at the measured d^2 (0 where that diminishes)
+        to 0.05 or two deviations outside of its interval.
+        """
+        if not fit.identified:
+            return fit
+        load = float(critical_load_ratio(fit.mu_s, fit.mu_k))
+        abrupt = self.outcome == "vanishes abruptly"
+        area, (low, high) = self.critical_area if abrupt else 0.0, fit.critical_area_interval
+        off = max(low - area, area - high)
+        judged = self.outcome != "inconclusive" and off > max(SMALLEST_AREA, 2 * self.critical_area_std * abrupt)
+        if abs(load / self.loss_load_ratio - 1) <= CORRIDOR and not judged:
+            return fit
+        reason = (
+            f"the fitted curve, μk/μs {fit.ratio:.2f}, loses adhesion at T/N {load:.2f} and d² "
+            f"{fit.critical_area:.2f}, the trial did at {self.loss_load_ratio:.2f} and {area:.2f}: d² is not that of "
+            "the model; try a smaller [slip] stuck_mm"
+        )
+        return replace(fit, identified=False, reason=reason)
 
 
 def judge_trial(

@@ -133,6 +133,20 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
     return energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, young_modulus_mpa, poisson_ratio)
 
 
+def strain_energy_density_std(strain: Tensor, std: Tensor, young_modulus_mpa: float, poisson_ratio: float) -> Tensor:
+    """Return the root mean square error (...), mJ/mm^3, of the strain energy density by independent errors, of
+    standard deviations `std`, of the measured strain (..., 3): to second order, with what errors add on average.
+
+    The measured stress has errors too, which add twice the second order to the first on average.
+    """
+    solid, (xx, yy, xy) = (young_modulus_mpa, poisson_ratio), _components(std * std)
+    direct, mixed, shear = stiffness(*solid)
+    sxx, syy, sxy = stress_parts(*_components(strain), *solid)
+    first = sxx * sxx * xx + syy * syy * yy + 4 * sxy * sxy * xy
+    second = 2 * (direct * direct * (xx * xx + yy * yy) + shear * shear * xy * xy) + mixed * mixed * xx * yy
+    return (torch.maximum(first - second, second) + energy_form(xx, yy, xy, 0 * xx, *solid) ** 2).sqrt()
+
+
 def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:

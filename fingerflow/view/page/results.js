@@ -113,17 +113,13 @@ export class ResultsView {
   after(k) {
     const numbers = this.found.numbers, force = numbers.normal_force;
     $("where").value = `frame ${k + this.first}   ${digits(numbers.time, 4)} s${force === undefined ? "" : `   ${digits(force, 3)} N`}`;
-    const rows = this.facts.curves.filter(({ key }) => !key.includes(":") && !key.endsWith("_rate") && key in numbers && !key.startsWith("ellipse"));
-    const flags = key => this.facts.flags[key];
+    const rows = this.facts.curves.filter(({ key }) => key in numbers.text && !key.startsWith("ellipse"));
     if (!this.cells) {
       this.cells = new Map(rows.map(({ key }) => [key, make("dd")]));
       this.numbers.replaceChildren(...rows.map(({ key, said }) => make("div", { title: said },
         make("dt", {}, labelOf(key)), this.cells.get(key), make("dd", { className: "unit" }, unitOf(key)))));
     }
-    for (const { key } of rows) {
-      const value = numbers[key];
-      this.cells.get(key).textContent = value === null ? "NaN" : flags(key) ? words(flags(key)[value]) : digits(shown(key, value));
-    }
+    for (const { key } of rows) this.cells.get(key).textContent = numbers.text[key];
     if (this.chosen.length === 1) this.tell();
     this.app.chart.cursor(k);
   }

@@ -7,7 +7,13 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import curl, divergence, green_lagrange
+from fingerflow.ops.fields.strain import (
+    curl,
+    divergence,
+    green_lagrange,
+    strain_energy_density,
+    strain_energy_density_std,
+)
 from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
 
 GAUGE = 2.0
@@ -71,3 +77,13 @@ def test_a_point_without_a_usable_variance_is_left_out(bad: float) -> None:
         assert rest.covariance is not None
         torch.testing.assert_close(fit.gradient, rest.gradient, atol=1e-12, rtol=0)
         torch.testing.assert_close(fit.covariance, rest.covariance, atol=1e-15, rtol=1e-10)
+
+
+@pytest.mark.parametrize("strain", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.01), (0.05, 0.03, 0.0)])
+def test_deviation_of_the_energy_density_is_its_error(strain: tuple[float, float, float]) -> None:
+    exact, std = torch.tensor([strain, (0.005, 0.008, 0.003)], dtype=torch.float64)
+    errors = torch.randn(20_000, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    measured = exact + std * errors
+    error = (strain_energy_density(measured) - strain_energy_density(exact)).square().mean().sqrt()
+    stated = strain_energy_density_std(measured, std, 1.0, 0.4).square().mean().sqrt()
+    assert 0.75 < error / stated < 1.05

@@ -15,6 +15,7 @@ from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.pipeline.stages.strain import contact_energy
 from fingerflow.pipeline.stages.strain.contact_energy import ContactEnergy, FrameEnergies
+from fingerflow.pipeline.stages.strain.strain_stage import border_density
 from fingerflow.synthetic import Press
 
 PRESS = Press(n_frames=60, frame_rate=60.0)
@@ -163,3 +164,11 @@ def test_point_at_its_onset_leaves_the_energy_unchanged(std_mm: float) -> None:
     found = whole.estimate(contact.position[None], moved, variance, counts, contact.border, lambda some: 0.1 * moved)
     assert abs(found.energy[0] - known.energy[0]) < known.deviation[0]
     assert found.deviation[0] == pytest.approx(known.deviation[0], rel=0.2)
+
+
+def test_the_rim_is_unknown_where_no_triangle_lies_near_it() -> None:
+    """The density at the border is that of the triangles in reach, and NaN, not 0, without one of known strain."""
+    border = FrameEllipse(np.zeros((3, 2)), np.full((3, 2), 4.0), np.zeros(3))
+    positions = np.tile([[3.5, 0.0], [0.0, 1.0]], (3, 1, 1))
+    density = np.array([[2.0, 1.0], [np.nan, 1.0], [np.nan, np.nan]])
+    np.testing.assert_array_equal(border_density(density, np.ones(2), positions, border, 0.8), [2, np.nan, np.nan])

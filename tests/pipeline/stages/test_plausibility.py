@@ -24,6 +24,7 @@ def test_what_is_plausible_says_nothing() -> None:
     messages += [plausibility.check_areas(nothing, nothing, 100.0, 8, 0), plausibility.check_onset(force, nothing, 0)]
     messages += [plausibility.check_beginning(area, 0) for area in (gross, np.full(40, 66.0), nothing)]
     messages += [plausibility.check_exposure(0.1, 0.88, 0), plausibility.check_mirrored("")]
+    messages += [plausibility.check_seeded_region(0.04)]
     # A bright spot, an even picture below full scale, and dark pictures are not saturated.
     spot, even = np.arange(1000) % 254, np.full(1000, 200)
     spot[:9] = 255
@@ -38,6 +39,7 @@ def test_what_is_plausible_says_nothing() -> None:
 def test_sentences_name_the_frames_and_the_numbers() -> None:
     real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
     (more,) = plausibility.check_areas(real, gross, 100.0, 1, 10)
+    assert "27% of the contact lies outside the region" in plausibility.check_seeded_region(0.27)[0]
     assert "in 2 frames, the first is 12," in more
     assert "(5 and 4 mm²)" in more
     for level in (255, 1023, 4095, 65535):

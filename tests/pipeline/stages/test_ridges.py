@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from fingerflow.pipeline.stages.contact import view_faults
 from fingerflow.pipeline.stages.preparation import ridges
 from fingerflow.synthetic import FingerprintTexture, Press
 from fingerflow.synthetic.skin_interface import Skin
@@ -54,3 +55,15 @@ def test_period_and_offset(texture: Skin) -> None:
     assert ridges.offset_px(skin, noise, matrix) == 0
     assert ridges.mirroring(skin, noise, matrix) == ""
     assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0
+
+
+@pytest.mark.parametrize("width", [0.45, 0.55, 0.65])
+def test_sweat_is_told_from_wide_ridges(width: float) -> None:
+    """Ridges of a share `width` of the period, which varies by a quarter; sweat fills valleys in patches of 0.6 mm."""
+    y, x = np.mgrid[:400, :400]
+    phase = (x + 12 * np.sin(y / 40) + 15 * np.sin(x / 60)) / 15 % 1
+    touching, sweat = phase < width, np.zeros((400, 400), bool)
+    for right, down in np.random.default_rng(0).uniform(0, 400, (150, 2)):
+        sweat |= np.hypot(x - right, y - down) < 10
+    assert view_faults.check_sweat(touching, 15.0) == []
+    assert "sweat" in view_faults.check_sweat(touching | sweat, 15.0)[0]

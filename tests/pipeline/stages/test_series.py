@@ -20,3 +20,9 @@ def test_rates_are_those_of_savitzky_and_golay() -> None:
         np.testing.assert_allclose(found[:, column], expected, atol=1e-8)
     parabola = (STEP * np.arange(3.0)) ** 2
     np.testing.assert_allclose(rate(parabola, STEP * np.arange(3), 0.0), 2 * STEP * np.arange(3), atol=1e-12)
+
+
+def test_deviations_of_rates_are_those_of_independent_errors() -> None:
+    std, times = np.linspace(1, 3, 30), STEP * np.arange(30)
+    spread = rate(std[:, None] * np.random.default_rng(5).normal(size=(30, 4000)), times, 0.05).std(1)
+    np.testing.assert_allclose(rate(std, times, 0.05, of_std=True), spread, rtol=0.05)

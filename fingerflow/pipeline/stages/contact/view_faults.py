@@ -16,7 +16,7 @@ Mask = NDArray[np.bool_]
 
 _UNLIT_BORDER = 0.03  # largest share of the contact's border that may lie on unlit glass
 _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which a contact region is no fingertip
-_SOLID = 0.12  # largest share of the real contact in patches wider than a ridge; merging ridges make up to 0.08
+_SOLID = 0.2  # largest share of the real contact in patches wider than a ridge; ridges that merge make up to 0.17
 _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, and no warning is given
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
 SECOND_CONTACT, DENSITY = 0.03, 0.2
@@ -94,20 +94,20 @@ def check_second_contact(outside: Mask, least_px: float, radius_px: int, mm_per_
         return []
     return [
         f"a second contact lies in the view, as of another finger or a knuckle: {real * mm_per_px**2:.2g} mm² of real "
-        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse and medians are of the densest "
-        f"part alone where the two are apart, and of both where they have merged. Leave the other out by "
-        f"views.contact.region, or press with one finger"
+        f"contact in {area * mm_per_px**2:.2g} mm² in frame {frame}. Areas, ellipse, medians and strain energy are "
+        f"of the densest part alone (at ellipse_center) where the two are apart, of both where they merge. Leave the "
+        f"other out by views.contact.region, or press with one finger"
     ]
 
 
 def check_sweat(touching: Mask, period_px: float) -> list[str]:
     """Return a warning if much of the real contact lies in patches wider than a ridge, as where sweat fills the valleys
-    between the ridges: the share covered by discs 0.9 ridge periods in diameter which lie within the mask (a
+    between the ridges: the share covered by discs 1.1 ridge periods in diameter which lie within the mask (a
     morphological opening).
 
     `touching` is the real contact mask; `period_px` is the ridge period.
     """
-    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.45 * period_px)))
+    solid = cv2.morphologyEx(touching.astype(np.uint8), cv2.MORPH_OPEN, _disc(round(0.55 * period_px)))
     share = float(solid.sum() / max(touching.sum(), 1))
     if not _SOLID < share < _ALL_SOLID:
         return []

@@ -110,18 +110,15 @@ class FieldsStage(Stage):
         self.results.put("field_coverage", self._known)
         median_std = np.sqrt(self._variance + self._bias())
         times, window = self.inputs.times, self._settings.rate_window_s
-        divergence, curl, strain = self._median[:, 0], self._median[:, 1], self._median[:, 2:]
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
-        self.warnings.extend(plausibility.check_fields(divergence, self._known, gross, gauge, first_frame))
-        self.results.put("median_divergence", divergence, self._gauge)
-        self.results.put("median_divergence_std", median_std[:, 0])
-        self.results.put("median_divergence_rate", rate(divergence, times, window))
-        self.results.put("median_curl", curl, self._gauge)
-        self.results.put("median_curl_std", median_std[:, 1])
-        self.results.put("median_strain", strain, self._gauge | {"measure": self._settings.strain})
-        self.results.put("median_strain_std", median_std[:, 2:])
-        self.results.put("median_strain_rate", rate(strain, times, window))
+        self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
+        for name, columns in {"divergence": 0, "curl": 1, "strain": slice(2, None)}.items():
+            measure = {"measure": self._settings.strain} if name == "strain" else {}
+            for of, values in {"": self._median[:, columns], "_std": median_std[:, columns]}.items():
+                self.results.put(f"median_{name}{of}", values, {} if of else self._gauge | measure)
+                if name != "curl":
+                    self.results.put(f"median_{name}_rate{of}", rate(values, times, window, of_std=bool(of)))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

@@ -1,4 +1,4 @@
-"""Detection of unusable frames: dark, saturated, repeated, torn or unreadable."""
+"""Detection of unusable frames: dark, saturated, repeated, torn, unreadable or noise."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
-from fingerflow.tracker.block_means import block_means
+from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
 
-_USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
+_USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS, _NOISE = range(len(FRAME_STATUS))
 _SAID = {
     _UNREADABLE: "frames that the recording cannot give whole",
     _NOT_FINITE: "frames with pixels that are NaN or infinite",
@@ -22,6 +22,7 @@ _SAID = {
     _SATURATED_FRAME: "saturated frames",
     _REPEATED: "frames that repeat another one",
     _RETURNS: "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
+    _NOISE: "frames of noise without a picture in the contact view",
 }
 
 
@@ -56,7 +57,9 @@ class FrameCheckStage(Stage):
 
     def begin(self) -> None:
         contact = self._views[0]
-        glass = _blocks(self.inputs.reference(contact)[0].cpu().numpy())
+        empty = self.inputs.reference(contact)[0].cpu().numpy()
+        self._roughness = noise_roughness(empty[0])
+        glass = _blocks(empty)
         dark = self.inputs.dark(contact)
         self._black = 0.0 if dark is None else float(_blocks(dark[0].cpu().numpy()).mean())
         self._glass = float(glass.mean()) - self._black
@@ -71,6 +74,8 @@ class FrameCheckStage(Stage):
         for k, view in enumerate(self._views):
             frames = self.inputs.counts(batch.frames, view)
             blocks = _blocks(frames)
+            if k == 0:
+                self._status[indices[is_noise(frames, self._roughness)]] = _NOISE
             if frames.dtype.kind == "f":
                 self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = _NOT_FINITE
                 blocks = np.nan_to_num(blocks, nan=0.0, posinf=0.0, neginf=0.0)

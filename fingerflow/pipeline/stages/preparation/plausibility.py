@@ -13,6 +13,7 @@ _IMPULSES = 5e-4
 _JUMP = 0.25
 # Shares of the requested points found, and of the points tracked, below which a warning is given.
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
+_UNSEEDED = 0.05  # share of the contact far from the region of seeding, above which a warning is given
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
 # Plausible values for fingertips, with a margin for every hand and laboratory.
 _RIDGE_MM = (0.3, 0.7)  # mm, ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
@@ -328,6 +329,16 @@ def check_points(seeded: int, requested: int, min_distance_px: float, region_px:
     return [f"{seeded} of {requested} points were found: {why}"]
 
 
+def check_seeded_region(outside: float) -> list[str]:
+    """Return a warning if a share `outside` of the contact lies far from the region in which points are seeded."""
+    if not outside > _UNSEEDED:
+        return []
+    return [
+        f"{outside:.0%} of the contact lies outside the region in which points are seeded: medians and energy are of "
+        f"the rest, or of skin seeded later. Make [stream] region or views.topography.region as large as the contact"
+    ]
+
+
 def check_tracking(share: Series, first_frame: int) -> list[str]:
     """Return a warning if the share (frames,) of tracked points is low in some frames; NaN without points."""
     few = np.flatnonzero(share < _FEW_TRACKED)
@@ -408,7 +419,8 @@ def check_energy(energy: Series, gross: Series, gauge_mm: float, first_frame: in
         return []
     return [
         f"the strain energy is NaN in {len(unknown)} frames with contact, the first is {unknown[0] + first_frame}: the "
-        f"strain is known in less than half of the area of the triangles there. Their points are lost (status says why)"
+        f"strain is known in less than half of the area of the triangles there, or in none within half a gauge length "
+        f"of the border. Their points are lost (status says why), or seeded in too small a [stream] region"
     ]
 
 

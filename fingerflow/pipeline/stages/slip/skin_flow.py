@@ -121,10 +121,11 @@ class SkinFlow:
         of_noise = LEFT_BY_NOISE["brightness"] ** 2 * float(self.template.variance)
         left = np.sqrt(np.maximum(residual**2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
         contradicted = np.linalg.norm(displacement - nearest, axis=-1) > self._apart  # False where no point is tracked
+        variance += self._walked
         believed = np.isfinite(variance) & (left < 1) & ~contradicted
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
-        return FlowMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained)
+        return FlowMotion(shown, np.where(believed, variance, np.nan).astype(np.float32), explained)
 
     def _renew(self, picture: Tensor) -> None:
         """Replace the reference image of the flow by a later frame `picture` (1, 1, H, W), warped back to the first
@@ -135,7 +136,7 @@ class SkinFlow:
         went = np.nan_to_num(self._known.displacement)
         pixels = picture[0, 0].cpu().numpy().astype(np.float32)
         back = cv2.remap(pixels, x + went[..., 0], y + went[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
-        self._walked = np.nan_to_num(self._known.variance)
+        self._walked = self._known.variance
         self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), valid)
         self.renewed, self._picture = self.renewed + 1, None
 

@@ -17,12 +17,10 @@ from fingerflow.models.partial_slip import (
     FrictionFit,
     TrialVerdict,
     compare_curves,
-    critical_load_ratio,
     fit_friction,
     judge_trial,
 )
 from fingerflow.models.partial_slip.stick_border import RampResponse, blurred_ramp
-from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -79,7 +77,7 @@ class SlipStage(Stage):
     0.05 mu_k / mu_s (1 - A)²: 0.005 at a ratio of 0.3, 0.011 at 0.5, and 0.02 only above 0.69. With 72 frames of
     loading, d² of the last frame before the loss is 0.08 above A at a ratio of 0.5.
 
-    A fit that contradicts the T/N at which adhesion was lost is marked as not identified.
+    A fit that contradicts the verdict is marked as not identified.
     """
 
     name = "slip"
@@ -233,7 +231,7 @@ class SlipStage(Stage):
         parts: dict[str, TrialVerdict | FrictionFit | CurveComparison] = {"verdict": verdict}
         if verdict.collapse_frame >= 0 and forces is not None:
             slow = verdict.loading()
-            parts["friction_fit"] = _consistent(fit_friction(self._ratio[slow], forces[slow]), verdict)
+            parts["friction_fit"] = verdict.check_fit(fit_friction(self._ratio[slow], forces[slow]))
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
@@ -411,19 +409,3 @@ def _incipient(displacement: NDArray[np.float32], region: NDArray[np.bool_], gri
         float(field.square().sum(1)[0][torch.from_numpy(region)].nanmean().sqrt())
         for field in (left, parts.irrotational, parts.solenoidal)
     )
-
-
-def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
-    """Return the friction fit, marked as not identified if the ratio T/N of tangential to normal force at which it
-    predicts full slip differs from the one measured in the trial (`verdict`).
-    """
-    if not fit.identified:
-        return fit
-    critical = float(critical_load_ratio(fit.mu_s, fit.mu_k))
-    if abs(critical / verdict.loss_load_ratio - 1) <= CORRIDOR:
-        return fit
-    reason = (
-        f"the fitted curve loses adhesion at T/N {critical:.2f}, the trial did at {verdict.loss_load_ratio:.2f}: d² is "
-        f"not that of the model; try a smaller [slip] stuck_mm"
-    )
-    return replace(fit, identified=False, reason=reason)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.strain import principal_strains
+from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
 from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
@@ -77,6 +77,7 @@ class StrainStage(Stage):
             "strain": measure,
             "strain_std": measure,
             "strain_energy_density": self._since,
+            "strain_energy_density_std": self._since,
         }.items():
             self.results.create(name, attributes)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.requested
@@ -99,9 +100,9 @@ class StrainStage(Stage):
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset))
         series = self.trial.stage(ContactStage).series
-        self._border = steady_border(FrameEllipse.from_series(series), self.inputs.times)
+        self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
-        self._grown = _growth(np.sqrt(FrameEllipse.from_series(series).semi_axes.prod(1)))
+        self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
         areas = series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
@@ -122,10 +123,12 @@ class StrainStage(Stage):
         displacement = self.inputs.tensor(moved)
         corrected = self._triangle_strain(displacement, covariance, touching)
         stated = self._triangle_strain(displacement, whole, touching)
+        solid = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         for name, values in (
             ("strain", corrected.strain),
             ("strain_std", stated.strain_std),
             ("strain_energy_density", corrected.density),
+            ("strain_energy_density_std", strain_energy_density_std(corrected.strain, stated.strain_std, *solid)),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
         if self._principal:
@@ -176,24 +179,27 @@ class StrainStage(Stage):
         triangles between points, and that of all skin in contact.
         """
         frames, border = batch.indices, self._border.select(batch.indices)
-        position = self.results["position"][frames]
+        steady = self.trial.stage(DisplacementStage).steady_position
+        position = steady(frames)
         border_energy = border_density(
             *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),
             reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
         )
+        # Where no triangle lies near the border, an error of the border changes no triangle that counts.
         strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * border_energy)
         errors = (between_std, self._missing.add_frames(density, touching), strip)
         deviation = np.sqrt(sum(np.square(error) for error in errors))
         self._between[frames], self._between_std[frames] = between, deviation
         rim = border_energy * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
+        rim = np.nan_to_num(rim)
         displacement, variance, counts = self._onset_field(batch.result(DisplacementStage), frames)
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
 
         def since_growth(rows: NDArray[np.intp]) -> NDArray[np.float64]:
             grown, number = np.unique(self._grown[frames[rows]], return_inverse=True)
-            then = np.concatenate([self.results["position"][slice(k, k + 1)] for k in grown.tolist()])
+            then = np.concatenate([steady(np.array([k])) for k in grown.tolist()])
             return position[rows] - then[number]
 
         whole = self._whole.estimate(position, displacement, variance, counts, border, since_growth)
@@ -259,9 +265,10 @@ class StrainStage(Stage):
             "strain_energy_between_points_std": self._between_std,
         }.items():
             self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        energy = self.results["strain_energy"][:]
-        rates = rate(energy, self.inputs.times, self._settings.rate_window_s)
-        self.results.put("strain_energy_rate", rates)
+        for of in ("", "_std"):
+            energy = self.results[f"strain_energy{of}"][:]
+            rates = rate(energy, self.inputs.times, self._settings.rate_window_s, of_std=bool(of))
+            self.results.put(f"strain_energy_rate{of}", rates)
 
 
 def border_density(
@@ -270,7 +277,7 @@ def border_density(
     """Return the mean strain energy density (n,), mJ/mm^3, in n frames of the triangles that lie within `reach_mm` of
     the contact border, weighted by area.
 
-    It is 0 in frames without such triangles. Strain since the onset is largest along the border of a growing contact,
+    It is NaN in frames without such triangles. Strain since the onset is largest along the border of a growing contact,
     where skin that has moved lies beside skin that has just come into contact. A border that is displaced all around
     changes the onset of the outermost points and the set of triangles that count.
 
@@ -283,8 +290,8 @@ def border_density(
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
-        mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
-    return np.nan_to_num(mean)
+        mean: Array = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
+    return mean
 
 
 def _growth(radius: NDArray[np.float64]) -> NDArray[np.intp]:

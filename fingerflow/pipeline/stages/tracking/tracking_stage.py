@@ -224,6 +224,7 @@ class TrackingStage(Stage):
             )
         min_distance = self._settings.min_distance_px
         self.warnings.extend(plausibility.check_points(len(points), requested, min_distance, int(where.sum())))
+        self.warnings.extend(plausibility.check_seeded_region(self._outside(where, margin[0, 0])))
         self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
         self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
@@ -335,14 +336,22 @@ class TrackingStage(Stage):
             mask = np.zeros(self._view.shape, dtype=bool)
             stated.crop(mask)[...] = True
             return mask
-        height, width = self._view.shape
-        region = cv2.warpAffine(
-            self._region.astype(np.uint8),
-            self.inputs.topography_to_contact,
-            (width, height),
-            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        )
-        return region > 0
+        return self._on_topography(self._region)
+
+    def _on_topography(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask (h, w) of the contact view as a mask of the topographic view."""
+        size, flags = self._view.shape[::-1], cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(region.astype(np.uint8), self.inputs.topography_to_contact, size, flags=flags) > 0
+
+    def _outside(self, seeded: NDArray[np.bool_], margin: NDArray[np.floating]) -> float:
+        """Return the share of the contact further than two windows from the region `seeded` (h, w): of the contact in
+        the first frame, by the cells `margin` that are positive there, or of the largest if there is none yet.
+        """
+        began, cell, reach = margin > 0, self._engine.cell_px, 4 * self._settings.window_px + 1
+        rows, columns = self._region.shape
+        whole = began.repeat(cell, 0).repeat(cell, 1)[:rows, :columns] if began.any() else self._region
+        contact, near = self._on_topography(whole), cv2.dilate(seeded.astype(np.uint8), np.ones((reach, reach)))
+        return float((contact & (near == 0)).sum() / max(contact.sum(), 1))
 
 
 def _extend_to_batch(frames: int, seeded: TrackedPoints) -> TrackedPoints:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fingerflow.plot.rounding import format_interval, format_uncertainty
+from fingerflow.schema.rounding import format_interval, format_uncertainty
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,53 @@
+"""Tests of the vibration of the whole image, which is taken out of displacement and strain, and of motion of the skin,
+which is not.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fingerflow import process
+from fingerflow.pipeline.stages.displacement.vibration import vibration
+from tests.small_trials import scene_beside, warnings_of
+
+FRAMES, POINTS, PX = 90, 120, 0.03  # PX: mm
+SHAKEN = 0.3 * PX * np.stack((np.sin(np.arange(FRAMES) * np.pi / 3), np.cos(np.arange(FRAMES) * np.pi / 3)), axis=1)
+
+
+@pytest.mark.parametrize(
+    "which", ["camera", "camera, a frame lost", "finger", "skin in contact", "slip", "jump", "none"]
+)
+def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> None:
+    """A camera's vibration is found to a tenth while the skin beside the contact moves inwards and the contact grows; a
+    finger that trembles, and a jerk of the skin in contact, are no vibration.
+    """
+    draw, time = np.random.default_rng(0), np.arange(FRAMES)
+    inside = np.sort(draw.uniform(0, 1, POINTS))[None] < time[:, None] / FRAMES
+    inwards = 2e-5 * np.square(time)[:, None] * ~inside
+    position = draw.uniform(0, 5, (POINTS, 2)) + inwards[..., None] + draw.normal(0, 0.01 * PX, (FRAMES, POINTS, 2))
+    moves = {"finger": ~inside, "skin in contact": inside, "none": inside & ~inside}.get(which, inside | ~inside)
+    if which in ("slip", "jump"):
+        position[50:] += 0.5 * (inside | (which == "jump"))[50:, :, None]
+    else:
+        position += SHAKEN[:, None] * moves[..., None]
+    frames = np.delete(time, [40] if "lost" in which else [])
+    found = vibration(position, inside, frames, PX)[frames]
+    expected = SHAKEN[frames] if "camera" in which else 0 * found
+    off = np.abs(found - expected) / np.abs(SHAKEN).max()
+    assert np.delete(off, range(35, 45), axis=0).max() < 0.1
+    assert off.max() < (0.5 if "lost" in which else 0.1)
+
+
+def test_vibration_is_named_and_adds_no_energy(trials: Path, tmp_path: Path) -> None:
+    """With a vibration of 1 px the strain energy of a press is that without it, to three standard deviations."""
+    outputs = ["strain_energy", "displacement"]
+    frames = np.load(trials / "press" / "frames.npy")
+    shaken = np.stack([np.roll(frame, round(np.sin(k * np.pi / 3)), 0) for k, frame in enumerate(frames)])
+    still, moved = (
+        process(scene_beside(trials / "press", tmp_path, frames=taken), outputs) for taken in (frames, shaken)
+    )
+    assert "the whole image vibrates, by 0." in warnings_of(moved)
+    assert "vibrates" not in warnings_of(still)
+    off = np.abs(moved["strain_energy"] - still["strain_energy"]).values
+    assert (off <= 3 * np.hypot(moved["strain_energy_std"], still["strain_energy_std"]).values + 1e-5).all()
