@@ -25,7 +25,7 @@ def weighted_moments(
     present = usable[..., None].to(values.dtype)
     present_and_data = torch.cat((present, values), dim=-1)
     rows = max(1, _CHUNK_ELEMENTS // max(1, geometries * points.shape[1]))
-    point_x, point_y = (coordinate[:, None, :].contiguous() for coordinate in points.unbind(-1))
+    point_x, point_y = (coordinate[:, None].contiguous() for coordinate in points.unbind(-1))
     query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
     constant, scale = points.new_ones(()), -1 / radius**2
     components, noises = values.shape[2], 0 if noise is None else noise.shape[2]

@@ -220,7 +220,7 @@ def _inside(frame: Tensor, border: int) -> Tensor:
     return (rows[:, None] & columns)[None, None]
 
 
-@torch_op(shapes=lambda response, candidate, count, _: candidate.new_empty((len(candidate), count), dtype=torch.int64))
+@torch_op(shapes=lambda _, candidate, count, __: candidate.new_empty(candidate.shape[0], count, dtype=torch.int64))
 def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
     """Return flat pixel indices (B, count) int64 of the strongest candidates that are at least `min_distance` apart.
 
