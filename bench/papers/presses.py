@@ -167,7 +167,7 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
         init_study(recordings, recordings / "answers.csv")
     manifest = load_manifest(recordings)
     run_study(manifest)
-    measured = pd.read_parquet(write_tables(manifest).trials)
+    measured = pd.read_parquet(write_tables(manifest)[0])
     design, skins = Design(), simulate_skins(Design())
     truth = Experiment(pictured, draw_presses(pictured), skins, OWN).frame({}, 0)
     parts = manifest, measured[measured["status"] == MEASURED], design
