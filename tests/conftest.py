@@ -23,6 +23,7 @@ from tests.without_kernels import without_kernels
 #: Modules that take longest come first, so that two processes end together. The module that exports a bundle comes
 #: long before those that play it, which would wait.
 LONGEST = (
+    "study/test_simulated_trials.py",
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
     "pipeline/stages/test_slip.py",

@@ -24,7 +24,7 @@ from fingerflow.engines.engine import (
     reject_outliers,
 )
 from fingerflow.kernels import tracking
-from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.arrays import KINDS, inverse_2x2
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.contact_sizes import block_of, cell_of
 from fingerflow.kernels.detection_limits import NOISE, QUALITY
@@ -72,7 +72,7 @@ class NativeEngine:
         self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
-        return frames.astype(COMPUTED_TYPES[frames.dtype.name], copy=False)[:, None]
+        return frames.astype(COMPUTED_TYPES[KINDS[frames.dtype]], copy=False)[:, None]
 
     def contact(self, images: Array, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         radius = self.settings.gross_radius_px
@@ -156,9 +156,9 @@ class NativeEngine:
     def fit(
         self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
     ) -> tuple[Array, Array | None]:
-        arrays = [np.ascontiguousarray(array, np.float64) for array in (points[None], values, queries[None])]
+        places, targets = points.astype(np.float64)[None], queries.astype(np.float64)[None]
         noise = None if variance is None else variance.astype(np.float64)[..., None]
-        fit = local_gradients(arrays[0], arrays[1], arrays[2], noise, radius=gauge / 2)
+        fit = local_gradients(places, values.astype(np.float64), targets, noise, radius=gauge / 2)
         return fit.gradient, fit.covariance
 
     def fields(

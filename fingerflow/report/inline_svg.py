@@ -49,8 +49,9 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     rest = _PNG.sub(_compressed, rest)
     rest = rest.replace(f"'{FONT}'", f"'{FONT}', sans-serif")
     rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))
-    width = figure.get_figwidth()
-    return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
+    # A reader's font may be larger than that of the layout, and would be cut at the edge.
+    style = f"overflow:visible;max-width:{_WIDER * figure.get_figwidth():.1f}in"
+    return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="{style}">{rest}'
 
 
 def _compressed(match: re.Match[str]) -> str:

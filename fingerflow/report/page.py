@@ -34,6 +34,7 @@ from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare,
 from fingerflow.schema.scene import Scene
 
 _MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain", "decorrelation")
+_BRIEF_MAPS = ("divergence", "displacement")
 Draw = Callable[..., Axes]
 
 
@@ -149,8 +150,8 @@ def write_report(
         scene: scene of the result; None leaves out pictures and video, as for a stream whose frames are gone.
         folder: folder to write into.
         comparison: rows with quantity, unit, measured, truth and error, of a synthetic recording.
-        brief: write no overlay.mp4, which takes longer than all the rest, pictures and maps of the largest load alone,
-            and each curve once: the page of a trial of a study, in a third of the time.
+        brief: write no overlay.mp4, which takes longer than all the rest, pictures and two maps of the largest load,
+            and each curve once: the page of a trial of a study.
         overwrite: replace files that no report has written.
         figure_files: write each figure of the page also as a file, into the folder `figures`, in these formats.
 
@@ -260,7 +261,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
         (plot.position_std, "position_std_px"),
     ]
     shown = [(draw, name) for draw, name in quality if name in result and bool((result[name] > 0).any())]
-    if shown:
+    if shown and not make.brief:
         sections.append(Section("Quality", [Panel("", make.each(shown))]))
     return [section for section in sections if section is not None]
 
@@ -271,7 +272,7 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
     """
     indices = [frame.frame for frame in frames]
     shown = [result.isel(frame=index) for index in indices]
-    drawable = [name for name in _MAPS if name in plot.drawable(result)]
+    drawable = [name for name in (_BRIEF_MAPS if make.brief else _MAPS) if name in plot.drawable(result)]
     there = [
         name
         for name in drawable

@@ -39,11 +39,12 @@ _FIELD_STD_EQUATION = (
     "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
 )
 _MEDIAN_STD_EQUATION = (
-    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
-    "from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), Δ_border the "
-    "change by an ellipse 0.06 mm smaller, less the noise in it, late the "
-    "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
-    "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
+    "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
+    "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
+    "of fields √E points below and above, E points moved in, common on presses 0.9 deviations of a displacement over "
+    "the gauge length"
 )
 _AREA_STD_EQUATION = (
     "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "

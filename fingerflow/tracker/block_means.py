@@ -86,7 +86,8 @@ def _neighbours(frames: Array) -> list[Array]:
 
 
 def _square(pixels: Array, neighbours: Array) -> Array:
-    difference = neighbours - pixels
+    with np.errstate(invalid="ignore"):  # of infinite pixels it is NaN
+        difference = neighbours - pixels
     return np.einsum("np,np->n", difference, difference) / pixels.shape[1]
 
 

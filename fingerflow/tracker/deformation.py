@@ -20,6 +20,9 @@ Array = NDArray[Any]
 
 #: Frames between two evaluations of what changes slowly: errors by gauge length and border.
 EVERY = 8
+# Errors of divergence, curl, exx, eyy and exy over a gauge length that tracked points have in common as their skin
+# begins to touch and looks different, in deviations of a displacement: on presses with hardly any deformation.
+_COMMON = 0.9 * np.sqrt((1, 1, 1 / 2, 1 / 2, 1 / 4))
 
 
 class Displacement(NamedTuple):
@@ -95,6 +98,9 @@ class Deformation:
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
             bias = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
+            if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
+                gauge = self._engine.settings.gauge_length_mm
+                bias += np.square(_COMMON / gauge) * np.nanmedian(since.variance[rows], axis=1, keepdims=True)
             self.bias += zip(frames[rows].tolist(), bias, strict=True)
             for values in bias:
                 self.latest = np.where(np.isfinite(values), values, self.latest)

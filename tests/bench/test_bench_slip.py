@@ -9,14 +9,15 @@ from bench.suites import slip
 pytestmark = pytest.mark.long
 
 
-def test_a_trial_of_each_law_and_curve() -> None:
+def test_a_trial_of_each_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """All verdicts are right and d² is known in every frame; the fitted power follows the law, and the errors of d² are
-    as large as stated.
+    as large as stated. Trials whose d² falls in a line are slides of test_papers.py.
     """
+    monkeypatch.setattr(slip, "CURVES", slip.CURVES[:1])
     rows = slip.run(quick=True)
-    groups, trials = {str(row["trial"]): row for row in rows[:8]}, rows[8:]
+    groups, trials = {str(row["trial"]): row for row in rows[:7]}, rows[7:]
     assert list(groups) == ["all", *slip.CURVES, *LAWS]
-    assert groups["all"]["verdict"] == "0 wrong, 0 none, 10 right"
+    assert groups["all"]["verdict"] == "0 wrong, 0 none, 5 right"
     for row in trials:
         assert row["unknown"] == 0
         assert "critical" in str(row["why"])

@@ -1,6 +1,7 @@
-"""Tests of the site, built as `make docs` builds it: links lead somewhere, and nothing is loaded from elsewhere."""
+"""Tests of the site: scripts of the gallery run, links lead somewhere, and nothing is loaded from elsewhere."""
 
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -41,29 +42,29 @@ class Page(HTMLParser):
             self.loads.append(given["src"])
 
 
-@pytest.fixture(scope="session")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the built site; another test runs the scripts of the gallery."""
+@pytest.fixture(scope="module")
+def site() -> Path:
+    """Return the folder of the site, built from nothing as `make docs` builds it, which then has nothing left to do."""
     for module in ("sphinx", "furo", "myst_parser", "sphinx_gallery"):
         pytest.importorskip(module, reason="the site is not built: pip install '.[docs]'")
-    folder = tmp_path_factory.mktemp("docs") / "site"
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "-W",
-        "--keep-going",
-        "-q",
-        "-D",
-        "sphinx_gallery_conf.filename_pattern=none",
-    ]
-    built = subprocess.run([*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True)
+    for name in ("site", "generated"):
+        shutil.rmtree(ROOT / "docs" / name, ignore_errors=True)
+    options = ["-W", "--keep-going", "-q", "-d", "docs/site/.doctrees"]
+    command = [sys.executable, "-m", "sphinx", *options, "docs", "docs/site"]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
-    return folder
+    return ROOT / "docs" / "site"
 
 
 def pages_of(site: Path) -> dict[Path, Page]:
     return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+
+
+def test_every_script_of_the_gallery_holds_against_the_truth_and_draws(site: Path) -> None:
+    """The build fails where an assertion of a script does."""
+    scripts = sorted(ROOT.glob("docs/gallery/*.py"))
+    assert len(scripts) >= 12
+    assert not [path for path in scripts if not (site / "_images" / f"sphx_glr_{path.stem}_001.png").exists()]
 
 
 def test_every_link_within_the_site_leads_somewhere(site: Path) -> None:

@@ -38,8 +38,9 @@ _AWAY = 90  # px, distance of each of two touches from the middle
 
 
 def cases(few: bool = False) -> Iterator[Case]:
-    """Yield dust, defective pixels and touches, then recordings without a fault, of real prints too unless `few`."""
-    size: dict[str, Any] = {"n_frames": 100, "frame_rate": 100.0, "frames_before_trigger": 4}
+    """Yield dust, defective pixels and touches, of half the frames if `few`, else recordings without a fault too."""
+    count = 50 if few else 100
+    size: dict[str, Any] = {"n_frames": count, "frame_rate": float(count), "frames_before_trigger": count // 25}
     trials: dict[str, SyntheticScene] = {"press": Press(**size), "slide": Slide(**size)}
     for name, trial in trials.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -47,11 +48,12 @@ def cases(few: bool = False) -> Iterator[Case]:
             write_quietly(recording, trial)
             yield from _spoiled(name, trial, recording)
     yield second_touch()
-    if not few:
-        trials = {"press": Press(), "slide": Slide()}
-        for path in sorted(FINGERS.glob("*.tif")):
-            press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
-            trials[f"press of {path.stem}"] = press
+    if few:
+        return
+    trials = {"press": Press(), "slide": Slide()}
+    for path in sorted(FINGERS.glob("*.tif")):
+        press = replace(scene_of_print(Press, path, DPI), n_frames=60, frame_rate=60.0, frames_before_trigger=3)
+        trials[f"press of {path.stem}"] = press
     for name, trial in trials.items():
         with tempfile.TemporaryDirectory() as folder:
             write_quietly(Path(folder) / "trial", trial)

@@ -106,9 +106,8 @@ def cases(few: bool = False) -> Iterator[Case]:
         for mistake in MISTAKES[:: 2 if few else 1]:
             yield try_mistake(mistake, press, frames, right)
         yield without_fault("press", right)
-        if not few:
-            write_recording(Path(folder) / "slide", Slide())
-            yield without_fault("slide", process(Path(folder) / "slide" / "scene.toml"))
+        write_recording(Path(folder) / "slide", Slide())
+        yield without_fault("slide", process(Path(folder) / "slide" / "scene.toml"))
 
 
 def try_mistake(mistake: Mistake, press: Path, frames: Frames, right: xr.Dataset) -> Case:

@@ -99,7 +99,7 @@ def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_
     np.testing.assert_allclose(both["divergence_difference"][measured], both["divergence"][measured] - 0.01)
     assert both["divergence_difference"][~measured].isna().all()
     sample = read_sample(both)
-    found = study_statistics(sample, resamples=200)
+    found = study_statistics(sample, resamples=100)
     assert len(sample.trials.answer) == len(frame)
     assert "divergence_difference" in found["shares"]
     assert not any("difference" in name for table in ("by_condition", "by_answer") for name in found[table])

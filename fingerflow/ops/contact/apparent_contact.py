@@ -63,10 +63,10 @@ def apparent_contact(
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in CELLS and _compiled.serves(mask):
         margin, numbers = _compiled(mask, radius, side)
-        parts = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-    else:
-        margin, *parts = _region(cell_means(mask, side, precision), radius, side)
-    return FrameContact(mask, *parts, margin)
+        real, gross, center, axes = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6]
+        return FrameContact(mask, real, gross, center, axes, numbers[:, 6], margin)
+    margin, real, gross, center, axes, angle = _region(cell_means(mask, side, precision), radius, side)
+    return FrameContact(mask, real, gross, center, axes, angle, margin)
 
 
 def _region(cells: Tensor, radius: int, side: int) -> tuple[Tensor, ...]:

@@ -88,8 +88,9 @@ def area_medians(
         center, semi_axes, angle = frame
         ellipses = torch.cat((center, semi_axes, angle.cos()[:, None], angle.sin()[:, None]), dim=1)
         noise = None if covariance is None else covariance.to(dtype)
-        settings = {"measure": limits.STRAIN_MEASURES.index(measure), "radius": gauge_length / 2}
-        return kernels.area_medians(reference, displacement, ellipses, noise, among, fields, std, **settings)
+        number, radius = limits.STRAIN_MEASURES.index(measure), gauge_length / 2
+        tensors = reference, displacement, ellipses, noise, among, fields, std
+        return kernels.area_medians(*tensors, measure=number, radius=radius)
     compute = partial(_medians_of_known, gauge_length / 2, measure)
     return in_pieces(compute, _FRAMES, *frame, reference, displacement, covariance, among, fields, std)
 

@@ -1,4 +1,4 @@
-"""Spline interpolation of images: uniform B-splines of order 1 or 3 on binomially smoothed samples.
+"""Spline interpolation of images: uniform cubic B-splines on binomially smoothed samples.
 
 An image is represented as S(x, y) = sum_kl c[l, k] b(x - k) b(y - l), b the centred B-spline. The coefficients c are
 the samples smoothed once by [1 2 1]/4 in x and y. There is no inverse filter, so S is the image after one fixed
@@ -22,7 +22,7 @@ _compiled: Twin[Tensor] = twin("spline_coefficients")
 
 
 def spline_coefficients(images: Tensor) -> Tensor:
-    """Compute the B-spline coefficients of images, which are equal for the spline orders 1 and 3.
+    """Compute the cubic B-spline coefficients of images.
 
     Args:
         images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the nearest pixel counts.
@@ -38,20 +38,17 @@ def spline_coefficients(images: Tensor) -> Tensor:
     return (x[..., :-2] + 2 * x[..., 1:-1] + x[..., 2:]) / 16
 
 
-def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """Compute the weights of the `order` + 1 B-spline coefficients around a position on one axis: those that give the
+def spline_weights(fraction: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """Compute the weights of the four cubic B-spline coefficients around a position on one axis: those that give the
     value of the spline, and those that give its derivative.
 
     Args:
         fraction: position minus its floor, any shape, in [0, 1).
-        order: 1 or 3.
 
     Returns:
-        Two tuples of ``order + 1`` tensors; the first is for the coefficient at ``floor - (order - 1) / 2``.
+        Two tuples of four tensors; the first is for the coefficient at ``floor - 1``.
     """
     rest = 1 - fraction
-    if order == 1:
-        return (rest, fraction), (-torch.ones_like(fraction), torch.ones_like(fraction))
     # Evaluate the four pieces of the cubic B-spline (Unser 1999), from b3(1 + t) at one end to b3(2 - t) at the other.
     square, rest_square = fraction * fraction, rest * rest
     value = (

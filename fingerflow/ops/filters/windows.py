@@ -40,7 +40,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
 
 
 def sample_windows(
-    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, warp: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """Evaluate the spline of an image, and the gradient of the spline, at the `size` x `size` samples, 1 px apart, of a
     window around each point; `warp` deforms the windows.
@@ -50,17 +50,16 @@ def sample_windows(
         image_index: (P,) int64.
         points: (P, 2) (x, y) in px, finite.
         size: odd number of samples per side.
-        order: spline order, 1 or 3.
         warp: (P, 2, 2) A; samples lie at ``point + A w`` instead of ``point + w``, w the integer window offsets.
 
     Returns:
         Values (P, size, size) and gradients with respect to w (P, 2, size, size), as (d/dx, d/dy).
     """
     if warp is not None:
-        return _sample_warped(coefficients, image_index, points, size, order, warp)
+        return _sample_warped(coefficients, image_index, points, size, warp)
     whole = points.detach().floor()
-    weights, slopes = (torch.stack(taps, dim=-1) for taps in spline_weights(points - whole, order))
-    patch = cut_windows(coefficients, image_index, whole.long() - size // 2 - (order - 1) // 2, size + order)
+    weights, slopes = (torch.stack(taps, dim=-1) for taps in spline_weights(points - whole))
+    patch = cut_windows(coefficients, image_index, whole.long() - size // 2 - 1, size + 3)
     rows = _convolve(patch, weights[:, 1], size, dim=1)
     rows_slope = _convolve(patch, slopes[:, 1], size, dim=1)
     value = _convolve(rows, weights[:, 0], size, dim=2)
@@ -82,7 +81,7 @@ def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
 
 
 def _sample_warped(
-    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Evaluate a spline and the spline's gradient on warped windows, with separate spline weights for every sample.
 
@@ -92,15 +91,14 @@ def _sample_warped(
     at_once = points_at_once(points, _POINTS_AT_A_TIME)  # few points at a time, so that their weights stay in the cache
     pieces = zip(*(whole.split(at_once) for whole in (image_index, points, warp)), strict=True)
     sampled = [
-        _sample_piece(flat, coefficients.shape, indices, positions, warps, size, order)
-        for indices, positions, warps in pieces
+        _sample_piece(flat, coefficients.shape, indices, positions, warps, size) for indices, positions, warps in pieces
     ]
     values, gradients = zip(*sampled, strict=True)
     return torch.cat(values), torch.cat(gradients)
 
 
 def _sample_piece(
-    flat: Tensor, shape: torch.Size, image_index: Tensor, points: Tensor, warp: Tensor, size: int, order: int
+    flat: Tensor, shape: torch.Size, image_index: Tensor, points: Tensor, warp: Tensor, size: int
 ) -> tuple[Tensor, Tensor]:
     height, width = shape[-2:]
     half = size // 2
@@ -111,23 +109,22 @@ def _sample_piece(
     (at_x, at_y), (pixel_x, pixel_y) = (points[..., None, None] - center).unbind(1), center.unbind(1)
     x = at_x + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
     y = at_y + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
-    first, last = (1 - order) // 2, (order + 1) // 2
     # Clamp to pixels for which all spline taps exist; a window that reaches beyond the frame is discarded anyway.
-    whole_x = (x.detach().floor() + pixel_x).clamp(-first, width - 1 - last)
-    whole_y = (y.detach().floor() + pixel_y).clamp(-first, height - 1 - last)
+    whole_x = (x.detach().floor() + pixel_x).clamp(1, width - 3)
+    whole_y = (y.detach().floor() + pixel_y).clamp(1, height - 3)
     # Beyond the frame, where a cubic would diverge, the border value is repeated.
-    weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(first, last), order)
-    weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(first, last), order)
+    weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(-1, 2))
+    weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(-1, 2))
     image = image_index[:, None, None] * height
-    index = (whole_y.long() + first + image) * width + (whole_x.long() + first)
+    index = (whole_y.long() - 1 + image) * width + (whole_x.long() - 1)
     # Subtract the central pixel, so that a constant window has exactly zero gradient in any precision.
     middle = (pixel_y.clamp(0, height - 1).long() + image) * width + pixel_x.clamp(0, width - 1).long()
     level = taken(flat, middle)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
-    for k in range(order + 1):
-        taps = [taken(flat, index, k * width + j) - level for j in range(order + 1)]
+    for k in range(4):
+        taps = [taken(flat, index, k * width + j) - level for j in range(4)]
         row_value, row_slope = weights_x[0] * taps[0], slopes_x[0] * taps[0]
-        for j in range(1, order + 1):
+        for j in range(1, 4):
             row_value = torch.addcmul(row_value, weights_x[j], taps[j])
             row_slope = torch.addcmul(row_slope, slopes_x[j], taps[j])
         value = torch.addcmul(value, weights_y[k], row_value)

@@ -490,7 +490,7 @@ def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
     """Evaluate the spline of an image at displaced pixels; beyond the border the coefficients are replicated."""
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
-    (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
+    (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1]) for k in (0, 1))
     column = torch.arange(width, device=flow.device) + whole[:, :1].to(torch.int64)
     row = torch.arange(height, device=flow.device)[:, None] + whole[:, 1:].to(torch.int64)
     columns = [(column + k).clamp(0, width - 1) for k in range(-1, 3)]

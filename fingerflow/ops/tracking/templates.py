@@ -143,7 +143,7 @@ def _sample_templates(coefficients: Tensor, points: Tensor, inverse: Tensor, win
     position = torch.where(valid, points, 0.0)
     batch, count = position.shape[:2]
     image_index = torch.arange(batch, device=position.device)[:, None].expand(batch, count).flatten()
-    sampled = sample_windows(coefficients, image_index, position.flatten(0, 1), window, 3, inverse.flatten(0, 1))
+    sampled = sample_windows(coefficients, image_index, position.flatten(0, 1), window, inverse.flatten(0, 1))
     return _assemble(sampled, position, valid, coefficients, **settings)
 
 

@@ -127,8 +127,8 @@ def track_points(
     plain = images[0].detach(), images[1].detach()
     if noise is None:
         noise = torch.maximum(*(estimate_noise(image) for image in plain))
-    settings = window, passes, gain_offset, search, forward_backward_limit, mismatch_limit
-    position, *quality, warp = in_passes(*plain, start, guess, warp, noise, *settings)
+    tensors, limits_of = (*plain, start, guess, warp, noise), (forward_backward_limit, mismatch_limit)
+    position, *quality, warp = in_passes(*tensors, window, passes, gain_offset, search, *limits_of)
     if requires_gradient(*images, points):
         position = _with_derivative(images, points, position, warp, window, gain_offset)
     return Tracks(position, *quality)
@@ -314,7 +314,7 @@ def _with_derivative(
 
     def sampled(image: Tensor, position: Tensor, deformed: Tensor | None) -> tuple[Tensor, Tensor]:
         places = image_index, torch.where(valid, position, 0.0)
-        values, slopes = sample_windows(spline_coefficients(image), *places, window, 3, deformed)
+        values, slopes = sample_windows(spline_coefficients(image), *places, window, deformed)
         return values.flatten(1), slopes.flatten(2)
 
     (template, gradient), (value, slope) = sampled(images[0], start, inverse), sampled(images[1], flat, None)

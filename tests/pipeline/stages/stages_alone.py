@@ -49,7 +49,8 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     inputs.times = inputs.times[:frames]
     trial = RunContext(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
-    stage.series, stage.inputs, stage.cell_px = contact, inputs, 4
+    stage.series = {name: values[:frames] for name, values in contact.items()}
+    stage.inputs, stage.cell_px = inputs, 4
     check = object.__new__(FrameCheckStage)
     check.usable = np.ones(frames, dtype=bool)
     tracking = object.__new__(TrackingStage)

@@ -22,10 +22,7 @@ _LATE = strained(_PRESS, 1.5)
 #: Course, print, and number of points.
 COURSES = {
     "saturates early": (replace(_PRESS, grown=0.6, held=0.85), "101_1", 700),
-    "saturates late": (replace(strained(_PRESS, 2.0), grown=0.75, held=1.0), "101_3", 700),
     "saturates, few points": (replace(_LATE, grown=0.8, held=0.95), "101_2", 300),
-    "saturates at 120 Hz": (replace(_LATE, grown=0.7, held=0.9, n_frames=120, frame_rate=120.0), "104_1", 700),
-    "is dragged": (replace(_LATE, grown=0.8, held=0.95, dragged=(0.06, 0.02)), "104_1", 700),
     "is dragged far": (replace(_PRESS, grown=0.5, held=0.9, dragged=(0.3, 0.1)), "101_4", 700),
     "is released": (replace(_PRESS, grown=0.5, held=0.65, lifts=0.7, released=0.8), "104_2", 700),
 }

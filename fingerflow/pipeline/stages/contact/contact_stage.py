@@ -196,9 +196,9 @@ class ContactStage(Stage):
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        first = int(np.argmax(self._usable))
-        beyond = ~(self._gross_region(first) | self._largest)
-        away = cv2.distanceTransform(np.uint8(beyond[0, 0].cpu().numpy()), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        beyond = ~(self._gross_region(int(np.argmax(self._usable))) | self._largest)
+        pixels = beyond[0, 0].cpu().numpy().astype(np.uint8)
+        away = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
 
     def _check_view(self) -> None:

@@ -5,9 +5,12 @@ from numpy.typing import NDArray
 from scipy.sparse import eye
 from scipy.sparse.linalg import spsolve
 
+from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.results.store import Values
 
+_FRAMES = 64  # frames read at a time
 _WINDOW = 12  # frames, the period of which a smooth path has half
+_COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
 # Least root mean square of a component, in px, in each quarter of the frames, and largest share of it by which
 # skin in contact and beside it differ.
@@ -27,14 +30,19 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
         frames: numbers of the usable frames.
     """
     result, steps = np.zeros((position.shape[0], 2)), np.full((len(frames), 3, 2), np.nan)
-    before = np.full(position.shape[1:], np.nan)
-    for k, frame in enumerate(frames.tolist()):
-        here, inside = (values[frame : frame + 1][0] for values in (position, in_contact))
-        moved, before = here - before, here
-        seen = np.isfinite(moved[:, 0])
+    some = slice(None, None, max(1, position.shape[1] // _COMPARED))
+    before = np.full(position[:1][:, some].shape, np.nan)
+    for first in range(int(frames[0]), int(frames[-1]) + 1, _FRAMES):
+        rows = np.flatnonzero((frames >= first) & (frames < first + _FRAMES))
+        if not len(rows):
+            continue
+        read = slice(first, first + _FRAMES)
+        here, inside = (values[read][frames[rows] - first][:, some] for values in (position, in_contact))
+        moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
+        seen = np.isfinite(moved[..., 0])
         for side, group in enumerate((seen, seen & inside, seen & ~inside)):
-            if group.sum() >= _FEWEST:
-                steps[k, side] = np.median(moved[group], axis=0)
+            medians = nanmedian(np.where(group[..., None], moved, np.nan))
+            steps[rows, side] = np.where(group.sum(1)[:, None] >= _FEWEST, medians, np.nan)
     both = np.isfinite(steps).all((1, 2))
     if both.sum() <= _WINDOW:
         return result
