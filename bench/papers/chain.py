@@ -75,7 +75,8 @@ def strain_percent(skin: SinceOnset) -> Values:
     """Return the Green-Lagrange strain (T, K) along an axis, %: the median over the contact of the mean over all
     directions.
     """
-    mean = sum(slope + slope.square() / 2 for slope in (skin.radial, skin.hoop)).nan_to_num(0.0) / 2
+    slopes = torch.stack((skin.radial, skin.hoop))
+    mean = (slopes + slopes.square() / 2).mean(0).nan_to_num(0.0)
     return 100 * np.nan_to_num(weighted_median(mean, skin.ring_area).numpy())
 
 

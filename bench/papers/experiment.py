@@ -81,6 +81,8 @@ class Experiment:
         first = np.maximum.accumulate(np.concatenate(([0], np.where(own, np.arange(1, count), 0))))
         trial = np.arange(count) - first + 1
         compared = np.arange(count) % 2 == 1
+        answers = np.repeat(answer_table(self._design, *presses.pairs()), 2).astype(object)
+        answers[~compared] = None
         numbers = {
             "max_force": presses.force, "time_to_max_force": presses.time_to_peak, "duration": presses.duration,
             "force_rate": presses.force / presses.time_to_peak, "force_angle": presses.angle,
@@ -100,7 +102,7 @@ class Experiment:
         frame = pd.DataFrame({
             "participant": [f"{one + 1:02d}" for one in presses.participant], "trial": [f"{k:03d}" for k in trial],
             "condition": presses.amplitude, "status": MEASURED,
-            "answer": np.where(compared, np.repeat(answer_table(self._design, *presses.pairs()), 2), None),
+            "answer": answers,
             REFERENCE: np.where(compared, [f"{k - 1:03d}" for k in trial], ""),
             **dict.fromkeys(NUMBERS, np.nan), **measured, **truth,
             **{f"force_of_{name}": _GRID_N[np.nanargmax(values, axis=1)] for name, values in rates.items()},

@@ -4,6 +4,7 @@ An effect is predicted where the same test finds one. A missing effect needs a b
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -454,18 +455,24 @@ def _curl(study: PressStudy) -> Obtained:
     )
 
 
-def _of_skin(*columns: Any) -> Row[PressStudy]:
+def _of_skin(
+    name: str,
+    quantity: str,
+    printed: str,
+    where: str,
+    numbers: tuple[Interval, ...],
+    obtain: Callable[[PressStudy], Obtained],
+) -> Row[PressStudy]:
     """Return the row of a prediction by the printed analysis, beside its text by this engine's."""
-    *shown, obtain = columns
 
     def of_both(study: PressStudy) -> Obtained:
-        found: Obtained = obtain(study)
+        found = obtain(study)
         if study.own is None:
             return found
         other = obtain(study.own)
         return replace(found, text=f"{found.text}. Since each point's own onset: {other.text or other.because}")
 
-    return predicted(*shown, of_both)
+    return predicted(name, quantity, printed, where, numbers, of_both)
 
 
 ROWS: tuple[Row[PressStudy], ...] = (
