@@ -88,7 +88,8 @@ def _neighbours(frames: Array) -> list[Array]:
 def _square(pixels: Array, neighbours: Array) -> Array:
     with np.errstate(invalid="ignore"):  # of infinite pixels it is NaN
         difference = neighbours - pixels
-    return np.einsum("np,np->n", difference, difference) / pixels.shape[1]
+    square: Array = np.einsum("np,np->n", difference, difference) / pixels.shape[1]
+    return square
 
 
 @functools.cache
