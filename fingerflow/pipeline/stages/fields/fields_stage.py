@@ -1,5 +1,7 @@
 """Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -113,7 +115,8 @@ class FieldsStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        for name, columns in {"divergence": 0, "curl": 1, "strain": slice(2, None)}.items():
+        components: dict[str, Any] = {"divergence": 0, "curl": 1, "strain": slice(2, None)}
+        for name, columns in components.items():
             measure = {"measure": self._settings.strain} if name == "strain" else {}
             for of, values in {"": self._median[:, columns], "_std": median_std[:, columns]}.items():
                 self.results.put(f"median_{name}{of}", values, {} if of else self._gauge | measure)
