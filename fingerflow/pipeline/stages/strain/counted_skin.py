@@ -4,8 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, select_frames
-from fingerflow.results.store import Store
+from fingerflow.pipeline.stages.tracking.new_skin import LEFT
+from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
+from fingerflow.results.store import Store, Values
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.entry import LEAST_AREA
 
@@ -13,6 +16,7 @@ Points = NDArray[np.float64]
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.4
+_FRAMES = 64  # frames read at a time
 
 
 class CountedSkin:
@@ -26,6 +30,7 @@ class CountedSkin:
         triangles: (M, 3) indices of points; those with advected skin are the last.
         corners: (M, 3) the same as indices of the P points and corners here.
         begins: (M,) frame from which a triangle counts.
+        ends: (M,) frame from which it counts no more, as its skin was gone when a finger touched again.
         since: (P,) frame from which a point counts.
         reference: (P, 2) mm, position then; NaN for points that are in no triangle by their own reference, as advected
             ones.
@@ -40,12 +45,23 @@ class CountedSkin:
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, reference_px = stage.reference.copy(), stage.reference_px.copy()
         reference[stage.entered] = reference_px[stage.entered] = np.nan
-        plain, separate = _triangulate(reference), self._advected_triangles()
-        if stage.by_onsets:
-            distorted = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
-            plain, separate = plain[~distorted], np.concatenate([plain[distorted], separate])
+        skins = [(np.ones(len(onset), bool), frames)]
+        if stage.by_onsets and stage.some_later and not stage.trial.stage(TrackingStage).backward:
+            skins = _skins(results["status"])
+        both: list[list[NDArray[np.int32]]] = []
+        for points, _ in skins:
+            plain, separate = _triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
+            if stage.by_onsets:
+                distorted = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
+                plain, separate = plain[~distorted], np.concatenate([plain[distorted], separate])
+            both.append([plain, separate])
+        plain, separate = (np.concatenate(parts) for parts in zip(*both, strict=True))
         self.triangles = np.concatenate([plain, separate])
         self.begins = onset[self.triangles].max(1, initial=0)
+        ends = [
+            np.repeat([end for _, end in skins], [len(part) for part in parts]) for parts in zip(*both, strict=True)
+        ]
+        self.ends = np.concatenate(ends)
         # Corners of the separate triangles.
         self._points, since = separate.flatten(), np.repeat(self.begins[len(plain) :], 3)
         separate_corners = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
@@ -63,14 +79,14 @@ class CountedSkin:
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
-    def _advected_triangles(self) -> NDArray[np.int32]:
-        """Return the triangles (M, 3) of touching points that have a corner which was advected into the contact."""
+    def _advected(self, points: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return the triangles (M, 3) of touching `points` (N,) that have a corner which was advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)
         # Skin that came later may have left again, so the last frame does not show all of it.
         positions = stage.common_position if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
-        triangles = _triangulate(np.where((stage.onset >= 0)[:, None], positions, np.nan))
+        triangles = _triangulate(np.where((points & (stage.onset >= 0))[:, None], positions, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
     def _distorted_by_onsets(
@@ -116,6 +132,28 @@ class CountedSkin:
             np.concatenate([covariance, added], axis=1),
             np.concatenate([moved.curvature, moved.curvature[:, points]], axis=1),
         )
+
+
+def _skins(status: Values) -> list[tuple[NDArray[np.bool_], int]]:
+    """Return the masks (N,) of the points of each skin that was tracked forward by itself, and the frame from which the
+    next takes its place, from the track `status` (F, N).
+
+    A finger that touches again elsewhere, or with other skin, has left hardly a point tracked (`LEFT`). Points that are
+    lost then would form triangles with the new ones, whose strain is unknown. Those still tracked belong to both.
+    """
+    frames, waits = status.shape[0], np.zeros(status.shape[1], np.intp)
+    for first in range(0, frames, _FRAMES):
+        waits += (status[slice(first, first + _FRAMES)] == TrackStatus.NOT_SEEDED_YET).sum(0)
+    result: list[tuple[NDArray[np.bool_], int]] = []
+    present = waits == 0
+    for frame in np.unique(waits[waits > 0]).tolist():
+        earlier = waits < frame
+        tracked = earlier & (status[slice(frame, frame + 1)][0] == TrackStatus.TRACKED)
+        if tracked.sum() < LEFT * earlier.sum():
+            result.append((present, frame))
+            present = tracked
+        present = present | (waits == frame)
+    return [*result, (present, frames)]
 
 
 def _triangulate(positions: Points) -> NDArray[np.int32]:

@@ -116,7 +116,7 @@ class StrainStage(Stage):
     def step(self, batch: Batch) -> None:
         moved, covariance, curvature = self._skin.moved(batch.result(DisplacementStage), batch.indices)
         touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
-        touching &= batch.indices[:, None] >= self._skin.begins
+        touching &= (batch.indices[:, None] >= self._skin.begins) & (batch.indices[:, None] < self._skin.ends)
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
         # counts in the deviations.
         whole = covariance + curvature[..., None, None] * np.eye(2, dtype=np.float32)
@@ -180,7 +180,12 @@ class StrainStage(Stage):
         """
         frames, border = batch.indices, self._border.select(batch.indices)
         steady = self.trial.stage(DisplacementStage).steady_position
-        position = steady(frames)
+        position, moved = steady(frames), batch.result(DisplacementStage)
+        # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
+        seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
+        counted = (seen & np.isfinite(moved.displacement[..., 0])).sum(1)
+        unknown = 2 * counted < seen.sum(1)
+        between, between_std = (np.where(unknown, np.nan, values) for values in (between, between_std))
         border_energy = border_density(
             *(np.where(touching, density, np.nan), self._areas, self._sum_corners(position) / 3, border),
             reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
@@ -193,7 +198,7 @@ class StrainStage(Stage):
         rim = border_energy * self._rim_area(position, touching, border)
         self._energy[frames], self._energy_std[frames] = between + rim, np.hypot(deviation, rim / 2)
         rim = np.nan_to_num(rim)
-        displacement, variance, counts = self._onset_field(batch.result(DisplacementStage), frames)
+        displacement, variance, counts = self._onset_field(moved, frames)
         # Where too few triangles are known for a sum, points are too few for a field.
         counts &= np.isfinite(between)[:, None]
 

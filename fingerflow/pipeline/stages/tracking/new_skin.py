@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 _STEP = 2  # cells between sampled positions
 _AHEAD = 2.0  # prediction time in intervals between calls: until the next call but one
-_LEFT = 0.1  # share of tracked points below which their skin counts as gone
+LEFT = 0.1  # share of tracked points below which their skin counts as gone
 _STRIDE = 0.25  # windows, distance between samples upstream of the contact
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -81,7 +81,7 @@ class NewSkin:
         touching = contact[::_STEP, ::_STEP] > 0
         if not touching.any():
             return None
-        if points.tracked.sum() < _LEFT * len(points.tracked):
+        if points.tracked.sum() < LEFT * len(points.tracked):
             self._before = None
             return self._around(touching) & ~self._near_points(points.position[points.tracked])
         position = self._on_contact(points.position)  # from here on in px of the contact view
