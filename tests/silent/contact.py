@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -93,6 +94,24 @@ def _halo(depth: float) -> Change:
     return change
 
 
+def _faint(edge: float, width_mm: float) -> Change:
+    """Return a change that leaves ridges the share `edge` of their contrast at the border of the contact, which rises
+    to all of it `width_mm` inside.
+    """
+
+    def change(pictures: Pictures, press: Press) -> Pictures:
+        y, x = (torch.from_numpy(line * press.mm_per_px) for line in np.mgrid[: pictures.shape[1], : pictures.shape[2]])
+        result = pictures.copy()
+        for frame, picture in enumerate(result):
+            if (ellipse := press.truth.ellipse(frame)) is not None:
+                inside = ellipse.distance(x, y).numpy()
+                share = edge + (1 - edge) * np.clip(inside / width_mm, 0, 1)
+                picture[:] = np.where(inside > -0.05, 1 - (1 - picture) * share, picture)
+        return result
+
+    return change
+
+
 def _sweat(pictures: Pictures, press: Press) -> Pictures:
     """Return pictures in which sweat fills the valleys in patches 0.6 mm wide once skin touches there."""
     generator = np.random.default_rng(1)
@@ -142,6 +161,8 @@ FAULTS = (
     Fault("cable of 24 px across, since the first frame", "lies in the view", _strip(24, 0.3)),
     Fault("cable of 24 px beside the contact", "lies in the view", _strip(24, 0.3, 0.15)),
     Fault("halo of 35 %", "shadow", _halo(0.35)),
+    Fault("rim faint over 0.4 mm", "faint at its rim", _faint(0.2, 0.4)),
+    Fault("rim faint over 0.8 mm", "faint at its rim", _faint(0.4, 0.8)),
     Fault("sweat in patches of 0.6 mm", "sweat", _sweat),
     Fault("30 rows of the background are zero", "lines of the background", _same, _zero_rows),
     Fault("camera bumped by 5 px", "has moved", _same, moved_px=5),

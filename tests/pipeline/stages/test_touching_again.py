@@ -1,4 +1,4 @@
-"""Tests of presses of a finger that is lifted and touches again with other skin, beside its first contact or over it."""
+"""Tests of presses of a finger that touches again with other skin, beside its first contact or over it."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -41,6 +41,7 @@ class ContactStage(Stage):
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
+        faint_rim_mm: width of the rim of the contact that is too faint for the threshold; 0 if there is none.
     """
 
     name = "contact"
@@ -72,6 +73,7 @@ class ContactStage(Stage):
         }
         self._gain = np.full(frames, np.nan)  # illumination gain
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
+        self.faint_rim_mm = 0.0
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
@@ -155,12 +157,16 @@ class ContactStage(Stage):
             self.warnings.extend(plausibility.check_onset(normal, gross, first_frame))
             self.warnings.extend(plausibility.check_growth(normal, gross))
         for name, values in self.series.items():
-            about = {"ridge_period_mm": self._period_px * self.inputs.mm_per_px} if name == "gross_contact_area" else {}
+            about: dict[str, float] = {}
+            if name == "gross_contact_area":
+                about["ridge_period_mm"] = self._period_px * self.inputs.mm_per_px
+                about |= {"faint_rim_mm": self.faint_rim_mm} if self.faint_rim_mm else {}
             self.results.put(name, values, about)
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
+        self.faint_rim_mm = float(earlier["gross_contact_area"].attrs.get("faint_rim_mm", 0.0))
 
     def cells(self) -> dict[str, float]:
         """Return the geometry of the grid of contact cells (square blocks of pixels) as attributes of result variables:
@@ -218,7 +224,8 @@ class ContactStage(Stage):
                 picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                self.warnings.extend(view_faults.check_shadow(picture / lit, region, period))
+                shadow = view_faults.check_shadow(picture / lit, region, period)
+                self.warnings.extend(shadow or self._check_rim(frame, contact))
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
         usable = np.flatnonzero(self._usable)
@@ -228,6 +235,14 @@ class ContactStage(Stage):
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
         self.warnings.extend(view_faults.check_moved_glass(pictures, light, region))
+
+    def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
+        """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
+        counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
+        lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
+        gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
+        self.faint_rim_mm = view_faults.faint_rim_mm(gross, whole)
+        return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
 
     def _leave_out_parts(self, contact: FrameContact, indices: NDArray[np.intp]) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""

@@ -21,6 +21,9 @@ _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, a
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
 SECOND_CONTACT, DENSITY = 0.03, 0.2
 _SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
+# Share of the contact threshold at which a faint rim shows, and least and largest distance, mm, by which the border
+# then lies further out: 0.03 on clean prints; light that varies over the view moves it further still.
+FAINT, _RIM_MM = 0.4, (0.07, 0.5)
 _STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
@@ -131,6 +134,27 @@ def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
     return [
         f"the glass around the contact has lost {1 - left:.0%} of its light: a shadow or halo of the finger lies "
         f"there, and it counts as contact where it is darker than the threshold. Light the glass evenly, or refocus"
+    ]
+
+
+def faint_rim_mm(gross: float, lower: float) -> float:
+    """Return the width, mm, of a rim of the contact that is too faint for the threshold; 0 if there is none.
+
+    `gross` and `lower` are the gross areas, mm^2, of the frame with most contact at the threshold and at `FAINT` of it.
+    """
+    width = float(np.sqrt(lower / np.pi) - np.sqrt(gross / np.pi))
+    return width if _RIM_MM[0] < width < _RIM_MM[1] else 0.0
+
+
+def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
+    """Return a warning if the contact has a faint rim, `width_mm` wide; `gross` mm^2 is its area without that rim."""
+    if not width_mm:
+        return []
+    more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
+    return [
+        f"the contact is faint at its rim: at {FAINT:.0%} of the threshold of {threshold:.2f} its border lies "
+        f"{width_mm:.2f} mm further out. Areas, ellipse, onsets and medians are those of the part inside; the gross "
+        f"area may be {more:.0%} larger. Set [contact] threshold to {FAINT * threshold:.2f}, clean the glass, or focus"
     ]
 
 

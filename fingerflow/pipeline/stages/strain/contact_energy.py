@@ -60,12 +60,14 @@ class ContactEnergy:
         pairs: (K, 2) pairs of the N points whose errors correlate.
         correlation: (K,) of their errors.
         points: N.
+        faint_mm: by which the border may lie further out, as the rim of the contact is faint.
     """
 
     def __init__(
         self, measure: str, elastic: tuple[float, float], pairs: NDArray[np.integer],
-        correlation: NDArray[np.floating], points: int,
+        correlation: NDArray[np.floating], points: int, faint_mm: float = 0.0,
     ) -> None:  # fmt: skip
+        self._radius_mm = np.hypot(_RADIUS_MM, faint_mm)
         self._measure, self._elastic, self._functions = measure, elastic, BorderFunctions()
         # By whether fields move at the border: number of fitted frames, last relative effect of the border.
         self._fitted, self._by_border = {False: 0, True: 0}, {False: 0.0, True: 0.0}
@@ -158,7 +160,7 @@ class ContactEnergy:
         shares = np.array([self._by_border[moves]])
         if len(refitted):
             wider = points.select(refitted)
-            wider = wider._replace(axes=wider.axes + _RADIUS_MM)
+            wider = wider._replace(axes=wider.axes + self._radius_mm)
             field = self._functions.fit(*wider.on_disc(), None if at_border is None else at_border[refitted])
             larger, _, more = self._field_energies(field, wider)
             shares = np.append(shares, (larger + np.trace(more, axis1=1, axis2=2)) / energy[refitted] - 1)

@@ -80,7 +80,7 @@ class CountedSkin:
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
 
     def _advected(self, points: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """Return the triangles (M, 3) of touching `points` (N,) that have a corner which was advected into the contact."""
+        """Return the triangles (M, 3) of touching `points` (N,) with a corner that was advected into the contact."""
         stage = self._stage
         if not len(stage.entered):
             return np.zeros((0, 3), np.int32)

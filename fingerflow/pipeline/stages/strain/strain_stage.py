@@ -98,13 +98,13 @@ class StrainStage(Stage):
         self._shared = SharedErrors(*(torch.from_numpy(values).to(device) for values in shared))
         self._missing = MissingEnergy(self._areas)
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
-        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset))
-        series = self.trial.stage(ContactStage).series
+        contact = self.trial.stage(ContactStage)
+        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset), contact.faint_rim_mm)
         self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
         # Skin that touches from the first frame on has no onset: its displacement need not vanish at the border.
-        areas = series["gross_contact_area"]
+        areas = contact.series["gross_contact_area"]
         self._begins_free = bool((areas[np.isfinite(areas)][:1] == 0).all())
         # Later onsets on the border of a slide have other references, so that displacements jump there.
         begins = skin.since[: len(moved.onset)]
