@@ -68,16 +68,6 @@ def test_sanitizers_find_no_wrong_access_and_no_race(sanitizer: str, tmp_path: P
     assert run_sanitized(command, LD_PRELOAD=first, OMP_NUM_THREADS="1") == "not entered: []\n"
 
 
-@pytest.mark.parametrize("sanitizer", SANITIZERS)
-def test_pool_of_threads(sanitizer: str, tmp_path: Path) -> None:
-    """The pool of threads has no race and no wrong access with faults in any piece of any thread, parallel callers,
-    nested calls and forks.
-    """
-    sources = ROOT / "kernels" / "parallel.cpp", HERE / "pool.cpp"
-    compile_sanitized(sanitizer, ("-O1",), sources, tmp_path / "program")
-    assert run_sanitized([str(tmp_path / "program")]) == "0 failures\n"
-
-
 @pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools is not installed")
 def test_builds_nothing_but_succeeds_without_a_compiler(tmp_path: Path) -> None:
     none = shutil.which("false")

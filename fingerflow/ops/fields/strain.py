@@ -17,7 +17,7 @@ from fingerflow.ops.tensors import half_angle, hypotenuse
 def divergence(gradient: Tensor) -> Tensor:
     """Return the divergence du/dx + dv/dy (...), without unit: the relative growth of area to first order.
 
-    Source: Willemet et al. 2021, figure S6.
+    Source: Willemet et al. 2021, figure S6. No compiled twin.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
@@ -34,7 +34,7 @@ def divergence(gradient: Tensor) -> Tensor:
 def curl(gradient: Tensor) -> Tensor:
     """Return the curl dv/dx - du/dy (...), in rad: twice the rotation angle if small, positive from x towards y.
 
-    Source: Willemet et al. 2021, figure S6.
+    Source: Willemet et al. 2021, figure S6. No compiled twin.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down.
@@ -70,7 +70,7 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     Raises:
         ValueError: another measure, or a wrong dtype or shape.
 
-    Source: Willemet et al. 2021, equation 1, and (F'F - I) / 2 of continuum mechanics.
+    Source: Willemet et al. 2021, equation 1, and (F'F - I) / 2 of continuum mechanics. No compiled twin.
 
     Convention:
         axes: gradient[..., i, j] = d u_i / d x_j, x to the right, y down; the result is (..., 3), exx, eyy, exy.
@@ -112,7 +112,7 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
     Raises:
         ValueError: not young_modulus_mpa > 0 or not -1 < poisson_ratio < 0.5: outside, the energy is not positive.
 
-    Source: Willemet et al. 2021, strain energy.
+    Source: Willemet et al. 2021, strain energy. No compiled twin.
 
     Convention:
         axes: strain (..., 3) is exx, eyy, exy, x to the right, y down.

@@ -24,8 +24,8 @@ class Parts(NamedTuple):
 def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
     """Compute the natural Helmholtz-Hodge decomposition (without boundary conditions) of vector fields.
 
-    Source: Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014. No boundary condition is imposed: with the Green function
-    of the whole plane, G = log|x| / 2 pi,
+    Source: Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014. No compiled twin. No boundary condition is imposed: with
+    the Green function of the whole plane, G = log|x| / 2 pi,
 
         irrotational(x) = int_mask grad G(x - y) div f(y) dy,   solenoidal(x) = int_mask J grad G(x - y) curl f(y) dy,
 

@@ -1,5 +1,7 @@
 """Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -113,12 +115,18 @@ class FieldsStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        for name, columns in {"divergence": 0, "curl": 1, "strain": slice(2, None)}.items():
+        # Columns of the medians, and names of their rates.
+        components: dict[str, tuple[Any, str, str]] = {
+            "divergence": (0, "median_divergence_rate", "median_divergence_rate_std"),
+            "curl": (1, "", ""),
+            "strain": (slice(2, None), "median_strain_rate", "median_strain_rate_std"),
+        }
+        for name, (columns, *rates) in components.items():
             measure = {"measure": self._settings.strain} if name == "strain" else {}
-            for of, values in {"": self._median[:, columns], "_std": median_std[:, columns]}.items():
-                self.results.put(f"median_{name}{of}", values, {} if of else self._gauge | measure)
-                if name != "curl":
-                    self.results.put(f"median_{name}_rate{of}", rate(values, times, window, of_std=bool(of)))
+            for of, values, rate_name in zip(("", "_std"), (self._median, median_std), rates, strict=True):
+                self.results.put(f"median_{name}{of}", values[:, columns], {} if of else self._gauge | measure)
+                if rate_name:
+                    self.results.put(rate_name, rate(values[:, columns], times, window, of_std=bool(of)))
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

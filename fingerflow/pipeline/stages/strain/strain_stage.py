@@ -265,10 +265,9 @@ class StrainStage(Stage):
             "strain_energy_between_points_std": self._between_std,
         }.items():
             self.results.put(name, np.where(nothing, 0.0, self._settings.depth_mm * values), depth)
-        for of in ("", "_std"):
-            energy = self.results[f"strain_energy{of}"][:]
-            rates = rate(energy, self.inputs.times, self._settings.rate_window_s, of_std=bool(of))
-            self.results.put(f"strain_energy_rate{of}", rates)
+        for name, of in (("strain_energy_rate", "strain_energy"), ("strain_energy_rate_std", "strain_energy_std")):
+            rates = rate(self.results[of][:], self.inputs.times, self._settings.rate_window_s, name.endswith("_std"))
+            self.results.put(name, rates)
 
 
 def border_density(
@@ -290,7 +289,8 @@ def border_density(
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.where((border.inside(positions) < reach_mm) & np.isfinite(density), areas, 0.0)
-        mean: Array = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
+        total, weight = (values.sum(1, dtype=np.float64) for values in (weights * np.nan_to_num(density), weights))
+        mean: NDArray[np.float64] = total / weight
     return mean
 
 
