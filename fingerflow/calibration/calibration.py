@@ -10,6 +10,7 @@ import numpy as np
 from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.lens import Lens
 from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.views import View
@@ -21,7 +22,8 @@ class Calibration:
 
     Positions are (x, y) in px of a view; integers are pixel centres. `mm_per_px` holds in the contact view. `discs` are
     pairs (topography, contact), the largest first, then clockwise. `affine` and `similarity` are the transforms
-    topography -> contact; a single view has neither transforms nor discs.
+    topography -> contact; a single view has neither transforms nor discs. With a `lens`, scale and transforms are those
+    of straight pixels.
     """
 
     mm_per_px: float
@@ -32,6 +34,7 @@ class Calibration:
     affine: Transform | None = None
     similarity: Transform | None = None
     warnings: tuple[str, ...] = ()
+    lens: Lens | None = None
 
     def to_toml(self) -> str:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
@@ -40,6 +43,8 @@ class Calibration:
             f"mm_per_px = {_toml_number(self.mm_per_px)}",
             f"warnings = {toml_value(self.warnings)}",
         ]
+        if self.lens is not None:
+            lines += [f"{name} = {_toml_number(value)}" for name, value in asdict(self.lens).items()]
         for name, view in self.views.items():
             lines += _section(f"[views.{toml_value(name)}]", {"rows": view.rows, "columns": view.columns})
         lines += _section("[hole]", {"radius_mm": self.hole_radius_mm, **asdict(self.hole)})

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fingerflow.calibration.calibration import Calibration, is_calibration
+from fingerflow.calibration.chessboard import fit_lens
 from fingerflow.calibration.edge import Array
 from fingerflow.calibration.from_frames import calibrate
 from fingerflow.calibration.overlay_image import draw_overlay
@@ -23,6 +24,8 @@ def calibrate_files(
     hole_radius_mm: float = 2.75,
     output: Path | str = FILE,
     overwrite: bool = False,
+    chessboard: Path | str | None = None,
+    corners: tuple[int, int] | None = None,
 ) -> Calibration:
     """Determine image scale and view transform from image files; write a calibration file and an overlay image.
 
@@ -35,6 +38,8 @@ def calibrate_files(
         hole_radius_mm: of the ring.
         output: the calibration file.
         overwrite: replace a file of that name that is no calibration.
+        chessboard: from which the distortion of the lens is measured; None for none.
+        corners: numbers of inner corners in a row and in a column of the chessboard.
 
     Raises:
         FingerflowError: as `calibrate`; a file cannot be read or written, would replace an input, or is not ours.
@@ -42,16 +47,22 @@ def calibrate_files(
     output, chosen = Path(output), dict(views or {})
     if target is None and "topography" in chosen:
         raise FingerflowError("a topography view needs a target: without one the calibration is a scale alone")
-    inputs = [None if file is None else Path(file) for file in (ring, target, background)]
-    ring_frame, target_frame, empty_frame = (None if file is None else _first_frame(file) for file in inputs)
+    if (chessboard is None) != (corners is None):
+        raise FingerflowError("chessboard and corners belong together: the frame, and its inner corners, such as 9 6")
+    inputs = [None if file is None else Path(file) for file in (ring, target, background, chessboard)]
+    ring_frame, target_frame, empty_frame, board = (None if file is None else _first_frame(file) for file in inputs)
     assert ring_frame is not None
     rows, columns = ring_frame.shape
     half = 0 if target is None else columns // 2
     halves = {"contact": View((0, rows), (half, columns))}
     if target is not None:
         halves["topography"] = View((0, rows), (0, half))
+    views = {**halves, **chosen}
     try:
-        calibration = calibrate(target_frame, ring_frame, {**halves, **chosen}, hole_radius_mm, empty_frame)
+        if board is not None and board.shape != ring_frame.shape:
+            raise FingerflowError("the frame of the chessboard has another size; record all with the same settings")
+        lens = None if board is None or corners is None else fit_lens(board, views, corners)
+        calibration = calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame, lens)
     except FingerflowError as error:
         raise FingerflowError(f"{', '.join(str(file) for file in inputs if file)}: {error}") from None
     picture = output.with_suffix(".png")

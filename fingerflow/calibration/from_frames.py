@@ -11,6 +11,7 @@ from fingerflow.calibration.discs import find_discs, find_hole
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.lens import Lens
 from fingerflow.schema.views import View
 
 # Largest number of candidate discs per view. It exceeds the three discs of the target: the target's shape then rejects
@@ -29,11 +30,13 @@ def calibrate(
     views: Mapping[str, View],
     hole_radius_mm: float = 2.75,
     background: ArrayLike | None = None,
+    lens: Lens | None = None,
 ) -> Calibration:
     """Compute the calibration from a frame (H, W) of the registration target and a frame of the scale ring.
 
     `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
-    no target (None) and needs the ring alone. `background` is a frame without either. Raises FingerflowError if a view,
+    no target (None) and needs the ring alone. `background` is a frame without either. A `lens`, of `fit_lens`, corrects
+    the discs and the hole. Raises FingerflowError if a view,
     a disc or the hole is missing, the discs do not match, or the frames differ in size.
     """
     if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):
@@ -58,9 +61,9 @@ def calibrate(
         return views[view].crop(frames[name]) if name in frames else None
 
     hole = find_hole(part("ring", "contact"), part("background", "contact"))
-    scale = hole_radius_mm / hole.radius_px
+    scale = hole_radius_mm / (hole.radius_px if lens is None else _straight_radius(hole, lens, views["contact"]))
     if target is None:
-        return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None))
+        return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None), lens=lens)
     topography = find_discs(part("target", "topography"), part("background", "topography"), MOST_DISCS)
     contact = find_discs(part("target", "contact"), part("background", "contact"), MOST_DISCS)
     if min(len(topography), len(contact)) < 3:
@@ -70,7 +73,10 @@ def calibrate(
             f"that all discs are inside both, lit and in focus"
         )
     pairs = match_discs(topography, contact)
-    from_points, to_points = ([pair[side].center for pair in pairs] for side in (0, 1))
+    from_points, to_points = (np.array([pair[side].center for pair in pairs]) for side in (0, 1))
+    if lens is not None:
+        from_points = lens.straighten(from_points, views["topography"])
+        to_points = lens.straighten(to_points, views["contact"])
     similarity = fit_similarity(from_points, to_points)
     return Calibration(
         mm_per_px=scale,
@@ -81,7 +87,18 @@ def calibrate(
         affine=fit_affine(from_points, to_points),
         similarity=similarity,
         warnings=_warnings(hole, tuple(pairs), similarity),
+        lens=lens,
     )
+
+
+def _straight_radius(disc: Disc, lens: Lens, view: View) -> float:
+    """Return the radius of the circle with the area of a disc without distortion, px."""
+    turn = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    (long, short), cosine, sine = disc.semi_axes_px, np.cos(disc.angle), np.sin(disc.angle)
+    edge = np.column_stack((long * np.cos(turn), short * np.sin(turn))) @ ((cosine, sine), (-sine, cosine))
+    x, y = (lens.straighten(edge + disc.center, view) - disc.center).T
+    area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
+    return float(np.sqrt(area / np.pi))
 
 
 def _grey(frame: ArrayLike) -> Array:
@@ -110,7 +127,7 @@ def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Tran
     if similarity is not None and similarity.rms_px > MOST_SIMILARITY_RMS_PX:
         warnings.append(
             f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; one of them "
-            f"is oblique or distorted"
+            f"is oblique or distorted. Measure the lens, with --chessboard and --corners"
         )
     for name, side in (("topography", 0), ("contact", 1)):
         for disc in (pair[side] for pair in pairs):

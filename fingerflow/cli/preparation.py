@@ -91,8 +91,16 @@ def calibrate(
     ),
     overwrite: Overwrite = False,
     as_json: AsJson = False,
+    chessboard: Annotated[
+        Path | None, typer.Option(help="Frame of a chessboard flat on the glass, for the distortion of the lens.")
+    ] = None,
+    corners: Annotated[
+        tuple[int, int] | None, typer.Option(help="Inner corners in a row and in a column of the chessboard.")
+    ] = None,
 ) -> None:
-    """Measure the image scale and the transform between views from frames of a ring and of a target with discs."""
+    """Measure the image scale and the transform between views from frames of a ring and of a target with discs, and the
+    distortion of the lens from a chessboard.
+    """
     from fingerflow.calibration import calibrate_files
     from fingerflow.schema.views import View
 
@@ -100,12 +108,15 @@ def calibrate(
         raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
     ranges = {"contact": contact, "topography": topography}
     views = {name: View(pixels[:2], pixels[2:]) for name, pixels in ranges.items() if pixels is not None}
-    calibration = calibrate_files(ring, target, background, views, hole_radius_mm, output, overwrite)
+    calibration = calibrate_files(
+        ring, target, background, views, hole_radius_mm, output, overwrite, chessboard, corners
+    )
     facts: dict[str, Any] = {
         "mm_per_px": calibration.mm_per_px,
         "hole_radius_px": calibration.hole.radius_px,
         "affine": None if calibration.affine is None else calibration.affine.matrix.tolist(),
         "similarity_rms_px": None if calibration.similarity is None else calibration.similarity.rms_px,
+        "distortion": None if calibration.lens is None else list(calibration.lens.distortion),
         "warnings": list(calibration.warnings),
         "calibration": str(output),
         "picture": str(output.with_suffix(".png")),

@@ -21,11 +21,13 @@ class CalibrationFile(NamedTuple):
         views: half-open ranges of rows and columns of a frame, by the name of the view.
         matrix: (2, 3), maps (x, y, 1) px of the topography view to (x, y) px of the contact view; None where the
             calibration holds a scale alone.
+        lens: the keys ``intrinsics`` and ``distortion`` of a scene, where the calibration has them.
     """
 
     mm_per_px: float
     views: Mapping[str, tuple[Pixels, Pixels]]
     matrix: list[list[float]] | None
+    lens: Mapping[str, Any]
 
 
 def read_calibration(path: Path) -> CalibrationFile:
@@ -43,6 +45,7 @@ def read_calibration(path: Path) -> CalibrationFile:
                 for name, view in table["views"].items()
             },
             None if transform is None else _matrix(transform["affine"]["matrix"]),
+            {key: table[key] for key in ("intrinsics", "distortion") if key in table},
         )
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path}: this calibration cannot be read: {error}; {_REMEDY}") from None

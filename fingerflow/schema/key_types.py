@@ -287,6 +287,24 @@ def pair(ranged: NumberType) -> KeyType:
 PAIR = pair(number())
 
 
+def row(**items: NumberType) -> KeyType:
+    """Return the type of a key that takes a list of named numbers, each with a range."""
+    words = f"[{', '.join(items)}]"
+
+    def convert(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != len(items):
+            raise WrongValue(f"it should be a list of {len(items)} numbers, {words}")
+        converted = []
+        for (name, ranged), item in zip(items.items(), value, strict=True):
+            try:
+                converted.append(ranged(False).convert(item))
+            except WrongValue as wrong:
+                raise WrongValue(f"of {name} in {words} {wrong}") from None
+        return tuple(converted)
+
+    return KeyType(words, convert)
+
+
 def _corners(value: Any) -> tuple[tuple[float, float], ...]:
     needed = "three or more corners [x, y] in px of the view are needed, such as [[100, 80], [500, 80], [300, 400]]"
     if not isinstance(value, list) or len(value) < 3:

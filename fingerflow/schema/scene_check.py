@@ -167,6 +167,7 @@ class SceneCheck(TableCheck):
         for name in ("gain", "sign", "offset"):
             self._one_each(f"forces.{name}")
         self._read_calibration()
+        self._check_lens()
         self._inside("stream.region", "views.topography")
         for view in KINDS[self.kind].all_views:
             self._one_shape(f"views.{view}.region")
@@ -196,7 +197,8 @@ class SceneCheck(TableCheck):
             if "calibration" in self.given and scale not in self.given:
                 self.lacks(("calibration", "mm_per_px"))
             return
-        excluded = [_name(name) for name in (scale, transform) if name in self.given]
+        keys = ("mm_per_px", "topography_to_contact", "intrinsics", "distortion")
+        excluded = [name for name in keys if f"calibration.{name}" in self.given]
         if excluded:
             # The conflict replaces other problems of this key, as the user may remove it.
             self.messages.pop(("calibration", "file"), None)
@@ -206,11 +208,26 @@ class SceneCheck(TableCheck):
         if calibration is None:
             return
         values = {scale: calibration.mm_per_px, **({transform: calibration.matrix} if calibration.matrix else {})}
+        values |= {f"calibration.{name}": value for name, value in calibration.lens.items()}
         for name, value in values.items():
             self.given.add(name)
             entry = SCENE["calibration"].keys[_name(name)]
             assert isinstance(entry, SceneKey)
             self.values["calibration"][_name(name)] = self.value(("calibration", _name(name)), entry, value)
+
+    def _check_lens(self) -> None:
+        """Record a problem of a lens whose intrinsics are not stated, or in a scene that cannot be corrected for it."""
+        lens = "calibration.intrinsics"
+        if lens not in self.given:
+            if "calibration.distortion" in self.given:
+                self.record_conflict("calibration.distortion", "it needs intrinsics = [fx, fy, cx, cy], px; add them")
+        elif self._reader == "stream" or self.kind == "slip":
+            what, remedy = "a stream", "play the recording with `fingerflow process`"
+            if self._reader != "stream":
+                what, remedy = 'a scene of the kind "slip"', 'set kind = "press" and leave [slip] out'
+            self.record_conflict(
+                lens, f"{what} is not corrected for the lens; leave intrinsics and distortion out, or {remedy}"
+            )
 
     def _inside(self, key: str, view: str) -> None:
         region, around = self._rectangle(key), self._rectangle(view)

@@ -23,6 +23,7 @@ from fingerflow.schema.key_types import (
     each,
     moment,
     number,
+    row,
 )
 from fingerflow.schema.keys import SceneKey, SceneTable, key, keys_of, table
 from fingerflow.schema.scene_kinds import Kind
@@ -66,7 +67,8 @@ class CalibrationSettings:
     """Settings in the table [calibration] of a scene file: image scale and transform between the views, given directly
     or by a calibration file.
 
-    ``topography_to_contact`` is used only if there is a topography view.
+    ``topography_to_contact`` is used only if there is a topography view. With ``intrinsics``, scale and transform are
+    those of pixels without distortion and of equal sides.
     """
 
     file: Path | None = key("from `fingerflow calibrate`; in place of the other keys", type=File(calibration=True),
@@ -75,6 +77,12 @@ class CalibrationSettings:
         label="scale")
     topography_to_contact: tuple[Row, Row] = key("affine map of px, topography view to contact view",
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), TRANSFORM, label="map from topography to contact view")
+    intrinsics: tuple[float, float, float, float] | None = key("focal lengths and principal point of the camera frame, "
+        "as OpenCV's camera matrix has them: fx and fy differ where pixels are not square", type=row(fx=POSITIVE,
+        fy=POSITIVE, cx=number(), cy=number()), unit="px", sample=[2000.0, 2000.0, 639.5, 255.5], label="lens")
+    distortion: tuple[float, float, float, float, float] | None = key("of the lens, by OpenCV's model, with "
+        "intrinsics", type=row(k1=number(), k2=number(), p1=number(), p2=number(), k3=number()),
+        sample=[-0.1, 0.0, 0.0, 0.0, 0.0], label="distortion of the lens")
 
 
 @dataclass(frozen=True)
@@ -351,6 +359,11 @@ class Scene:
         False.
         """
         return True if self.slip.displacement == "dense_flow" else None
+
+    @property
+    def undistorted(self) -> bool | None:
+        """Return True if the calibration states no lens, else None, as `dense_flow_slip` does."""
+        return True if self.calibration.intrinsics is None else None
 
     def has(self, need: str) -> bool:
         """Return whether the scene has a value for a key, given as a dotted path such as "forces.tangential"."""

@@ -190,7 +190,7 @@ TRACK_STATUS = (
 )  # fmt: skip
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass",
-        equation="s (A (x_px, 1)), A = calibration.topography_to_contact"),
+        equation="s (A (x, 1)), A = calibration.topography_to_contact, x = x_px corrected for calibration.distortion"),
     Variable("position_px", ("frame", "point", "xy"), "px", "position in the topographic view",
         equation="y with Σ_w g(w) (S(y + w) − T(w)) = 0, S the spline of the frame, T(w) = S_key(p + F⁻¹ w) the "
         "template, F its deformation, g the gradient of T without its parts along a constant and along T"),

@@ -196,7 +196,7 @@ class Session:
             calibration = calibrate_files(
                 ring, target, background, views, float(request.get("hole_radius_mm") or 2.75), folder / FILE
             )
-            for key in ("mm_per_px", "topography_to_contact"):
+            for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
                 draft.set(("calibration", key), None)
             draft.set(("calibration", "file"), FILE)
             warnings = [*map(reword, calibration.warnings)]

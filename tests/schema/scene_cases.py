@@ -177,6 +177,10 @@ _ROWS = (
     _number("topography_to_contact", MATRIX, "it should be a list of 2 lists of 3 numbers", "[[1, 0], [0, 1]]"),
     _number("topography_to_contact", MATRIX, "of its items it should be a number", "[[1, 0, 'x'], [0, 1, 0]]"),
     _number("topography_to_contact", MATRIX, "it maps the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
+    ("mm_per_px", "intrinsics = [9.0, 9.0]\nmm_per_px", "intr", "it should be a list of 4 numbers, [fx, fy, cx, cy]"),
+    ("mm_per_px", "intrinsics = [9, 0, 1, 1]\nmm_per_px", "intr", "of fy in [fx, fy, cx, cy] it should be above 0"),
+    ("mm_per_px", "distortion = [1, 0, 0, 0]\nmm_per_px", "dist", "a list of 5 numbers, [k1, k2, p1, p2, k3]"),
+    ("mm_per_px", "distortion = [1, 0, 0, 0, 0]\nmm_per_px", "dist", "it needs intrinsics = [fx, fy, cx, cy], px"),
     # Keys that contradict each other.
     _number("last_frame", "20", "recording.last_frame is 1: that is before first_frame, 2; both are included", "1"),
     ("trigger_level = 2.5\n", "", "trigger = ", "forces.trigger is 'trigger': trigger and trigger_level belo"),

@@ -37,7 +37,7 @@ def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyfr
         forces=None,
         recording=SimpleNamespace(first_frame=0),
         tracking=SimpleNamespace(template=template, direction="forward", window_px=25),
-        calibration=SimpleNamespace(mm_per_px=mm_per_px, topography_to_contact=np.eye(2, 3)),
+        calibration=SimpleNamespace(mm_per_px=mm_per_px, topography_to_contact=np.eye(2, 3), intrinsics=None),
     )
     cpu = torch.device("cpu")
     engine = engine_for("auto", EngineSettings(gauge_length_mm=1.6, strain=strain), cpu)

@@ -15,9 +15,10 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.contact import view_faults
+from fingerflow.pipeline.stages.contact.straight_contact import StraightContact
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.inputs import read_frames
+from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -55,7 +56,7 @@ class ContactStage(Stage):
         "contact",
         "views.contact",
         "background",
-        "calibration.mm_per_px",
+        *SCALE_KEYS,
         "recording.first_frame",
     )
     restored = True
@@ -65,6 +66,7 @@ class ContactStage(Stage):
         self._view = self.inputs.scene.views.contact
         self._engine = self.inputs.engine
         self.cell_px = self._engine.cell_px
+        self._straight = StraightContact(self.inputs.lens, self._view, self.cell_px)
         frames = len(trial)
         self.series = {
             variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
@@ -111,19 +113,21 @@ class ContactStage(Stage):
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
         contact = self._measure(batch.images(self.inputs, self._view))
         size, indices = self.inputs.mm_per_px, batch.indices
+        straight = self._straight.sizes(contact)
+        area = straight.area_gain * size**2  # mm^2 of a pixel
         for name, values in {
             "contact_threshold": contact.threshold,
-            "real_contact_area": contact.real_area_px.astype(np.float64) * size**2,
-            "gross_contact_area": contact.gross_area_px.astype(np.float64) * size**2,
-            "ellipse_center": contact.center.astype(np.float64) * size,
-            "ellipse_semi_axes": contact.semi_axes.astype(np.float64) * size,
-            "ellipse_angle": contact.angle,
+            "real_contact_area": contact.real_area_px.astype(np.float64) * area,
+            "gross_contact_area": contact.gross_area_px.astype(np.float64) * area,
+            "ellipse_center": straight.center * size,
+            "ellipse_semi_axes": straight.semi_axes * size,
+            "ellipse_angle": straight.angle,
         }.items():
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
-        self._leave_out_parts(contact, indices)
+        self._leave_out_parts(contact, indices, np.broadcast_to(area, len(indices)))
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
@@ -244,7 +248,9 @@ class ContactStage(Stage):
         self.faint_rim_mm = view_faults.faint_rim_mm(gross, whole)
         return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
 
-    def _leave_out_parts(self, contact: FrameContact, indices: NDArray[np.intp]) -> None:
+    def _leave_out_parts(
+        self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
+    ) -> None:
         """Store the real area outside the gross contact regions of a batch, and warn of a second contact there."""
         if contact.real_contact_mask is None:
             return
@@ -258,7 +264,7 @@ class ContactStage(Stage):
             outside = view_faults.in_cells(masks[k], view_faults.outside_region(region[k], cell_px, radius_px), cell_px)
             index = indices[k]
             count = int(outside.sum())
-            self._outside[index] = count * size**2
+            self._outside[index] = count * pixel_mm2[k]
             if self._usable[index] and not self._several_parts and self._second_px < count / view_faults.DENSITY:
                 frame = index + self.inputs.scene.recording.first_frame
                 several = view_faults.check_second_contact(outside, self._second_px, radius_px, size, frame)

@@ -35,7 +35,7 @@ class PrintedContactStage(Stage):
 
     name = "printed_contact"
     gives = PRINTED_CONTACT
-    needs = ("views.contact",)
+    needs = ("views.contact", "undistorted")
     after = (ContactStage,)
     reads_frames = True
     settings = ("contact.appears", "views.contact", "background", "calibration.mm_per_px")

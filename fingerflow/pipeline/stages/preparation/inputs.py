@@ -1,6 +1,7 @@
 """Inputs of a run, opened and checked: recording, background, calibration and compute engine."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings.lens import Lens
 from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
@@ -22,6 +24,9 @@ from fingerflow.tracker.points import RECORDING, Knowledge
 
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
 _REFERENCE_FRAMES = 64
+#: Keys of the scale of the contact view.
+SCALE_KEYS = ("calibration.mm_per_px", "calibration.intrinsics", "calibration.distortion")
+_GRID = 17  # positions along each side of a view, at which maps are averaged
 
 
 @dataclass
@@ -52,25 +57,51 @@ class Inputs:
     def mm_per_px(self) -> float:
         return self.scene.calibration.mm_per_px
 
+    @cached_property
+    def lens(self) -> Lens | None:
+        """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
+        return Lens.of(self.scene.calibration)
+
     @property
-    def topography_to_contact(self) -> NDArray[np.float64]:
-        """Return the affine map (2, 3) from px of the topographic view to px of the contact view."""
+    def _transform(self) -> NDArray[np.float64]:
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
+
+    @cached_property
+    def topography_to_contact(self) -> NDArray[np.float64]:
+        """Return the affine map (2, 3) from recorded px of the topographic view to recorded px of the contact view;
+        with a lens, the map that is closest over the view.
+        """
+        if self.lens is None:
+            return self._transform
+        pixels = self._over_topography()
+        return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, self.scene.views.contact))
 
     def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from px of the topographic view to mm on the glass."""
-        matrix = self.topography_to_contact
-        return (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
+        if self.lens is not None:
+            pixels = self.lens.straighten(pixels, self.scene.views.topography)
+        return (pixels @ self._transform[:, :2].T + self._transform[:, 2]) * self.mm_per_px
 
     def on_topography(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
-        matrix = self.topography_to_contact
-        return (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        matrix = self._transform
+        pixels = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        return pixels if self.lens is None else self.lens.distort(pixels, self.scene.views.topography)
 
-    @property
+    @cached_property
     def topography_mm_per_px(self) -> float:
         """Return the mean scale of the topographic view, mm per px."""
-        return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
+        matrix = self._transform
+        if self.lens is not None:
+            pixels = self._over_topography()
+            matrix = _affine(pixels, self.on_glass(pixels) / self.mm_per_px)
+        return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
+
+    def _over_topography(self) -> NDArray[np.float64]:
+        """Return positions (n, 2) px all over the topographic view."""
+        rows, columns = self.scene.views.topography.shape
+        y, x = np.meshgrid(np.linspace(0, rows - 1, _GRID), np.linspace(0, columns - 1, _GRID))
+        return np.column_stack((x.ravel(), y.ravel()))
 
     def tensor(self, values: NDArray[np.floating]) -> Tensor:
         """Return an array as a float32 tensor on the device of the run."""
@@ -146,6 +177,12 @@ class Inputs:
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
 
 
+def _affine(pixels: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the affine map (2, 3) that maps positions (n, 2) closest to `values`, by least squares."""
+    matrix: NDArray[np.float64] = np.linalg.lstsq(np.insert(pixels, 2, 1, axis=1), values, rcond=None)[0].T
+    return matrix
+
+
 def read_frames(part: Recording) -> NDArray[Any]:
     """Return the frames (n, H, W) of a recording. Raises FingerflowError where the system cannot read them."""
     try:
@@ -200,6 +237,8 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
         if view is not None:
             try:
                 view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
+                if (lens := Lens.of(scene.calibration)) is not None:
+                    lens.check(view)
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)

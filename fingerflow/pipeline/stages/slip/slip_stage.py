@@ -83,7 +83,7 @@ class SlipStage(Stage):
     name = "slip"
     gives = SLIP
     reads: ClassVar[tuple[str, ...]] = ("gross_contact_region", "deformation_correction_px")
-    needs = ("views.topography",)
+    needs = ("views.topography", "undistorted")
     after = (LoadingStage, ContactStage, TrackingStage)
     follows_border = True
     settings: ClassVar[tuple[str, ...]] = (

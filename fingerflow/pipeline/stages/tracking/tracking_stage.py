@@ -18,7 +18,7 @@ from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
-from fingerflow.pipeline.stages.preparation.inputs import read_frames
+from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -57,7 +57,7 @@ class TrackingStage(Stage):
     settings: ClassVar[tuple[str, ...]] = (
         *("tracking", "views.topography", "stream.region", "background", "recording.first_frame"),
         *("contact.appears", "contact.gross_radius_px"),
-        *("calibration.mm_per_px", "calibration.topography_to_contact"),
+        *(*SCALE_KEYS, "calibration.topography_to_contact"),
     )
     restored = True
 
