@@ -168,6 +168,7 @@ def record_and_analyse(folder: Path, quick: bool = False) -> PressStudy:
     manifest = load_manifest(recordings)
     run_study(manifest)
     measured = pd.read_parquet(write_tables(manifest)[0])
+    measured = measured.astype({name: float for name in measured if name.startswith("true_")})
     design, skins = Design(), simulate_skins(Design())
     truth = Experiment(pictured, draw_presses(pictured), skins, OWN).frame({}, 0)
     parts = manifest, measured[measured["status"] == MEASURED], design

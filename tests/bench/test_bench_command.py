@@ -14,9 +14,6 @@ from fingerflow.kernels import tensors as kernels
 
 SUITE = '''"""Counts to two."""
 
-from bench.rows import Skipped
-
-
 def run(quick):
     return [{"name": "one", "value": 1.0}, {"name": "quick" if quick else "full", "value": None, "more": True}]
 
@@ -24,21 +21,12 @@ def run(quick):
 def draw(rows, path):
     path.write_text(str(len(rows)))
 '''
-ABSENT = '''"""Needs what is not there."""
-
-from bench.rows import Skipped
-
-
-def run(quick):
-    raise Skipped("there is no moon")
-'''
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Yield a folder with two suites beside the real ones; figures go there too."""
+    """Yield a folder with a suite beside the real ones; figures go there too."""
     (tmp_path / "counting.py").write_text(SUITE)
-    (tmp_path / "moon.py").write_text(ABSENT)
     monkeypatch.setattr(suites, "__path__", [*suites.__path__, str(tmp_path)])
     monkeypatch.setattr(command, "FIGURES", tmp_path / "figures")
     threads = cv2.getNumThreads()
@@ -47,16 +35,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_one_file_is_a_suite(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command.main(["counting", "moon", "--json", str(folder / "new" / "run.json"), "--remark", "nothing else ran"])
+    command.main(["counting", "--json", str(folder / "new" / "run.json"), "--remark", "nothing else ran"])
     printed = capsys.readouterr().out
     assert "## counting\nCounts to two." in printed
-    assert "skipped: there is no moon" in printed
     record = json.loads((folder / "new" / "run.json").read_text())
     assert record["suites"]["counting"]["rows"] == [
         {"name": "one", "value": 1.0},
         {"name": "full", "value": None, "more": True},
     ]
-    assert record["suites"]["moon"] == {"skipped": "there is no moon"}
     assert record["remark"] == "nothing else ran"
     assert record["quick"] is False
     assert record["threads"]["torch"] == torch.get_num_threads()
