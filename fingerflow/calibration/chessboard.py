@@ -33,7 +33,7 @@ def fit_lens(frame: ArrayLike, views: Mapping[str, View], corners: tuple[int, in
     for view in views.values():
         complete, pixels = cv2.findChessboardCornersSB(view.crop(grey), corners, flags=cv2.CALIB_CB_ACCURACY)
         if complete:
-            seen.append(pixels.astype(np.float32) + np.float32([view.columns[0], view.rows[0]]))
+            seen.append(pixels.astype(np.float32) + np.array([view.columns[0], view.rows[0]], np.float32))
     if not seen:
         raise FingerflowError(
             f"no view ({', '.join(views)}) shows a chessboard with {corners[0]} x {corners[1]} inner corners: count "

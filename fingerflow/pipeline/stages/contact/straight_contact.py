@@ -39,7 +39,7 @@ class StraightContact:
             y, x = (np.arange(-(-side // cell_px)) * cell_px + (cell_px - 1) / 2 for side in view.shape)
             recorded = np.stack(np.meshgrid(x, y), -1)
             straight = lens.straighten(recorded, view)
-            down, right = np.gradient(straight, cell_px, axis=(0, 1), edge_order=2)
+            down, right = map(np.asarray, np.gradient(straight, cell_px, axis=(0, 1), edge_order=2))
             gain = right[..., :1] * down[..., 1:] - right[..., 1:] * down[..., :1]
             self._means = np.concatenate((gain, gain * straight, recorded, right, down), -1).reshape(-1, 9)
 

@@ -73,20 +73,21 @@ class Inputs:
         """
         if self.lens is None:
             return self._transform
-        pixels = self._over_topography()
-        return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, self.scene.views.contact))
+        pixels, contact = self._over_topography(), self.scene.views.contact
+        assert contact is not None, "the scene has both views where it has the map"
+        return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, contact))
 
     def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from px of the topographic view to mm on the glass."""
         if self.lens is not None:
-            pixels = self.lens.straighten(pixels, self.scene.views.topography)
+            pixels = self.lens.straighten(pixels, self._topography)
         return (pixels @ self._transform[:, :2].T + self._transform[:, 2]) * self.mm_per_px
 
     def on_topography(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
         matrix = self._transform
         pixels = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
-        return pixels if self.lens is None else self.lens.distort(pixels, self.scene.views.topography)
+        return pixels if self.lens is None else self.lens.distort(pixels, self._topography)
 
     @cached_property
     def topography_mm_per_px(self) -> float:
@@ -97,9 +98,15 @@ class Inputs:
             matrix = _affine(pixels, self.on_glass(pixels) / self.mm_per_px)
         return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
 
+    @property
+    def _topography(self) -> View:
+        view = self.scene.views.topography
+        assert view is not None, "points are tracked in it"
+        return view
+
     def _over_topography(self) -> NDArray[np.float64]:
         """Return positions (n, 2) px all over the topographic view."""
-        rows, columns = self.scene.views.topography.shape
+        rows, columns = self._topography.shape
         y, x = np.meshgrid(np.linspace(0, rows - 1, _GRID), np.linspace(0, columns - 1, _GRID))
         return np.column_stack((x.ravel(), y.ravel()))
 
@@ -179,8 +186,7 @@ class Inputs:
 
 def _affine(pixels: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the affine map (2, 3) that maps positions (n, 2) closest to `values`, by least squares."""
-    matrix: NDArray[np.float64] = np.linalg.lstsq(np.insert(pixels, 2, 1, axis=1), values, rcond=None)[0].T
-    return matrix
+    return np.asarray(np.linalg.lstsq(np.insert(pixels, 2, 1, axis=1), values, rcond=None)[0].T, np.float64)
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
