@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from onnxruntime import OrtValue
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -33,6 +34,10 @@ class PortableSession(TorchSession):
     def __init__(self, graph: Graph) -> None:
         super().__init__(graph, torch.device("cpu"))
         self.inputs: dict[str, Tensor] = {}
+
+    def kept(self, name: str, array: Any) -> Any:
+        # An exported graph of the same engine keeps what it shares with this one in memory of ONNX Runtime.
+        return super().kept(name, array.numpy() if isinstance(array, OrtValue) else array)
 
     def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         self.inputs = {name: self.kept(name, inputs[name]) for name in self.graph.inputs}

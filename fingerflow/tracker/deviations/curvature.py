@@ -70,7 +70,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
     window = engine.settings.window_px
     valid = np.flatnonzero(np.isfinite(start).all(-1))
     result = np.zeros(points.shape[:2], np.float32)
-    if not len(valid):
+    if not len(valid) or not len(points):
         return result
     positions = start[valid]
 
