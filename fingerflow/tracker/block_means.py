@@ -58,7 +58,7 @@ def is_noise(frames: Array, roughness: float) -> Array:
     it is less than 0.1 of the variance, however fast a contact grows or slides.
     """
     pixels, right, below = _neighbours(frames)
-    limit = (roughness * pixels.mean(1)) ** 2
+    limit = (roughness / pixels.shape[1] * np.add.reduce(pixels, 1)) ** 2
     noise: Array = _square(pixels, right) > limit
     if noise.any():
         least = np.minimum(_square(pixels, right), _square(pixels, below))
@@ -78,18 +78,16 @@ def _neighbours(frames: Array) -> list[Array]:
     """Return some 1500 pixels of frames, and their neighbours along lines and across them, as (n, pixels)."""
     count, height, width = frames.shape
     down, along = max(1, height // 32), max(1, width // 48)
-    grids = (
-        frames[:, y : max(height - 1, 1) + y : down, x : max(width - 1, 1) + x : along]
-        for y, x in ((0, 0), (0, width > 1), (height > 1, 0))
-    )
-    return [grid.reshape(count, -1).astype(np.float32) for grid in grids]
+    grids = []
+    for y, x in ((0, 0), (0, width > 1), (height > 1, 0)):
+        grid = frames[:, y : max(height - 1, 1) + y : down, x : max(width - 1, 1) + x : along].reshape(count, -1)
+        grids.append(grid.astype(np.float32) if grid.dtype.kind != "f" else np.nan_to_num(grid, posinf=0, neginf=0))
+    return grids
 
 
 def _square(pixels: Array, neighbours: Array) -> Array:
-    with np.errstate(invalid="ignore"):  # of infinite pixels it is NaN
-        difference = neighbours - pixels
-    square: Array = np.einsum("np,np->n", difference, difference) / pixels.shape[1]
-    return square
+    difference = neighbours - pixels
+    return np.add.reduce(difference * difference, 1) / pixels.shape[1]
 
 
 @functools.cache

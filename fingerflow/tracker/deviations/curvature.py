@@ -48,7 +48,8 @@ class Curvature:
         number = self._frames + np.arange(len(points))
         self._frames += len(points)
         result = np.empty(points.shape[:2], np.float32)
-        evaluated = iter(curvature_variance(self._engine, self._start, points[number % _EVERY == 0])[:, None])
+        due = points[number % _EVERY == 0]
+        evaluated = iter(curvature_variance(self._engine, self._start, due)[:, None] if len(due) else due)
         for row, behind in enumerate((number % _EVERY).tolist()):
             if not behind:
                 latest = next(evaluated)
@@ -70,7 +71,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
     window = engine.settings.window_px
     valid = np.flatnonzero(np.isfinite(start).all(-1))
     result = np.zeros(points.shape[:2], np.float32)
-    if not len(valid) or not len(points):
+    if not len(valid):
         return result
     positions = start[valid]
 
