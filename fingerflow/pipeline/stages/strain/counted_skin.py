@@ -15,7 +15,7 @@ from fingerflow.tracker.entry import LEAST_AREA
 Points = NDArray[np.float64]
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
-_KEPT = 0.4
+_KEPT = 0.5
 _FRAMES = 64  # frames read at a time
 
 
