@@ -50,7 +50,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     trial = RunContext(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
     stage.series = {name: values[:frames] for name, values in contact.items()}
-    stage.inputs, stage.cell_px = inputs, 4
+    stage.inputs, stage.cell_px, stage.faint_rim_mm = inputs, 4, 0.0
     check = object.__new__(FrameCheckStage)
     check.usable = np.ones(frames, dtype=bool)
     tracking = object.__new__(TrackingStage)
