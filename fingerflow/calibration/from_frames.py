@@ -36,8 +36,8 @@ def calibrate(
 
     `views` names the parts of a frame: "contact", and "topography" if there is a target. A single-view recording has
     no target (None) and needs the ring alone. `background` is a frame without either. A `lens`, of `fit_lens`, corrects
-    the discs and the hole. Raises FingerflowError if a view,
-    a disc or the hole is missing, the discs do not match, or the frames differ in size.
+    the discs and the hole. Raises FingerflowError if a view, a disc or the hole is missing, the discs do not match, or
+    the frames differ in size.
     """
     if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):
         raise FingerflowError(f"the radius of the ring's hole is {hole_radius_mm} mm; it must be above 0")

@@ -87,4 +87,5 @@ def study() -> PressStudy:
     frame = table()
     sample = read_sample(frame)
     statistics = study_statistics(sample, resamples=100)
+    # The rows that are tested read neither files nor a trace.
     return PressStudy(None, frame, frame, curves(), sample, statistics, DESIGN, None)  # type: ignore[arg-type]

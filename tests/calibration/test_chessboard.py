@@ -84,4 +84,5 @@ def test_a_frame_without_the_chessboard_is_refused(tmp_path: Path) -> None:
         ({"corners": _CORNERS}, "chessboard and corners belong together"),
     ):
         with pytest.raises(FingerflowError, match=message):
+            # The types of the dictionaries' values are known by key alone.
             calibrate_files(files["ring"], views={"contact": VIEWS["contact"]}, output=tmp_path / "rig.toml", **changes)  # type: ignore[arg-type]

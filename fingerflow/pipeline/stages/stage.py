@@ -16,7 +16,8 @@ from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.views import View
 
 S = TypeVar("S", bound="Stage")
-_COPIED = 64  # number of frames copied at a time
+#: Number of frames of a result that are read or copied at a time.
+FRAMES_READ = 64
 
 
 @dataclass
@@ -149,8 +150,8 @@ class Stage:
                 attributes = {str(name): value for name, value in values.attrs.items()}
                 stated = {name: value for name, value in attributes.items() if not name.startswith("flag_")}
                 stored = self.results.create(variable.name, stated, **sizes)
-                for first in range(0, stored.shape[0], _COPIED):
-                    stored[first : first + _COPIED] = values[first : first + _COPIED].values
+                for first in range(0, stored.shape[0], FRAMES_READ):
+                    stored[first : first + FRAMES_READ] = values[first : first + FRAMES_READ].values
 
     def derive(self) -> None:
         """Compute, after `finish`, the variables that are defined by formulas of other variables."""

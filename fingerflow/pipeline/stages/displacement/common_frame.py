@@ -5,10 +5,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.pipeline.stages.stage import FRAMES_READ
 from fingerflow.results.store import Values
 
 _NEIGHBOURS = 8  # nearest points from whose displacement that of a new point is extrapolated
-_FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
 
@@ -52,8 +52,8 @@ def _seedings(status: Values, later: NDArray[np.intp], backward: bool) -> NDArra
     That is the first frame in which they are tracked, or the last one for backward tracking.
     """
     frames = np.full(len(later), -1)
-    for begin in range(0, status.shape[0], _FRAMES):
-        tracked = status[slice(begin, begin + _FRAMES)][:, later] == TrackStatus.TRACKED
+    for begin in range(0, status.shape[0], FRAMES_READ):
+        tracked = status[slice(begin, begin + FRAMES_READ)][:, later] == TrackStatus.TRACKED
         here = tracked.any(0)
         if backward:
             frames[here] = begin + len(tracked) - 1 - tracked[::-1].argmax(0)[here]

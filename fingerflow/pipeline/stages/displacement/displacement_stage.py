@@ -15,7 +15,7 @@ from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
 from fingerflow.pipeline.stages.preparation.series import nanmedian
-from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
+from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
 from fingerflow.schema.variables import DISPLACEMENT, ENTRY
@@ -25,7 +25,6 @@ from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 
-_FRAMES = 64  # frames read at a time
 Points = NDArray[np.float64]
 
 
@@ -64,6 +63,7 @@ class DisplacementStage(Stage):
         by_onsets: True if points count from their own onsets.
         common_position: (N, 2) mm, of `common_frame`; only set by onsets.
         last: the last usable frame.
+        seeded: (N,) frame in which a point was seeded.
         some_later: True if points were seeded later, where skin came into contact; only set by onsets.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame of the touch that lasts; -1 for none, and for points that were seeded inside the
@@ -93,6 +93,7 @@ class DisplacementStage(Stage):
     by_onsets: bool
     common_position: Points
     last: int
+    seeded: NDArray[np.intp]
     some_later: bool
     begins: NDArray[np.int32]
     onset: NDArray[np.int32]
@@ -120,8 +121,8 @@ class DisplacementStage(Stage):
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
         first, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
-        common, self._seeded = common_frame(self.results["position"], self.results["status"], first, backward)
-        self._later = self._seeded != first
+        common, self.seeded = common_frame(self.results["position"], self.results["status"], first, backward)
+        self._later = self.seeded != first
         # On a slide, skin in contact and beside it may vibrate as one; displacement counts from one frame there.
         self._shaken, pressed = np.zeros((len(self.trial), 2)), inputs.scene.kind in ("press", "single_view")
         if pressed:
@@ -239,7 +240,7 @@ class DisplacementStage(Stage):
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
         # The onset is unknown for a point that is already in contact when it is seeded later.
-        self._inside = self._later & (touch.first == self._seeded)
+        self._inside = self._later & (touch.first == self.seeded)
         stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
@@ -338,8 +339,8 @@ class _Fixed(NamedTuple):
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
-    """Split the frame indices 0 to `frames` - 1 into arrays of `_FRAMES` consecutive indices."""
-    return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
+    """Split the frame indices 0 to `frames` - 1 into arrays of `FRAMES_READ` consecutive indices."""
+    return [np.arange(first, min(first + FRAMES_READ, frames)) for first in range(0, frames, FRAMES_READ)]
 
 
 def select_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> Points:

@@ -6,9 +6,9 @@ from scipy.sparse import eye
 from scipy.sparse.linalg import spsolve
 
 from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.stage import FRAMES_READ
 from fingerflow.results.store import Values
 
-_FRAMES = 64  # frames read at a time
 _WINDOW = 12  # frames, the period of which a smooth path has half
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
@@ -32,11 +32,11 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
     result, steps = np.zeros((position.shape[0], 2)), np.full((len(frames), 3, 2), np.nan)
     some = slice(None, None, max(1, position.shape[1] // _COMPARED))
     before = np.full(position[:1][:, some].shape, np.nan)
-    for first in range(int(frames[0]), int(frames[-1]) + 1, _FRAMES):
-        rows = np.flatnonzero((frames >= first) & (frames < first + _FRAMES))
+    for first in range(int(frames[0]), int(frames[-1]) + 1, FRAMES_READ):
+        rows = np.flatnonzero((frames >= first) & (frames < first + FRAMES_READ))
         if not len(rows):
             continue
-        read = slice(first, first + _FRAMES)
+        read = slice(first, first + FRAMES_READ)
         here, inside = (values[read][frames[rows] - first][:, some] for values in (position, in_contact))
         moved, before = np.diff(here, axis=0, prepend=before), here[-1:]
         seen = np.isfinite(moved[..., 0])

@@ -1,7 +1,5 @@
 """Divergence, curl, shear and strain from local fits, medians over the gross contact, and rigid-motion residuals."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,18 +113,17 @@ class FieldsStage(Stage):
         gross = self.trial.stage(ContactStage).series["gross_contact_area"]
         gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
-        # Columns of the medians, and names of their rates.
-        components: dict[str, tuple[Any, str, str]] = {
-            "divergence": (0, "median_divergence_rate", "median_divergence_rate_std"),
-            "curl": (1, "", ""),
-            "strain": (slice(2, None), "median_strain_rate", "median_strain_rate_std"),
-        }
-        for name, (columns, *rates) in components.items():
-            measure = {"measure": self._settings.strain} if name == "strain" else {}
-            for of, values, rate_name in zip(("", "_std"), (self._median, median_std), rates, strict=True):
-                self.results.put(f"median_{name}{of}", values[:, columns], {} if of else self._gauge | measure)
-                if rate_name:
-                    self.results.put(rate_name, rate(values[:, columns], times, window, of_std=bool(of)))
+        self.results.put("median_divergence", self._median[:, 0], self._gauge)
+        self.results.put("median_divergence_std", median_std[:, 0])
+        self.results.put("median_curl", self._median[:, 1], self._gauge)
+        self.results.put("median_curl_std", median_std[:, 1])
+        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
+        self.results.put("median_strain_std", median_std[:, 2:])
+        rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
+        self.results.put("median_divergence_rate", rates[:, 0])
+        self.results.put("median_divergence_rate_std", rates_std[:, 0])
+        self.results.put("median_strain_rate", rates[:, 2:])
+        self.results.put("median_strain_rate_std", rates_std[:, 2:])
 
     def _bias(self) -> NDArray[np.float64]:
         """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated

@@ -16,7 +16,6 @@ Points = NDArray[np.float64]
 # Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
 # large errors distort count from one frame. Measured on presses of real prints.
 _KEPT = 0.5
-_FRAMES = 64  # frames read at a time
 
 
 class CountedSkin:
@@ -47,7 +46,7 @@ class CountedSkin:
         reference[stage.entered] = reference_px[stage.entered] = np.nan
         skins = [(np.ones(len(onset), bool), frames)]
         if stage.by_onsets and stage.some_later and not stage.trial.stage(TrackingStage).backward:
-            skins = _skins(results["status"])
+            skins = _skins(results["status"], stage.seeded)
         both: list[list[NDArray[np.int32]]] = []
         for points, _ in skins:
             plain, separate = _triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
@@ -134,26 +133,24 @@ class CountedSkin:
         )
 
 
-def _skins(status: Values) -> list[tuple[NDArray[np.bool_], int]]:
+def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[NDArray[np.bool_], int]]:
     """Return the masks (N,) of the points of each skin that was tracked forward by itself, and the frame from which the
-    next takes its place, from the track `status` (F, N).
+    next takes its place, from the track `status` (F, N) and the frames (N,) in which points were `seeded`.
 
     A finger that touches again elsewhere, or with other skin, has left hardly a point tracked (`LEFT`). Points that are
     lost then would form triangles with the new ones, whose strain is unknown. Those still tracked belong to both.
     """
-    frames, waits = status.shape[0], np.zeros(status.shape[1], np.intp)
-    for first in range(0, frames, _FRAMES):
-        waits += (status[slice(first, first + _FRAMES)] == TrackStatus.NOT_SEEDED_YET).sum(0)
+    first, *later = np.unique(seeded).tolist()
     result: list[tuple[NDArray[np.bool_], int]] = []
-    present = waits == 0
-    for frame in np.unique(waits[waits > 0]).tolist():
-        earlier = waits < frame
-        tracked = earlier & (status[slice(frame, frame + 1)][0] == TrackStatus.TRACKED)
+    present = seeded == first
+    for frame in later:
+        earlier = seeded < frame
+        tracked = earlier & (status[frame : frame + 1][0] == TrackStatus.TRACKED)
         if tracked.sum() < LEFT * earlier.sum():
             result.append((present, frame))
             present = tracked
-        present = present | (waits == frame)
-    return [*result, (present, frames)]
+        present |= seeded == frame
+    return [*result, (present, status.shape[0])]
 
 
 def _triangulate(positions: Points) -> NDArray[np.int32]:
