@@ -24,11 +24,11 @@ axes.set(xlabel="coefficient of friction", ylabel="median divergence at 3 N (µm
 # Stress 2 mm under the surface, where the receptors are. It hardly depends on friction above 0.1, as all skin sticks.
 
 y = torch.linspace(-6e-3, 6e-3, 121, dtype=torch.float64)
-stress = half_space.stress(y, 2e-3, *pressed.strips())
+_, _, tau_yz = half_space.stress(y, 2e-3, *pressed.strips())
 
 _, axes = plt.subplots(figsize=(5, 3), layout="constrained")
 for k in (0, 4, 12):
-    axes.plot(1e3 * y, 1e-3 * stress.tau_yz[k], label=f"friction {frictions[k]:.2f}")
+    axes.plot(1e3 * y, 1e-3 * tau_yz[k], label=f"friction {frictions[k]:.2f}")
 axes.set(xlabel="along the glass (mm)", ylabel="shear stress (kPa)")
 axes.legend()
 
