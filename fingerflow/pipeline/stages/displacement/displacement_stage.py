@@ -193,7 +193,9 @@ class DisplacementStage(Stage):
         self.results["displacement_std"][batch.indices] = np.sqrt(square)
         border, reach = self.border.select(batch.indices), self.inputs.scene.fields.gauge_length_mm / 2
         medians = displacement_medians(
-            *map(torch.from_numpy, (moved.position, moved.displacement, square.astype(np.float64))),
+            torch.from_numpy(moved.position),
+            torch.from_numpy(moved.displacement),
+            torch.from_numpy(square.astype(np.float64)),
             FrameEllipse(*map(torch.from_numpy, border)),
             reach=reach,
             border_std=BORDER_MM,
