@@ -86,7 +86,7 @@ def rows_in_one_piece(images: Any) -> tuple[Any, int, int]:
 def limits_of(array: Any) -> tuple[int, int]:
     """Return the minimum and the maximum of a non-empty array of integers."""
     if isinstance(array, np.ndarray):
-        return int(array.min()), int(array.max())
+        return int(np.minimum.reduce(array, axis=None)), int(np.maximum.reduce(array, axis=None))
     # The minimum of uint16 is not implemented in torch.
     least, greatest = (array.int() if KINDS[array.dtype] == "uint16" else array).aminmax()
     return int(least), int(greatest)
