@@ -139,7 +139,7 @@ class NativeEngine:
             window=self.settings.window_px,
             gauge_px=WARP_GAUGE_PX,
         )
-        better = found._replace(points=corrected.points, covariance=corrected.covariance)
+        better = TrackedPoints(corrected.points, found.error, corrected.covariance, found.status, found.estimate)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
     def search(self, templates: _NativeTemplates, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:

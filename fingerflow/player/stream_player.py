@@ -420,18 +420,15 @@ class Player:
     # Computing thread: from frames to outcomes.
 
     def _compute(self) -> None:
+        slot: Slot | None
         while (slot := self._frames.get()) is not None:
             if math.isnan(self._first):
                 self._first = slot.time
-            if not self._queue_outcomes(self._tracker.step(slot)):
-                return
-        self._queue_outcomes(self._tracker.settle())
-
-    def _queue_outcomes(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Queue final frame outcomes, and events such as a new choice of points, for the measuring thread; return False
-        if the stream has failed.
-        """
-        return all(self._outcomes.put(outcome) for outcome in passed)
+            for outcome in self._tracker.step(slot):
+                if not self._outcomes.put(outcome):  # the stream has failed
+                    return
+        for outcome in self._tracker.settle():
+            self._outcomes.put(outcome)
 
     # Measuring thread: from outcomes to records.
 
@@ -459,8 +456,8 @@ class Player:
             fields["slip_flag"][index] = self._tracker.slipping
         else:
             self._layout.fill(fields, index, results)
-            named = ("real_contact_area", "gross_contact_area", "median_divergence")
-            self._findings.count(slot.number, outcome.tracked, *(float(results[name]) for name in named))
+            area, gross_area = results["real_contact_area"], results["gross_contact_area"]
+            self._findings.count(slot.number, outcome.tracked, area, gross_area, float(results["median_divergence"]))
         if self._forces is not None:
             for name, force in self._forces.read(slot.number, slot.arrival).items():
                 fields[name][index] = force

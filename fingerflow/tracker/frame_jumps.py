@@ -93,7 +93,7 @@ def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary |
     """
     usual = np.fmax(usual, 1)
     limit = _LEAST_EXCESS if ordinary is None else _excess_limit(usual, ordinary)
-    return bool((excess(step, step, usual) > limit).any())
+    return bool(np.logical_or.reduce(excess(step, step, usual) > limit))
 
 
 def _excess_limit(usual: SquaredDistances, ordinary: Ordinary) -> SquaredDistances:

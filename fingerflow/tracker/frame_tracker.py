@@ -379,7 +379,7 @@ class StreamTracker:
         ahead = max(1, frame.number - self._motion_frame)
         tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
         self._motion, self._motion_frame = points.motion, frame.number
-        tracked = int((tracked_points.status[0] == TRACKED).sum())
+        tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
@@ -465,7 +465,7 @@ class StreamTracker:
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
-        points = int((covered & (tracked_points.status[0] == TRACKED)).sum())
+        points = int(np.add.reduce(covered & (tracked_points.status[0] == TRACKED)))
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None

@@ -172,11 +172,13 @@ def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> t
     if not len(frame):
         return position[1:], share
     now, before = position[frame + 1, point], position[frame, point]
-    outside = border.select(frame).inside(before[:, None])[:, 0]
-    inside = border.select(frame + 1).inside(now[:, None])[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        passed = np.where(inside > outside, np.minimum(np.maximum(outside / (outside - inside), 0), 1), 0.5)
-    valid = np.isfinite(before).all(-1)
+    inside = border.select(np.concatenate((frame, frame + 1))).inside(np.concatenate((before, now))[:, None])[:, 0]
+    outside, inside = inside[: len(frame)], inside[len(frame) :]
+    passed = np.empty(len(frame))
+    passed[:] = 0.5
+    np.divide(outside, outside - inside, out=passed, where=inside > outside)
+    passed = np.minimum(np.maximum(passed, 0), 1)
+    valid = np.isfinite(before[:, 0] + before[:, 1])
     share[frame, point] = np.where(valid, passed, 1)
     positions = position[1:].copy()
     positions[frame[valid], point[valid]] += (passed[valid, None] - 1) * (now - before)[valid]

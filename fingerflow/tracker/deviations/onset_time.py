@@ -16,6 +16,7 @@ Array = NDArray[Any]
 
 #: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
 ELLIPSE_MM = 0.035
+_EYE = np.eye(2, dtype=np.float32)
 _LONGEST = 8  # largest number of frames on either side over which the speed at onset is measured
 
 
@@ -94,7 +95,7 @@ def displacement_covariance(variance: Array, of_onset: Array) -> NDArray[np.floa
     """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N) by errors that are the same in both
     directions, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
     """
-    result: NDArray[np.float32] = variance[..., None, None] * np.eye(2, dtype=np.float32)
+    result: NDArray[np.float32] = variance[..., None, None] * _EYE
     result += of_onset.astype(np.float32)
     return result
 
