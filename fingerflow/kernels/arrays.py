@@ -120,6 +120,7 @@ def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     result = np.empty(matrix.shape, matrix.dtype)
     result[..., 0, 0], result[..., 0, 1], result[..., 1, 0], result[..., 1, 1] = d, -b, -c, a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        result /= (a * d - b * c)[..., None, None]
+    determinant = (a * d - b * c)[..., None, None]
+    determinant[determinant == 0] = np.nan
+    result /= determinant
     return result

@@ -120,8 +120,10 @@ class Kernel:
                 self._layouts[tuple(key)] = layout
         like = values[layout.like] if layout.like else None
         values = {**layout.numbers, **values}
-        copies = [copied(values[name]) for name in layout.copied] if layout.copied else []  # alive until the call ends
-        values.update(zip(layout.copied, copies, strict=True))
+        copies = []  # alive until the call ends
+        for name in layout.copied:
+            values[name] = values[name].copy() if like is None else copied(values[name])
+            copies.append(values[name])
         for name, below in self._indices:
             if values[name] is not None and not _here.shapes_only:
                 self._check_indices(name, below, values)

@@ -124,7 +124,7 @@ class Slot(Frame):
                 "set the camera to that depth or export a bundle with the camera's"
             )
         for name, view in self._placed.items():
-            self.views[name][...] = view.crop(frame)
+            self.views[name][...] = frame[slice(*view.rows), slice(*view.columns)]
             if 8 < bundle.bit_depth < 16 and self.views[name].max() >> bundle.bit_depth:
                 raise PlayerError(
                     f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "

@@ -40,6 +40,7 @@ log = logging.getLogger("fingerflow.player")
 _STALL_WARNING = 2.0  # s without a frame after which a warning is logged
 _HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
+_WATCH_INTERVAL = 0.2  # s between two checks by the main thread
 _STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
 _SENTENCES = {  # log messages by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
@@ -281,7 +282,7 @@ class Player:
 
     def _watch(self) -> None:
         logged, processed, stalled = time.perf_counter(), 0, False
-        while not self._finished.wait(0.05) and not self._stop.is_set():
+        while not self._finished.wait(_WATCH_INTERVAL) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
             silent = now - since if since is not None else 0.0

@@ -31,7 +31,7 @@ NEAR = 1 / 2
 # than the skin does.
 LEAST_AREA = 0.5
 _VOTERS = 3  # number of neighbours that decide on a point
-_FRAMES = 64  # frames read at a time
+_VALUES = 1 << 16  # positions read at a time, of 64 frames at least
 _EYE = np.eye(2)
 
 
@@ -91,8 +91,9 @@ def _entered_by_motion(
     """
     way, inside = np.full((2, len(here)), np.nan)
     then = border.select(onset).inside(reference[:, None])[:, 0]
-    for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
-        frames = slice(first, min(first + _FRAMES, position.shape[0]))
+    together = max(64, _VALUES // max(len(here), 1))
+    for first in range(0, position.shape[0] if len(here) else 0, together):
+        frames = slice(first, min(first + together, position.shape[0]))
         rows = position[frames].take(here, axis=1)
         # Each component separately, as NumPy is slow over an axis of two.
         way_x, way_y = rows[..., 0] - reference[:, 0], rows[..., 1] - reference[:, 1]

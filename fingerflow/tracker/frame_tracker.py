@@ -232,12 +232,14 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = []
         if not self._deferred:
             passed += self._make_changes(frame)
-        images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        work = FrameOutcome(self._index, frame, images, self._motion, self._guess(frame.number), self.threshold)
-        if self._points is not None and work.guess is not None:
-            work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
+        work = FrameOutcome(self._index, frame, {}, self._motion, None, self.threshold)
+        for name, view in frame.views.items():
+            work.images[name] = self._engine.images(view[0])
+        if self._points is not None and self._motion is not None:
+            work.guess = self._motion.expect(max(1, frame.number - self._motion_frame))
+            work.points = self._points.track(work.images[TOPOGRAPHY_VIEW], work.guess)
         if self.measures and self._search.wants(self._index):
-            threshold = float(self._engine.contact(images[CONTACT_VIEW], self._light).threshold[0])
+            threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
@@ -247,26 +249,24 @@ class StreamTracker:
             passed.append(self._outcome(work, frame.picture.status, None, 0))
         else:
             decided, status = self._check.update(frame.picture)
-            passed += self._decided(decided)
+            if decided:
+                passed += self._decided(decided)
             if status is None:
                 self._deferred.append(work)
             else:
-                passed.append(self._judged(work, status))
+                passed.append(self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0))
         while self._unlearnt and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
-    def _judged(self, work: FrameOutcome, status: int) -> FrameOutcome:
-        """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
-        templates, another is skipped.
-        """
-        if status == USABLE:
-            return self._accepted(work)
-        return self._outcome(work, status, None, 0)
-
     def _decided(self, statuses: list[int]) -> list[FrameOutcome]:
-        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes."""
-        return [self._judged(self._deferred.popleft(), status) for status in statuses]
+        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes: a
+        usable frame updates points and templates, another is skipped.
+        """
+        return [
+            self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0)
+            for work, status in [(self._deferred.popleft(), status) for status in statuses]
+        ]
 
     def compute_results(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
@@ -288,10 +288,6 @@ class StreamTracker:
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
         return self._decided(self._check.finish())
-
-    def _guess(self, number: int) -> Array | None:
-        """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
-        return None if self._motion is None else self._motion.expect(max(1, number - self._motion_frame))
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -410,8 +406,8 @@ class StreamTracker:
         if work.motion is self._motion and not points.changes(work.index):
             return work.guess, work.points
         points.update_due(work.index)
-        guess = self._guess(work.frame.number)
-        assert guess is not None
+        assert self._motion is not None
+        guess = self._motion.expect(max(1, work.frame.number - self._motion_frame))
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
     def _outcome(self, work: FrameOutcome, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:

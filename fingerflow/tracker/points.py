@@ -245,7 +245,9 @@ class Points:
 
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
-        done = sum(len(piece.numbers) for piece in pending.prepared)
+        done = 0
+        for piece in pending.prepared:
+            done += len(piece.numbers)
         part = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[part]]

@@ -114,7 +114,12 @@ def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
 
 def _nanmedian(values: Array) -> NDArray[np.float64]:
     """Return the medians (n,) of values (n, N) without NaN; NaN where no value is finite."""
-    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
+    result = np.full(len(values), np.nan)
+    for k, row in enumerate(values):
+        if len(known := row[np.isfinite(row)]):
+            known.sort()
+            result[k] = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
+    return result
 
 
 def _stack_components(fields: FrameFields) -> Array:

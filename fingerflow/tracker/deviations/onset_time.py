@@ -56,19 +56,19 @@ def onset_errors(
     first, last = frames
     counts = onset > first
     frames_per_mm = np.zeros(len(onset))
-    fitted = (counts & np.isfinite(reference).all(1)).nonzero()[0]
+    fitted = (counts & np.isfinite(reference[:, 0] + reference[:, 1])).nonzero()[0]
     if len(fitted):
         # The graph of a bundle fits two quantities.
         times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
         touched, gauge = reference[fitted], engine.settings.gauge_length_mm
         slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
         frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
-    reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
+    reach = np.minimum(np.maximum(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2), _LONGEST).astype(int)
     reach[advected] = _LONGEST
-    pair = np.clip(np.stack((onset - reach, onset + reach)), 0, last)
+    pair = np.minimum(np.maximum(np.array((onset - reach, onset + reach)), 0), last)
     position, deviation = positions(pair)
-    unknown = ~np.isfinite(position).all(-1)
-    if unknown.any():
+    unknown = ~np.isfinite(position[..., 0] + position[..., 1])
+    if np.logical_or.reduce(unknown, None):
         pair = np.where(unknown, np.maximum(onset, 0), pair)
         position, deviation = positions(pair)
     before, after = pair
