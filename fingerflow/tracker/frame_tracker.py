@@ -1,4 +1,34 @@
-"""Tracker of a stream: computes the results of each frame from the images received so far."""
+"""Tracker of a stream: computes the results of each frame from the images received so far.
+
+State that a frame reads and writes:
+
+frame ──> inspect            reads   light of the glass (`FrameCheck`)
+  │       (any thread)       gives   samples, hash of the block means, status by itself
+  v
+step      changes due        reads   `_change`, `_search`, templates that are prepared (`Points._pending`)
+  │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
+  │       prediction         reads   `_motion`, `_motion_frame`
+  │       tracking           reads   templates of the key frame (`Points._templates`)
+  │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
+  │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
+  │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
+  │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
+  │       usable             reads   motion, last positions, templates; `_first_threshold` before one applies
+  │                          writes  `_motion`; every 8th frame, or sooner where skin deforms fast: verification of
+  │                                  windows, plan of new templates
+  │       reseeding          reads   `_requested`: by the user; `_sparse`: contact with few points
+  │                          writes  `_reseeding`: counts of lost and of few points; `_change`: what is due next
+  │       learning           reads   `_unlearnt`: outcomes whose contact is not evaluated yet, 2 frames behind
+  │                          writes  `_search`: contact area, measured threshold; `_sparse`
+  v
+compute_  contact, covered   reads   `threshold` as of the frame
+results   slip               writes  `SlipFlag`: positions at onset, frames in a row that say otherwise
+(another  onset              writes  `Touches`: first frame, position and share of a step of each touch
+thread)   entry              writes  `Entries`: positions, variances and borders of the last 512 frames
+  │       deviations         writes  every 4th frame `Curvature`, every 8th `Deformation` and errors of onset
+  v
+results by name
+"""
 
 from __future__ import annotations
 
