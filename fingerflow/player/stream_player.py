@@ -42,6 +42,7 @@ _HANGING = 2.0  # s for which a stopped stream waits for its source before it ab
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _WATCH_INTERVAL = 0.2  # s between two checks by the main thread
 _STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
+_COUNTS = ("frames_in", "processed", "dropped", "overruns", "reconnects", "stalls")  # of the summary
 _SENTENCES = {  # log messages by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
@@ -108,8 +109,7 @@ class Player:
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
         # Views of the fields, looked up only once.
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
-        self.frames_in = self.processed = self.dropped = self.overruns = 0
-        self.reconnects = self.stalls = 0
+        self.frames_in = self.processed = self.dropped = self.overruns = self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
@@ -179,9 +179,9 @@ class Player:
                 self._sink.close()
             except FingerflowError as error:
                 self._failure = self._failure or error
+            if self._failure is None and sys.exc_info()[1] is None:
+                self._log_findings()
             if self.processed:
-                if self._failure is None and sys.exc_info()[1] is None:
-                    self._log_findings()
                 self._sink.write_summary(self.summary() | {"warnings": self._warnings})
             else:
                 self._sink.discard()
@@ -191,15 +191,12 @@ class Player:
                 page.stop()
         if self._failure is not None:
             raise self._failure
-        if not self.processed:
-            self._log_findings()
         return self.summary() | {"warnings": self._warnings}
 
     def _log_findings(self) -> None:
-        missing = self._findings.missing(math.isfinite(self._tracker.threshold))
+        few, missing = self._findings.unknown_medians(), self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
-        few = self._findings.unknown_medians()
         if few and not any(few in sentence for sentence in missing):
             log.info("%s", few)
 
@@ -213,12 +210,7 @@ class Player:
         """Return the frame counts, duration in s, frame rate and latencies of the stream so far."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
-            "frames_in": self.frames_in,
-            "processed": self.processed,
-            "dropped": self.dropped,
-            "overruns": self.overruns,
-            "reconnects": self.reconnects,
-            "stalls": self.stalls,
+            **{name: getattr(self, name) for name in _COUNTS},
             "restarts": self._tracker.restarts,
             "key_frames": self._tracker.keys,
             "not_usable": dict(self._findings.not_usable),
@@ -463,12 +455,10 @@ class Player:
             for name, force in self._forces.read(slot.number, slot.arrival).items():
                 fields[name][index] = force
         latency = time.perf_counter() - slot.arrival
-        for name, value in (
-            *(("frame", slot.number), ("time", slot.time - self._first), ("latency", latency)),
-            *(("key_frame", outcome.key_frame), ("restart", outcome.restart), ("frame_status", outcome.status)),
-            ("contact_threshold", outcome.threshold),
-        ):
-            fields[name][index] = value
+        fields["frame"][index], fields["time"][index] = slot.number, slot.time - self._first
+        fields["latency"][index], fields["frame_status"][index] = latency, outcome.status
+        fields["key_frame"][index], fields["restart"][index] = outcome.key_frame, outcome.restart
+        fields["contact_threshold"][index] = outcome.threshold
         if self._senders:
             record = self._room[index].copy()
             stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)
