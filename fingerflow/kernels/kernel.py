@@ -190,7 +190,7 @@ class Kernel:
                 if isinstance(sizes, CodeType):
                     shape = eval(sizes, _NO_NAMES, numbers)
                 else:
-                    shape = tuple([numbers.get(size, size) for size in sizes])  # a number is its own size
+                    shape = tuple([numbers.get(str(size), size) for size in sizes])  # a number is its own size
             results.append((field.name, dtype, shape, field.role == "updated"))
         kept = {name: value for name, value in numbers.items() if name not in self._names}
         return _Layout({**dict.fromkeys(self._names), **kept}, copies, like, results)

@@ -210,7 +210,7 @@ class Entries:
     def __init__(self, engine: Engine, positions: Array) -> None:
         count = len(positions)
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
-        self._valid = np.isfinite(positions).all(1).nonzero()[0]
+        self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._border = FrameEllipse(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)

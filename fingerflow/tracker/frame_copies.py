@@ -15,7 +15,7 @@ def frame_key(blocks: Sequence[NDArray[Any]]) -> bytes:
     """Return a hash of a frame, computed from the block means of all its views; equal frames have equal hashes."""
     result = hashlib.blake2b(digest_size=16)
     for block in blocks:
-        result.update(block)
+        result.update(block.data)
     return result.digest()
 
 
