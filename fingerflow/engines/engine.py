@@ -219,12 +219,12 @@ def reject(points: TrackedPoints, which: Array, status: int) -> TrackedPoints:
     """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are NaN,
     their status is `status`.
     """
-    if not which.any():
+    if not np.logical_or.reduce(which, axis=None):
         return points
-    positions, covariance = points.points.copy(), points.covariance.copy()
+    positions, covariance, changed = points.points.copy(), points.covariance.copy(), points.status.copy()
     positions[which] = covariance[which] = np.nan
-    changed = np.where(which, np.uint8(status), points.status)
-    return points._replace(points=positions, covariance=covariance, status=changed)
+    changed[which] = status
+    return TrackedPoints(positions, points.error, covariance, changed, points.estimate)
 
 
 def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Array) -> TrackedPoints:

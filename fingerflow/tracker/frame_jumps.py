@@ -93,7 +93,7 @@ def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary |
     """
     usual = np.fmax(usual, 1)
     limit = _LEAST_EXCESS if ordinary is None else _excess_limit(usual, ordinary)
-    return bool((excess(step, step, usual) > limit).any())
+    return bool(np.logical_or.reduce(excess(step, step, usual) > limit))
 
 
 def _excess_limit(usual: SquaredDistances, ordinary: Ordinary) -> SquaredDistances:
@@ -118,7 +118,8 @@ def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
     It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
     for smooth motion, more the more it jerks.
     """
-    ordered = np.sort(steps, axis=axis)
+    ordered = steps.copy()
+    ordered.sort(axis=axis)
     most, middle = np.fmax(ordered.take(-3, axis=axis), 1), np.fmax(ordered.take(NEARBY // 2, axis=axis), 1)
     return most * (most / middle)
 
