@@ -98,13 +98,9 @@ class BuiltIn(NamedTuple):
         return BuiltIn(empty, contact, self.topography, self.key, start, expected, self.few + 1)
 
 
-class Difference(NamedTuple):
-    """Largest difference of a result from the expected one in both motions, and the largest that rounding explains."""
-
-    result: str
-    difference: float
-    tolerance: float
-    unit: str
+# Largest difference of a result from the expected one in both motions, and the largest that rounding explains: result,
+# difference, tolerance, unit.
+Difference = dict[str, Any]
 
 
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference]:
@@ -155,7 +151,10 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
                     "provider"
                 )
             largest[name] = max(largest[name], worst)
-    return [Difference(name, worst, *TOLERANCES[name]) for name, worst in largest.items()]
+    return [
+        {"result": name, "difference": worst, "tolerance": TOLERANCES[name][0], "unit": TOLERANCES[name][1]}
+        for name, worst in largest.items()
+    ]
 
 
 def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:

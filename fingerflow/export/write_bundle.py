@@ -94,7 +94,7 @@ def verify(
 
 def as_text(rows: list[Difference]) -> str:
     """Return the largest differences between ONNX Runtime and torch as a text table, one row for each result."""
-    lines = [f"{row.result:<20}{row.difference:>11.2g}{row.tolerance:>11.2g} {row.unit}" for row in rows]
+    lines = ["{result:<20}{difference:>11.2g}{tolerance:>11.2g} {unit}".format(**row) for row in rows]
     return "\n".join((f"{'result':<20}{'to torch':>11}{'at most':>11}", *lines))
 
 
@@ -103,7 +103,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Te
     import onnx
 
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
-    model = standard_model(graph.module, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
+    model = standard_model(graph, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
     model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()

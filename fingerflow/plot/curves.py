@@ -180,22 +180,22 @@ def _draw(
     axes = given_or_new(axes)
     variable = VARIABLES[curves[0].variable]
     label = variable.add_unit(words) if words else variable.axis_label
-    x = abscissa(result, against)
+    _, x, x_label = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
-        drawn = np.isfinite(values) & np.isfinite(x.values)
+        drawn = np.isfinite(values) & np.isfinite(x)
         padded = np.pad(drawn, 1)
         alone = drawn & ~padded[:-2] & ~padded[2:]  # frames without known neighbours, which a line would not show
-        axes.plot(x.values, values, marker="." if drawn.sum() < _FEW else "", label=name, **style)
+        axes.plot(x, values, marker="." if drawn.sum() < _FEW else "", label=name, **style)
         if alone.any():
-            axes.plot(x.values[alone], values[alone], ".", color=style["color"], label="_alone")
+            axes.plot(x[alone], values[alone], ".", color=style["color"], label="_alone")
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
-            axes.fill_between(x.values, low, high, color=style["color"], alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_frame_limits(x.values))
+            axes.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0)
+    axes.set(xlabel=x_label, ylabel=label, title=title, xlim=_frame_limits(x))
     if not any(np.isfinite(curve.values).any() for curve in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         axes.set_yticks([])
-    finished(axes, _caption(curves, title, x.label))
+    finished(axes, _caption(curves, title, x_label))
     if len(curves) == 1 and (legend := axes.get_legend()) is not None:
         legend.remove()
     return axes
