@@ -9,7 +9,7 @@ jackknife of a quantile tells nothing.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,14 +27,8 @@ _HITS = 0.75  # share of the correct trials above the criterion
 _STREAM = 0x9E2A
 
 
-@dataclass(frozen=True)
-class MetricSummary:
-    """Ideal-observer statistics of one metric; `printed` has them as in the paper."""
-
-    d_prime: Estimate
-    auc: Estimate
-    criterion: Estimate
-    printed: PrintedObserver
+# Ideal-observer statistics of one metric: d', area under the ROC, criterion, and all as in the paper.
+MetricSummary = tuple[Estimate, Estimate, Estimate, PrintedObserver]
 
 
 def observe(
@@ -52,10 +46,10 @@ def observe(
         FingerflowError: a metric that the table does not have.
     """
     who = trials.participants()
-    summaries = {}
+    summaries: dict[str, MetricSummary] = {}
     for name in trials.metrics if metrics is None else metrics:
         correct, incorrect = trials.split(name)
-        summaries[name] = MetricSummary(
+        summaries[name] = (
             d_prime(correct, incorrect, who),
             replace(
                 auc(correct, incorrect, who, resamples, seed), p=permutation_p(correct, incorrect, who, resamples, seed)
