@@ -22,7 +22,7 @@ def read_calibration(path: Path) -> tuple[dict[str, Any], dict[str, tuple[Pixels
     """
     try:
         table = tomllib.loads(read_text(path, _REMEDY))
-        values = {"mm_per_px": float(_number(table["mm_per_px"]))}
+        values: dict[str, Any] = {"mm_per_px": float(_number(table["mm_per_px"]))}
         values |= {key: table[key] for key in ("intrinsics", "distortion") if key in table}
         views = {
             name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
