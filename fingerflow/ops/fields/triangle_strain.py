@@ -13,7 +13,7 @@ from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, tri
 
 # Correlation between the position errors of neighbouring points: (M, 3) of corners 0 and 1, 1 and 2, 2 and 0 of each
 # triangle; indices (K, 2) int64 of all pairs of points with correlated errors, each pair once; (K,) of each pair.
-SharedErrors = tuple[Tensor, Tensor, Tensor]
+SharedErrors = tuple[Tensor, ...]
 
 
 class TriangleStrain(NamedTuple):

@@ -452,12 +452,8 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
         valid, inside, flow = (tensor.repeat(count, 1, 1, 1) for tensor in (valid, inside, flow))
     data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, valid)
     # The slopes are those of the first image. In the current one they scale with the gain, and J with its square.
-    return (
-        _sum(data / gain, count),
-        _sum(squares, count),
-        _channel_minimum(seen, count),
-        gain if count == 1 else _sum(gain, count) / count,
-    )
+    mean_gain = gain if count == 1 else _sum(gain, count) / count
+    return _sum(data / gain, count), _sum(squares, count), _channel_minimum(seen, count), mean_gain
 
 
 def _channel_residuals(

@@ -95,8 +95,7 @@ class StrainStage(Stage):
         pairs = errors.pairs()
         sides = [errors.between(skin.corners[:, k], skin.corners[:, (k + 1) % 3]) for k in range(3)]
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
-        corner_errors, pair_indices, pair_errors = (torch.from_numpy(values).to(device) for values in shared)
-        self._shared = corner_errors, pair_indices, pair_errors
+        self._shared = tuple(torch.from_numpy(values).to(device) for values in shared)
         self._missing = MissingEnergy(self._areas)
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         contact = self.trial.stage(ContactStage)
