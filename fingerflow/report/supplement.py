@@ -96,15 +96,19 @@ def _ideal_observer(trials: Trials) -> Sheet:
     if "global_displacement" in trials.metrics:
         trials = leave_out_moved(trials)
     ideal = {name.replace("_", " "): seen for name, seen in observe(trials, metrics).items()}
-    d_primes, areas, _, printed = (
-        dict(zip(ideal, column, strict=True)) for column in zip(*ideal.values(), strict=True)
-    )
+    printed = {name: seen.printed for name, seen in ideal.items()}
     first = next(iter(ideal))
     panels = (
         SheetPanel.single("A", draw_counts, printed[first], first),
         SheetPanel.single("B", draw_roc, printed, columns=2),
-        SheetPanel.single("C, d'", draw_estimates, d_primes, "d'", 0),
-        SheetPanel.single("C, AUC", draw_estimates, areas, "area under the ROC", 0.5),
+        SheetPanel.single("C, d'", draw_estimates, {name: seen.d_prime for name, seen in ideal.items()}, "d'", 0),
+        SheetPanel.single(
+            "C, AUC",
+            draw_estimates,
+            {name: seen.auc for name, seen in ideal.items()},
+            "area under the ROC",
+            0.5,
+        ),
     )
     return Sheet("S11", panels, (("the rest", lacks),) if lacks else (), "ideal observer of each metric")
 

@@ -148,15 +148,15 @@ def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
     without = observer.leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
     summaries = observer.observe(replace(without, metrics=shown), resamples=resamples)
-    areas = _corrected({name: area for name, (_, area, *_) in summaries.items()})
+    areas = _corrected({name: summary.auc for name, summary in summaries.items()})
     metrics = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
-    for name, (d_prime, _, criterion, printed) in summaries.items():
+    for name, summary in summaries.items():
         metrics[name] = {
-            "d_prime": d_prime,
+            "d_prime": summary.d_prime,
             "auc": areas[name],
-            "criterion": {**asdict(criterion), "unit": NUMBERS[name].shown_unit.name},
-            "as_printed": {"d_prime": printed.d_prime, "auc": printed.auc},
+            "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
+            "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
             metrics[name]["beside_divergence"] = observer.compare_auc(

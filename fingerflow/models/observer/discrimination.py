@@ -9,7 +9,7 @@ jackknife of a quantile tells nothing.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -27,8 +27,14 @@ _HITS = 0.75  # share of the correct trials above the criterion
 _STREAM = 0x9E2A
 
 
-# Ideal-observer statistics of one metric: d', area under the ROC, criterion, and all as in the paper.
-MetricSummary = tuple[Estimate, Estimate, Estimate, PrintedObserver]
+@dataclass(frozen=True)
+class MetricSummary:
+    """Ideal-observer statistics of one metric; `printed` has them as in the paper."""
+
+    d_prime: Estimate
+    auc: Estimate
+    criterion: Estimate
+    printed: PrintedObserver
 
 
 def observe(
@@ -46,10 +52,10 @@ def observe(
         FingerflowError: a metric that the table does not have.
     """
     who = trials.participants()
-    summaries: dict[str, MetricSummary] = {}
+    summaries = {}
     for name in trials.metrics if metrics is None else metrics:
         correct, incorrect = trials.split(name)
-        summaries[name] = (
+        summaries[name] = MetricSummary(
             d_prime(correct, incorrect, who),
             replace(
                 auc(correct, incorrect, who, resamples, seed), p=permutation_p(correct, incorrect, who, resamples, seed)

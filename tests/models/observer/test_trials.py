@@ -117,11 +117,11 @@ def test_every_metric_beside_the_others() -> None:
     left = leave_out_moved(trials)
     found = observe(left, resamples=300, seed=4)
     assert list(found) == ["divergence", "force_rate", "global_displacement"]
-    d_prime, area, *_ = found["divergence"]
-    assert d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
-    of_rate = found["force_rate"][1]
-    assert area.interval[0] > 0.7 > 0.6 > of_rate.interval[1]
-    assert area.p < 0.01 < of_rate.p
-    assert area.participants == 12
-    assert found["global_displacement"][1].missing == 0
+    assert (
+        found["divergence"].d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
+    )
+    assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
+    assert found["divergence"].auc.p < 0.01 < found["force_rate"].auc.p
+    assert found["divergence"].auc.participants == 12
+    assert found["global_displacement"].auc.missing == 0
     assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]
