@@ -461,7 +461,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "neighbour_offset": torch.zeros(1, NEIGHBOURS, COUNT, 2),
     }
     for name, graph in build_graphs(recipe).items():
-        step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)
+        step = Step(graph, lambda given=tuple(known[one] for one in graph.inputs): given)
         yield name, step
         results = run_without_values(step.module, step.inputs())
         computed = {

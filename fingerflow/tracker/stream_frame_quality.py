@@ -13,7 +13,7 @@ from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHAR
 from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
-from fingerflow.tracker.frame_jumps import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary_limit
+from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
 
 Array = NDArray[Any]
 
@@ -209,7 +209,7 @@ class FrameCheck:
         for step_frame in rest:
             within, latest = np.maximum(within, step_frame.squared_distance(latest)), step_frame
         out_of, between = (frame.squared_distance(step_frame) for step_frame in (latest, self._last))
-        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._ordinary())
+        return is_jump(into, out_of, between, within, self._usual(), self._ordinary())
 
     def _usual(self) -> Array:
         """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
@@ -221,4 +221,4 @@ class FrameCheck:
 
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)
-        return Ordinary.estimate(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
+        return ordinary_values(steps, excess(steps[1:-1], steps[2:], steps[:-2]))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
-from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
+from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
@@ -95,7 +95,7 @@ class StrainStage(Stage):
         pairs = errors.pairs()
         sides = [errors.between(skin.corners[:, k], skin.corners[:, (k + 1) % 3]) for k in range(3)]
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
-        self._shared = SharedErrors(*(torch.from_numpy(values).to(device) for values in shared))
+        self._shared = tuple(torch.from_numpy(values).to(device) for values in shared)
         self._missing = MissingEnergy(self._areas)
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         contact = self.trial.stage(ContactStage)
