@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fingerflow import ops
 from fingerflow.export.build import build_graphs
+from fingerflow.export.standard_model import keep_operators
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.outlier_limits import NEIGHBOURS
 from fingerflow.ops.contact import apparent_contact, otsu
@@ -269,8 +270,9 @@ def in_onnx_runtime(module: nn.Module, inputs: tuple[Any, ...], batches: tuple[i
     tensors = [one for one in inputs if isinstance(one, Tensor)]
     is_batch = [one.ndim > 2 for one in tensors]
     axes = [{0: torch.export.Dim("batch")} if one else None for one in is_batch]
+    keep_operators()
     program = torch.onnx.export(
-        module, inputs, dynamo=True, verbose=False,
+        module, inputs, dynamo=True, verbose=False, optimize=len(batches) == 1,  # which is long
         dynamic_shapes=(tuple(axes) + (None,) * (len(inputs) - len(tensors)),) if len(batches) > 1 else None,
     )  # fmt: skip
     assert program is not None
