@@ -183,7 +183,7 @@ def _newton(
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.
     """
-    steep, dampers, before = mu * chain.contact, chain.dampers, 0.0
+    steep, dampers, before, share = mu * chain.contact, chain.dampers, 0.0, 1.0
 
     def slid(nodes: Array) -> tuple[Array, Array, Array]:
         return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
@@ -197,10 +197,12 @@ def _newton(
         forces[-1] += load
         arrow = Arrow(columns, along, above, c)
         moved = arrow.solve(dampers * (base - nodes) + c * forces)
-        nodes = nodes + moved
         most = np.abs(moved).max()
         if not most < 1.0:  # m: the iteration diverges
             return None
+        if 0 < before < 2 * most:  # to and fro across a kink, for which half the movement converges
+            share = 0.5
+        nodes = nodes + share * moved
         before = before or most
         if most * min(most, before) <= NEWTON * tolerance * before:  # the next movement shrinks at least as much again
             return nodes, slid(nodes)[0], arrow
