@@ -57,6 +57,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     gc.freeze()  # no later collection looks at the objects of all modules
+    gc.set_threshold(20_000)  # tracing graphs makes many objects that stay
 
 
 @pytest.fixture(scope="session", autouse=True)
