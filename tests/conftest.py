@@ -26,13 +26,10 @@ LONGEST = (
     "study/test_simulated_trials.py",
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
-    "pipeline/stages/test_slip.py",
     "test_embedded.py",
     "study/test_run.py",
     "view/test_view_walk.py",
     "view/test_view_page.py",
-    "bench/test_bench_suites.py",
-    "test_kills.py",
 )
 HERE = Path(__file__).resolve().parent
 SHARED_DATA = HERE.parents[1] / "shared" / "data"

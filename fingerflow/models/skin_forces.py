@@ -63,10 +63,9 @@ class Columns:
     def __init__(self, chain: Chain, nodes: Array) -> None:
         self.chain, self.moved, self.depth = chain, nodes[:-1] - chain.reference, np.maximum(-nodes[:-1, 1], 0)
         self.sheared = (self.moved - nodes[-1]).T  # (2, N) m, d
-        line = nodes[:-1] - nodes[-1]
-        line[:, 1] -= chain.radius
-        self.length = np.hypot(line[:, 0], line[:, 1])  # (N,) m, |X - P|
-        self.line = line.T / self.length  # (2, N), e
+        line = (nodes[:-1] - nodes[-1] - (0.0, chain.radius)).T
+        self.length = np.hypot(*line)  # (N,) m, |X - P|
+        self.line = line / self.length  # (2, N), e
         compression = chain.radius - self.length
         self.stiffening = chain.stiffening * (compression > 0)  # (N,) 1/m; a stretched column is linear
         relative = self.stiffening * compression
@@ -77,9 +76,9 @@ class Columns:
         self.push = chain.tissue * compression * exprel(relative) + bulge  # (N,) N
         self.slope = chain.tissue * grown + self.stiffening * bulge  # (N,) N/m, -d push / d length
 
-    def forces(self) -> Array:
-        """Compute the elastic forces (N + 1, 2), N, on elements and bone: the negative gradient of the elastic
-        energy.
+    def forces(self, friction: Array | float = 0.0, load: Array | float = 0.0) -> Array:
+        """Compute the forces (N + 1, 2), N, on elements and bone: the negative gradient of the elastic energy, less
+        the `friction` (N,) of each element along x, and the `load` (2,) on the bone.
         """
         chain, count = self.chain, len(self.moved)
         pull = chain.membrane * (self.moved[1:] - self.moved[:-1])
@@ -90,7 +89,8 @@ class Columns:
         forces[:-1, 1] += chain.contact * self.depth
         forces[:-2] += pull
         forces[1:-1] -= pull
-        forces[-1] = held.sum(1)
+        forces[:-1, 0] -= friction
+        forces[-1] = held.sum(1) + load
         return forces
 
     def slopes(self) -> tuple[Array, Array, Array]:

@@ -87,10 +87,7 @@ def net_forces(chain: Chain, state: State, load: Array) -> Array:
     """Return the unbalanced forces (N + 1, 2), N, on elements and bone of a chain: the sum of elastic forces, friction
     and the load (2,) on the bone, which vanishes at equilibrium.
     """
-    forces = Columns(chain, state.nodes).forces()
-    forces[:-1, 0] -= state.friction
-    forces[-1] += load
-    return forces
+    return Columns(chain, state.nodes).forces(state.friction, load)
 
 
 def advance(
@@ -183,7 +180,7 @@ def _newton(
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.
     """
-    steep, dampers, before, share = mu * chain.contact, chain.dampers, 0.0, 1.0
+    steep, dampers, before, share = mu * chain.contact, chain.dampers, math.nan, 1.0
 
     def slid(nodes: Array) -> tuple[Array, Array, Array]:
         return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
@@ -192,19 +189,15 @@ def _newton(
     for _ in range(MOST_ITERATIONS):
         rubbing, along, above = slid(nodes)
         columns = Columns(chain, nodes)
-        forces = columns.forces()
-        forces[:-1, 0] -= rubbing
-        forces[-1] += load
         arrow = Arrow(columns, along, above, c)
-        moved = arrow.solve(dampers * (base - nodes) + c * forces)
+        moved = arrow.solve(dampers * (base - nodes) + c * columns.forces(rubbing, load))
         most = np.abs(moved).max()
         if not most < 1.0:  # m: the iteration diverges
             return None
-        if 0 < before < 2 * most:  # to and fro across a kink, for which half the movement converges
+        if before < 2 * most:  # to and fro across a kink, for which half the movement converges
             share = 0.5
         nodes = nodes + share * moved
-        before = before or most
-        if most * min(most, before) <= NEWTON * tolerance * before:  # the next movement shrinks at least as much again
+        if most * min(1.0, max(most / before, 1 - share)) <= NEWTON * tolerance:  # what is left to move
             return nodes, slid(nodes)[0], arrow
         before = most
     return None
