@@ -94,7 +94,7 @@ def test_the_bundle_states_the_numbers_of_a_built_in_frame(bundle_of_trials: Pat
 def test_other_recipes_export(tmp_path: Path) -> None:
     """Graphs of other settings are verified, also where only some are exported."""
     settings = {"contact": "median_px = 5\nstride_px = 8", "tracking": "gain_offset = false"}
-    graphs = '"contact", "track", "correct", "search", "windows"'
+    graphs = '"contact", "prepare", "track", "search"'
     assert export_bundle(_recipe(tmp_path, bits=12, graphs=graphs, **settings), tmp_path / "bundle")
 
 
