@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from fingerflow.calibration import calibrate_files
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
 from fingerflow.recordings.lens import Lens
 from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.views import View
+from fingerflow.view.draft import Draft
+from fingerflow.view.session import Session
 from tests.calibration.drawn_discs import DrawnDisc, camera, draw, moved, similarity
 
 _SHAPE = (360, 800)
@@ -71,8 +74,9 @@ def test_scale_transform_and_lens_come_from_frames_through_the_lens(lens: Lens, 
     np.testing.assert_allclose(calibrated.affine.matrix[:, :2], _MATRIX[:, :2], atol=2e-3)
     raw = calibrate_files(files["ring"], files["target"], views=VIEWS, output=output)
     assert abs(raw.mm_per_px * _RADIUS_PX / _RADIUS_MM - 1) > 2e-3
-    (tmp_path / "rig.toml").write_text(calibrated.to_toml(), encoding="utf-8")
-    stored = read_calibration(output).lens
+    page = Session(Draft.create(open_recording(files["ring"])), None)
+    page.calibrate({"corners": [*_CORNERS]} | {name: file.name for name, file in files.items()})
+    stored = read_calibration(tmp_path / "calibration.toml").lens
     assert stored == {"intrinsics": list(calibrated.lens.intrinsics), "distortion": list(calibrated.lens.distortion)}
 
 
@@ -81,6 +85,7 @@ def test_a_frame_without_the_chessboard_is_refused(tmp_path: Path) -> None:
     for changes, message in (
         ({"chessboard": files["ring"], "corners": _CORNERS}, "shows a chessboard with 13 x 11 inner corners"),
         ({"chessboard": files["chessboard"]}, "chessboard and corners belong together"),
+        ({"chessboard": files["chessboard"], "corners": (0, 0)}, "chessboard and corners belong together"),
         ({"corners": _CORNERS}, "chessboard and corners belong together"),
     ):
         with pytest.raises(FingerflowError, match=message):
