@@ -4,7 +4,7 @@ import { browseButton } from "./browser.js";
 import { digits, make } from "./elements.js";
 
 const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
-  ["background", "empty glass", "optional"], ["chessboard", "chessboard", "optional: distortion of the lens"]];
+  ["background", "empty glass", "optional"], ["chessboard", "chessboard for the lens", "optional"]];
 
 // `ask(files)` gives the scene, of which the new calibration is a part; `found(facts)` is called with it.
 export class CalibrationCard {
@@ -17,8 +17,8 @@ export class CalibrationCard {
       return make("div", { className: "field" }, make("span", {}, label), make("span", { className: "row" }, this.inputs[name], chosen));
     };
     const rows = FILES.map(([name, label, placeholder]) => row(name, label, { type: "text", placeholder, list: "files" }));
+    rows.push(row("corners", "its inner corners, a row and a column", { type: "text", placeholder: "such as 9 6" }));
     rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));
-    rows.push(row("corners", "inner corners of the chessboard", { type: "text", placeholder: "of a row and of a column, such as 9 6" }));
     this.button = make("button", { id: "calibrate", onclick: () => this.run(ask, found) }, "Find scale, transform and lens");
     this.said = make("div");
     this.image = make("img", { id: "calibration-picture", alt: "Calibration pictures with the detected outlines" });
