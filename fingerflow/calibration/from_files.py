@@ -55,10 +55,9 @@ def calibrate_files(
     assert ring_frame is not None
     rows, columns = ring_frame.shape
     half = 0 if target is None else columns // 2
-    halves = {"contact": View((0, rows), (half, columns))}
+    views = {"contact": View((0, rows), (half, columns)), **chosen}
     if target is not None:
-        halves["topography"] = View((0, rows), (0, half))
-    views = {**halves, **chosen}
+        views.setdefault("topography", View((0, rows), (0, half)))
     try:
         if board is not None and board.shape != ring_frame.shape:
             raise FingerflowError("the frame of the chessboard has another size; record all with the same settings")

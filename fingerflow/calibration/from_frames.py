@@ -63,7 +63,7 @@ def calibrate(
     hole = find_hole(part("ring", "contact"), part("background", "contact"))
     scale = hole_radius_mm / (hole.radius_px if lens is None else _straight_radius(hole, lens, views["contact"]))
     if target is None:
-        return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None, lens), lens=lens)
+        return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None), lens=lens)
     topography = find_discs(part("target", "topography"), part("background", "topography"), MOST_DISCS)
     contact = find_discs(part("target", "contact"), part("background", "contact"), MOST_DISCS)
     if min(len(topography), len(contact)) < 3:
@@ -86,7 +86,7 @@ def calibrate(
         discs=tuple(pairs),
         affine=fit_affine(from_points, to_points),
         similarity=similarity,
-        warnings=_warnings(hole, tuple(pairs), similarity, lens),
+        warnings=_warnings(hole, tuple(pairs), similarity),
         lens=lens,
     )
 
@@ -117,9 +117,7 @@ def _listed(discs: list[Disc]) -> str:
     return f"{len(discs)} at (x, y) px {positions}" if discs else "none"
 
 
-def _warnings(
-    hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Transform | None, lens: Lens | None
-) -> tuple[str, ...]:
+def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Transform | None) -> tuple[str, ...]:
     warnings = []
     if hole.axis_ratio < LEAST_HOLE_AXIS_RATIO:
         warnings.append(
@@ -128,8 +126,8 @@ def _warnings(
         )
     if similarity is not None and similarity.rms_px > MOST_SIMILARITY_RMS_PX:
         warnings.append(
-            f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; "
-            + ("one of them is oblique" if lens else "one is oblique or distorted. Measure the lens by a chessboard")
+            f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; one of them "
+            f"is oblique, or the lens distorts, which a calibration with a chessboard corrects"
         )
     for name, side in (("topography", 0), ("contact", 1)):
         for disc in (pair[side] for pair in pairs):

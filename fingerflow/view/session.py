@@ -183,20 +183,16 @@ class Session:
         with self._lock:
             draft = self._drafted()
             folder, stated = draft.path.parent, draft.table("views")
-            if not request.get("ring"):
+            names = "ring", "target", "background", "chessboard"
+            files: dict[str, Any] = {name: folder / str(request[name]) for name in names if request.get(name)}
+            if "ring" not in files:
                 raise FingerflowError("name the picture of the ring: it gives the scale")
-            files = ("ring", "target", "background", "chessboard")
-            ring, target, background, board = (
-                folder / str(request[name]) if request.get(name) else None for name in files
-            )
             ranges = {"contact": stated.get("contact", stated.get("camera"))}
-            if target is not None:
-                ranges["topography"] = stated.get("topography")
+            ranges["topography"] = "target" in files and stated.get("topography")
             views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
-            assert ring is not None
-            radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners") or None
+            radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners")
             calibration = calibrate_files(
-                ring, target, background, views, radius, folder / FILE, False, board, corners and tuple(corners)
+                **files, views=views, hole_radius_mm=radius, output=folder / FILE, corners=corners and tuple(corners)
             )
             for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
                 draft.set(("calibration", key), None)
