@@ -67,6 +67,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
         given["status"] = np.where(lost, int(TrackStatus.NOT_CONVERGED), int(TrackStatus.TRACKED)).astype(np.uint8)
     if "position_std_px" in given:
         given.setdefault("position_noise_px", given["position_std_px"])
+        given.setdefault("position_anisotropy", np.zeros((given["position_std_px"].shape[1], 2), np.float32))
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})

@@ -187,6 +187,14 @@ class TrackingStage(Stage):
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
+        if self._seeded:
+            self.results["position_anisotropy"][:] = self._anisotropy()
+
+    def _anisotropy(self) -> NDArray[np.floating]:
+        """Return xx - yy and 2 xy (N, 2) of the covariances of the positions on the glass, divided by xx + yy."""
+        spread, onto = np.concatenate([points.spread for points in self._seeded]), self._matrix[:, :2]
+        (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
+        return np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None]
 
     def _corrections(self, frames: int) -> NDArray[np.float32]:
         """Return the corrections (n, N, 2) px of all points in the last `frames` frames; 0 in frames up to the one in
