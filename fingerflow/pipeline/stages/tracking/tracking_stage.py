@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Images, TrackedPoints, noise_of, nothing_found, select
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
@@ -22,7 +23,7 @@ from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frame
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, SeededPoints
+from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
@@ -276,8 +277,9 @@ class TrackingStage(Stage):
     ) -> TrackedPoints | None:
         """Seed points in skin that has none yet, and return their tracking results (n or 1, K); None without such skin.
 
-        They are seeded in the last of the n images, or in the first where the skin has touched since. `tracked_points`
-        (n, N) are the tracking results of the earlier points, `motion` is theirs before the first image.
+        They are seeded in the last of the n images, or in the first where most of the skin has touched since.
+        `tracked_points` (n, N) are the tracking results of the earlier points, `motion` is theirs before the first
+        image.
         """
         if self._full:
             return None
@@ -290,8 +292,9 @@ class TrackingStage(Stage):
         if region is None:
             return None
         moved = np.nan_to_num(nanmedian((tracked_points.points[-1] - tracked_points.points[0]).T))
-        came = self._touching(margin[-1, 0]) & ~_shifted(self._touching(margin[0, 0]), moved)
-        if tracked.any() and (region & came).sum() > self._settings.window_px**2:
+        touching = region & self._touching(margin[-1, 0])
+        came = (touching & ~_shifted(self._touching(margin[0, 0]), moved)).sum()
+        if tracked.mean() >= LEFT and came > max(touching.sum() / 2, self._settings.window_px**2):
             begin, region, motion = 0, _shifted(region, -moved), motion or PointMotion.at_rest(start)
         else:
             begin, motion = len(images) - 1, _motion(self._seeded)
@@ -362,8 +365,9 @@ class TrackingStage(Stage):
             stated.crop(mask)[...] = True
             return mask
         contact = self.trial.stage(ContactStage)
-        moves = not (margin > 0).any() and (contact.touched(_FEW) & ~self._region).sum() > self._settings.window_px**2
-        if moves:
+        # Medians are NaN where less than `LEAST_SHARE` is known.
+        most = (1 - LEAST_SHARE) * self._region.sum()
+        if not (margin > 0).any() and (contact.touched(_FEW) & ~self._region).sum() > most:
             self._region = contact.touched()
         return self._on_topography(self._region)
 
