@@ -157,11 +157,10 @@ class TrackingStage(Stage):
         before = tracked_points.status.shape[1]
         new = self._seed_new(images, margin, tracked_points, motion)
         if new is not None:
-            groups.append(_extend_to_batch(len(images), new))
             around = select(tracked_points, slice(None), self._around[-1])
-            variance = self._seeded[-1].curvature_variance(groups[-1], around)
-            curved.append(variance if len(new.status) == len(images) else 0 * variance)
-            tracked_points = join(groups, 1)
+            straight = np.zeros((len(images), new.status.shape[1]), np.float32)
+            curved.append(self._seeded[-1].curvature_variance(new, around) if len(new.status) > 1 else straight)
+            tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
         pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
         covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
@@ -193,14 +192,15 @@ class TrackingStage(Stage):
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
-        if self._seeded:
-            self.results["position_anisotropy"][:] = self._anisotropy()
+        if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
+            by_key = self._settings.template == "keyframe"
+            self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
 
     def _anisotropy(self) -> NDArray[np.floating]:
         """Return xx - yy and 2 xy (N, 2) of the covariances of the positions on the glass, divided by xx + yy."""
         spread, onto = np.concatenate([points.spread for points in self._seeded]), self._matrix[:, :2]
         (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
-        return np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None]
+        return np.nan_to_num(np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None])
 
     def _corrections(self, frames: int) -> NDArray[np.float32]:
         """Return the corrections (n, N, 2) px of all points in the last `frames` frames; 0 in frames up to the one in
