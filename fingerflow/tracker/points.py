@@ -135,6 +135,11 @@ class Points:
         return self._every[: len(self)]
 
     @property
+    def spread(self) -> Array:
+        """Return the covariances xx, xy and yy (N, 3) px^2 of the positions for noise of variance 1 in the pixels."""
+        return self._templates.numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
+
+    @property
     def correlation(self) -> Array:
         """Return the correlation coefficient (N,) between the window around each point and its window in the key frame,
         as of the last verification.

@@ -16,7 +16,7 @@ Array = NDArray[Any]
 
 #: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
 ELLIPSE_MM = 0.035
-_EYE = np.eye(2, dtype=np.float32)
+_ALIKE = np.eye(2, dtype=np.float32)  # shape of errors that are the same in all directions
 _LONGEST = 8  # largest number of frames on either side over which the speed at onset is measured
 
 
@@ -91,11 +91,11 @@ def onset_errors(
     return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
 
-def displacement_covariance(variance: Array, of_onset: Array) -> NDArray[np.float32]:
-    """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N) by errors that are the same in both
-    directions, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
+def displacement_covariance(variance: Array, of_onset: Array, shape: Array = _ALIKE) -> NDArray[np.float32]:
+    """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N), the mean over directions, times the
+    `shape` (N, 2, 2) of its ellipse, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
     """
-    result: NDArray[np.float32] = variance[..., None, None] * _EYE
+    result: NDArray[np.float32] = variance[..., None, None] * shape
     result += of_onset.astype(np.float32)
     return result
 
