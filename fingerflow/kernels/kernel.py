@@ -164,7 +164,7 @@ class Kernel:
         return results[0] if len(results) == 1 else tuple(results)
 
     def _layout(self, values: dict[str, Any]) -> _Layout:
-        """Check the arguments of a call, but for the values in arrays, and return what follows from their layout."""
+        """Check names, numbers, dtypes and shapes of the arguments, not array values; return the call's layout."""
         if not self._needed <= values.keys() <= self._arguments:
             raise TypeError(f"kernel {self._name} was called with {sorted(values)}: it has {sorted(self._arguments)}")
         numbers = values.copy()

@@ -31,7 +31,7 @@ _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarra
 
 
 def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: int) -> tuple[str, TrialRow]:
-    """Process one trial, write its result and table row into its folder, and return its name and the outcome.
+    """Process one trial, write its result and table row into its folder, and return its name and its table row.
 
     Args:
         task: manifest of this trial alone, and what to redo: "everything", what settings or code have "changed", or the

@@ -7,6 +7,7 @@ its speed.
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -30,7 +31,7 @@ EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class SyntheticScene:
+class SyntheticScene(ABC):
     """Synthetic recording of a finger movement: images, forces and ground truth.
 
     Lengths are in mm, angles in rad, times in s from the trigger, forces in N. A frame has the topography view on its
@@ -125,33 +126,33 @@ class SyntheticScene:
     #: contact that grows faster than the skin spreads is entered once, as a point inside it stays inside.
     entry_steps = 1
 
+    @abstractmethod
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         """Return the material coordinates (mm), the positions in undeformed skin, of the skin that lies at positions
         (x, y) mm on the glass at a progress of the movement.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
         """Return how deep positions (x, y) mm lie inside the apparent contact at a progress of the movement, as a
         dimensionless number: positive inside, 0 on the edge, negative outside.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def ellipse(self, progress: float) -> Ellipse | None:
-        """Return the elliptic edge of the apparent contact at a progress of the movement, or None without contact."""
-        raise NotImplementedError
+        """Return the ellipse that bounds the apparent contact at `progress` (0 to 1); None without contact."""
 
+    @abstractmethod
     def progress(self, time: Array) -> Array:
         """Return the progress of the movement, 0 to 1, at times in s."""
-        raise NotImplementedError
 
+    @abstractmethod
     def normal_force(self, time: Array) -> Array:
         """Return the force normal to the glass at times in s, N."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tangential_force(self, time: Array) -> Array:
         """Return the force along the glass at times in s, N."""
-        raise NotImplementedError
 
     @property
     def contact_centre(self) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class Slide(SyntheticScene):
         return 1 - self._slip_progress(progress).square()
 
     def travelled(self, progress: Tensor) -> Tensor:
-        """Return the distance, mm, by which contact and skin have slid together up to a progress of the slide."""
+        """Return the distance, mm, over which contact and skin have slid as one body at `progress` (0 to 1)."""
         return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:

@@ -409,7 +409,7 @@ def _area_medians(measure: str, *given: Any) -> Any:
 
 
 def moved_contacts() -> Iterator[Call]:
-    """Yield calls with few and many points, some of them at one position, lost, or outside of the ellipse."""
+    """Yield calls with 0 to 700 points, of which some coincide, are lost, or lie outside the ellipse."""
     for points in (0, 1, 40, 700):
         position, center = 12 * random(9, points, 2).double(), 6 + 0.5 * random(9, 2, seed=2).double()
         position[:, ::7] = position[:, :1].clone()

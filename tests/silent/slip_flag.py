@@ -32,7 +32,7 @@ SIZE: dict[str, Any] = {"frame_shape": (HEIGHT, 2 * WIDTH), "finger": (3.2, 2.7)
 
 
 def _rolled(progress: Tensor) -> Tensor:
-    """Return the share of the way that has been rolled at a progress of the movement, with a soft start and end."""
+    """Return the fraction of the rolling distance covered at `progress` (0 to 1), with a smooth start and end."""
     return 0.5 - 0.5 * torch.cos(math.pi * ((progress - _PRESSED) / (1 - _PRESSED)).clamp(0, 1))
 
 

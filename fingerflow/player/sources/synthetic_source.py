@@ -112,7 +112,7 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def _semi_axes(progress: float, shape: tuple[int, int]) -> tuple[float, float]:
-    """Return the semi-axes of the contact along x and y, px, in a view of (height, width) px."""
+    """Return the semi-axes (x, y) px of the simulated contact in a view of (height, width) px."""
     height, width = shape
     return (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
 

@@ -95,8 +95,7 @@ class _Neighbours(NamedTuple):
         shared by threads of BLAS, which then wait for the next one at full load.
         """
         rows = np.stack([part.astype(np.float32) for part in values])
-        sums = np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1)
-        return sums.astype(np.float64)
+        return np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1).astype(np.float64)
 
 
 def _centroid_offsets(positions: Array, valid: Array, neighbours: _Neighbours) -> NDArray[np.float64]:

@@ -71,7 +71,7 @@ def test_fast_skin_is_known(result: xr.Dataset) -> None:
 
 @pytest.mark.parametrize(("frames", "travel"), [(14, 2.2), (9, 1.6), (16, 2.2)])
 def test_skin_that_enters_within_a_batch_is_known(tmp_path: Path, frames: int, travel: float) -> None:
-    """Skin that moves by a window in three to four frames is seeded before it touches, so that its onset is known."""
+    """Points on skin that moves by a window in three to four frames are seeded before it touches, with known onset."""
     fast = write_rolling(tmp_path / "fast", replace(ROLLING, n_frames=frames, frame_rate=3.0 * frames, travel=travel))
     assert process(fast / "scene.toml", ["field_coverage"])["field_coverage"].values.min() > 0.95
 
