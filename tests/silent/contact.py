@@ -94,10 +94,11 @@ def _halo(depth: float) -> Change:
     return change
 
 
-def _faint(edge: float, width_mm: float) -> Change:
+def _faint(edge: float, width_mm: float, thinner_px: int = 999) -> Change:
     """Return a change that leaves ridges the share `edge` of their contrast at the border of the contact, which rises
-    to all of it `width_mm` inside.
+    to all of it `width_mm` inside; the contrast beyond `thinner_px` from their edges remains.
     """
+    around = np.ones((thinner_px, thinner_px), np.uint8)
 
     def change(pictures: Pictures, press: Press) -> Pictures:
         y, x = (torch.from_numpy(line * press.mm_per_px) for line in np.mgrid[: pictures.shape[1], : pictures.shape[2]])
@@ -106,7 +107,8 @@ def _faint(edge: float, width_mm: float) -> Change:
             if (ellipse := press.truth.ellipse(frame)) is not None:
                 inside = ellipse.distance(x, y).numpy()
                 share = edge + (1 - edge) * np.clip(inside / width_mm, 0, 1)
-                picture[:] = np.where(inside > -0.05, 1 - (1 - picture) * share, picture)
+                kept = cv2.dilate(picture, around) if thinner_px < 999 else 1.0
+                picture[:] = np.where(inside > -0.05, kept - (kept - picture) * share, picture)
         return result
 
     return change
@@ -151,10 +153,6 @@ def _exposed(factor: float) -> Change:
     return lambda pictures, press: factor * pictures
 
 
-def _same(pictures: Pictures, press: Press) -> Pictures:
-    return pictures
-
-
 FAULTS = (
     Fault("right part of the glass dark", "without light", _dark_third, _dark_third),
     Fault("cable of 10 px across, since the first frame", "lies in the view", _strip(10, 0.3)),
@@ -163,16 +161,17 @@ FAULTS = (
     Fault("halo of 35 %", "shadow", _halo(0.35)),
     Fault("rim faint over 0.4 mm", "faint at its rim", _faint(0.2, 0.4)),
     Fault("rim faint over 0.8 mm", "faint at its rim", _faint(0.4, 0.8)),
+    Fault("ridges thinner by 5 px at the rim", "faint at its rim", _faint(0, 0.9, 11)),
     Fault("sweat in patches of 0.6 mm", "sweat", _sweat),
-    Fault("30 rows of the background are zero", "lines of the background", _same, _zero_rows),
-    Fault("camera bumped by 5 px", "has moved", _same, moved_px=5),
+    Fault("30 rows of the background are zero", "lines of the background", _exposed(1), _zero_rows),
+    Fault("camera bumped by 5 px", "has moved", _exposed(1), moved_px=5),
     Fault("light falls by 15 % across the view", "falls", _gradient),
     Fault("second contact of a third of the size", "second contact", _second(0.35, -165, 90)),
     Fault("second contact that merges with the first", "second contact", _second(0.4, -125, 0)),
     Fault("second finger of the same size", "second contact", _second(1, 178, 0)),
     Fault("contact view saturated", "saturated", _exposed(2), _exposed(2)),
-    Fault("empty glass at 0.3 of the exposure", "another exposure", _same, _exposed(0.3)),
-    Fault("empty glass at four times the exposure", "another exposure", _same, _exposed(4)),
+    Fault("empty glass at 0.3 of the exposure", "another exposure", _exposed(1), _exposed(0.3)),
+    Fault("empty glass at four times the exposure", "another exposure", _exposed(1), _exposed(4)),
 )
 
 

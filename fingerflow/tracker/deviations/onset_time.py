@@ -28,6 +28,7 @@ def onset_errors(
     frames: tuple[int, int],
     positions: Callable[[Array], tuple[Array, Array]],
     border: FrameEllipse,
+    faint_mm: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return the variance (N,) frame^2 of the times at which points came into contact, and the covariance (N, 2, 2)
     mm^2 of their positions then by this error, from the speed of each point at its onset.
@@ -52,6 +53,7 @@ def onset_errors(
         positions: returns the positions (2, N, 2) mm of the points, each in the frames (2, N) given for it, and the
             standard deviations (2, N) mm of a component by image noise.
         border: of the apparent contact, of all frames from 0.
+        faint_mm: by which the border may lie further out, as the rim of the contact is faint: onsets are that late.
     """
     first, last = frames
     counts = onset > first
@@ -87,7 +89,7 @@ def onset_errors(
         chord = np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
         least = np.linalg.norm(speed, axis=1) * chord
         frames_per_mm = np.where(advected, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
-    variance = np.where(counts, _crossing_variance(frames_per_mm), 0.0)
+    variance = np.where(counts, _crossing_variance(frames_per_mm) + (faint_mm * frames_per_mm) ** 2, 0.0)
     return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
 

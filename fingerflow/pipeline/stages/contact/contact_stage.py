@@ -42,7 +42,7 @@ class ContactStage(Stage):
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
-        faint_rim_mm: width of the rim of the contact that is too faint for the threshold; 0 if there is none.
+        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin; else 0.
     """
 
     name = "contact"
@@ -75,7 +75,7 @@ class ContactStage(Stage):
         }
         self._gain = np.full(frames, np.nan)  # illumination gain
         self._outside = np.zeros(frames)  # mm^2, real contact area away from the gross contact region
-        self.faint_rim_mm = 0.0
+        self.faint_rim_mm = self._pale_rim_mm = 0.0
         self._several_parts = False  # whether the view shows a contact beside the gross contact region
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact but without visible glass
 
@@ -172,6 +172,20 @@ class ContactStage(Stage):
         self.series = {name: earlier[name].values for name in self.series if name in earlier}
         self.faint_rim_mm = float(earlier["gross_contact_area"].attrs.get("faint_rim_mm", 0.0))
 
+    def derive(self) -> None:
+        """Compute deviations; those of areas and ellipse hold the faint rim of the contact, which all frames share."""
+        super().derive()
+        gross = np.where(self.series["gross_contact_area"] > 0, self.series["gross_contact_area"], np.nan)
+        around, ratio = 2 * np.sqrt(np.pi * gross), self.series["real_contact_area"] / gross
+        for name, more in {
+            "gross_contact_area_std": self.faint_rim_mm * around,
+            "real_contact_area_std": self._pale_rim_mm * around * ratio,
+            "contact_area_ratio_std": (self.faint_rim_mm - self._pale_rim_mm) * around * ratio / gross,
+            "ellipse_semi_axes_std": np.full(1, self.faint_rim_mm),
+        }.items():
+            if name in self.results:
+                self.results[name][:] = np.hypot(self.results[name][:], np.nan_to_num(more))
+
     def cells(self) -> dict[str, float]:
         """Return the geometry of the grid of contact cells (square blocks of pixels) as attributes of result variables:
         side of a cell, and x or y of the centre of the first cell, in mm.
@@ -245,7 +259,9 @@ class ContactStage(Stage):
         counts, size = self.inputs.counts(frame, self._view), self.inputs.mm_per_px
         lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
         gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
-        self.faint_rim_mm = view_faults.faint_rim_mm(gross, whole)
+        self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
+        thin = view_faults.thin_rim_mm(contact.real_contact_mask[0, 0], self._largest[0, 0].numpy(), self._period_px)
+        self.faint_rim_mm = max(self._pale_rim_mm, thin)
         return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
 
     def _leave_out_parts(

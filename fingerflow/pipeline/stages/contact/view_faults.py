@@ -21,9 +21,14 @@ _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, a
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
 SECOND_CONTACT, DENSITY = 0.03, 0.2
 _SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
-# Share of the contact threshold at which a faint rim shows, and least and largest distance, mm, by which the border
-# then lies further out: 0.03 on clean prints; light that varies over the view moves it further still.
-FAINT, _RIM_MM = 0.4, (0.07, 0.5)
+# Share of the contact threshold at which a pale rim shows. The border then lies further out, by 0.024 +- 0.009 mm on
+# clean prints; light that varies over the view moves it further than the largest distance. Of a pale rim, `_UNSEEN`
+# times what exceeds the usual distance was missing on prints.
+FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.02, 0.5, 1.6
+# Ridges cover 0.78 +- 0.05 of what they cover further inside within one period of the border of clean prints, with a
+# larger scatter on small contacts, and less where they are thin there: the border then lay 0.1 to 0.4 mm further out.
+_THIN, _SCATTER, _RAMP, _THIN_MM = 0.69, 0.3, 0.06, 0.27
+_RIM_MM = 0.06  # least width of a faint rim that is reported
 _STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
@@ -137,24 +142,39 @@ def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
     ]
 
 
-def faint_rim_mm(gross: float, lower: float) -> float:
-    """Return the width, mm, of a rim of the contact that is too faint for the threshold; 0 if there is none.
+def pale_rim_mm(gross: float, lower: float) -> float:
+    """Return by how much, mm, the border may lie further out as ridges are pale at the rim of the contact.
 
     `gross` and `lower` are the gross areas, mm^2, of the frame with most contact at the threshold and at `FAINT` of it.
     """
     width = float(np.sqrt(lower / np.pi) - np.sqrt(gross / np.pi))
-    return width if _RIM_MM[0] < width < _RIM_MM[1] else 0.0
+    return _UNSEEN * max(width - _USUAL_MM, 0.0) if width < _FURTHEST_MM else 0.0
+
+
+def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
+    """Return by how much, mm, the border may lie further out as ridges are thin at the rim of the contact: nothing
+    shows the skin beyond the last of them. `touching` is the real contact mask, `region` that of the gross contact.
+    """
+    depth = cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, 5) / period_px
+    rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
+    ridges = len(inner) / period_px**2
+    if not inner.any():
+        return 0.0
+    lacking = _THIN - _SCATTER / np.sqrt(ridges) - rim.mean() / inner.mean()
+    return _THIN_MM * float(np.clip(lacking / _RAMP, 0, 1))
 
 
 def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
-    """Return a warning if the contact has a faint rim, `width_mm` wide; `gross` mm^2 is its area without that rim."""
-    if not width_mm:
+    """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
+    mm^2 is its area without that rim.
+    """
+    if width_mm < _RIM_MM:
         return []
     more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
     return [
-        f"the contact is faint at its rim: at {FAINT:.0%} of the threshold of {threshold:.2f} its border lies "
-        f"{width_mm:.2f} mm further out. Areas, ellipse, onsets and medians are those of the part inside; the gross "
-        f"area may be {more:.0%} larger. Set [contact] threshold to {FAINT * threshold:.2f}, clean the glass, or focus"
+        f"the contact is faint at its rim: its border may lie {width_mm:.2f} mm further out. Areas, ellipse, onsets "
+        f"and what counts from them are those of the part inside; the gross area may be {more:.0%} larger. Set "
+        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there, clean the glass, or press harder"
     ]
 
 

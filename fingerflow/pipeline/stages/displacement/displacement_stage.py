@@ -162,7 +162,7 @@ class DisplacementStage(Stage):
             self.common_position, self.some_later = common, bool(self._later.any())
             self.onset_variance, self.of_onset = onset_errors(
                 *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
-                *(self._select_positions, self.border),
+                *(self._select_positions, self.border, self.trial.stage(ContactStage).faint_rim_mm),
             )
         else:
             self.onset_variance, self.of_onset = np.full(points, np.nan), np.zeros((points, 2, 2))

@@ -60,7 +60,7 @@ class ContactEnergy:
         pairs: (K, 2) pairs of the N points whose errors correlate.
         correlation: (K,) of their errors.
         points: N.
-        faint_mm: by which the border may lie further out, as the rim of the contact is faint.
+        faint_mm: by which the border may lie further out, and displacements be short, as the rim is faint.
     """
 
     def __init__(

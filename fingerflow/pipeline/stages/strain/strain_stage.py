@@ -104,7 +104,10 @@ class StrainStage(Stage):
         self._missing = MissingEnergy(self._areas)
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         contact = self.trial.stage(ContactStage)
-        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset), contact.faint_rim_mm)
+        # Energy lacks a faint rim of the contact and, of the rest, the displacement before the later onset.
+        faint_mm = 2 * contact.faint_rim_mm
+        self._border_mm = np.hypot(BORDER_MM, faint_mm)
+        self._whole = ContactEnergy(self._settings.strain, elastic, *shared[1:], len(moved.onset), faint_mm)
         self._border = steady_border(moved.border, self.inputs.times)
         # Smoothing over time delays the frame in which the border stops.
         self._grown = _growth(np.sqrt(moved.border.semi_axes.prod(1)))
@@ -198,7 +201,7 @@ class StrainStage(Stage):
             reach_mm=self.inputs.scene.fields.gauge_length_mm / 2,
         )
         # Where no triangle lies near the border, an error of the border changes no triangle that counts.
-        strip = np.nan_to_num(BORDER_MM * perimeter(border.semi_axes) * border_energy)
+        strip = np.nan_to_num(self._border_mm * perimeter(border.semi_axes) * border_energy)
         errors = (between_std, self._missing.add_frames(density, touching), strip)
         deviation = np.sqrt(sum(np.square(error) for error in errors))
         self._between[frames], self._between_std[frames] = between, deviation
