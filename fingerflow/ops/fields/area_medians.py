@@ -1,4 +1,7 @@
-"""Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points."""
+"""Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points.
+
+Compiled twin: `kernels/area_medians.cpp`.
+"""
 
 import math
 from functools import partial
