@@ -40,7 +40,7 @@ def outputs_page() -> str:
         "# Dictionary of outputs",
         "",
         "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is "
-        "written from `fingerflow/schema/variables.toml` when the site is built. What is *only where it is named* is "
+        "written from `fingerflow/schema/variables.py` when the site is built. What is *only where it is named* is "
         "computed when `-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind "
         "of scene and its files allow; a variable that it has not is absent, a value that is not known is NaN.",
         "",

@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 # onnxruntime needs.
 ON_THE_LAB_PC = ("numpy", "onnxruntime", "tifffile", "flatbuffers", "google", "packaging")
 ROOMS = ("engines", "errors", "kernels", "player", "recordings", "results", "schema", "tracker")
-_DATA = ("player/page/*", "recordings/frames/*.txt", "schema/*.toml")
+_DATA = ("player/page/*", "recordings/frames/*.txt")
 _LOADABLE = """
 import sys
 from importlib import import_module

@@ -1,16 +1,13 @@
-"""Definitions of the columns in a study's table of trials: name, unit and meaning, as listed in `variables.csv`; most
-stand in `trial_columns.toml`.
+"""Definitions of the columns in a study's table of trials: name, unit and meaning, as listed in `variables.csv`.
 
 Without a suffix a column is the value shown in figures; with `_at_1n`, `_at_onset` and so on it is the value at that
 moment. `_std` is its standard deviation.
 """
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
-from fingerflow.schema.variable_record import SHOWN_UNITS, Variable
+from fingerflow.schema.variable_record import MICROMETRE, Variable
 from fingerflow.schema.variables import VARIABLES
 
 #: Moments of a trial, with their definitions in `MOMENTS`.
@@ -56,14 +53,45 @@ def _at_moments(
             yield column(f"{name}_{moment}_std", f"standard deviation of {name}_{moment}")
 
 
-_STATED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_QUANTITIES = tuple(tuple(_at_moments(name, **facts)) for name, facts in _STATED["quantities"].items())
+_QUANTITIES = tuple(tuple(columns) for columns in (
+    _at_moments("real_contact_area", "real_contact_area", "real contact area"),
+    _at_moments("gross_contact_area", "gross_contact_area", "gross contact area"),
+    _at_moments("divergence", "median_divergence", "median divergence over the gross contact", has_std=True),
+    _at_moments("curl", "median_curl", "median curl over the gross contact", has_std=True),
+    _at_moments("strain", "median_strain", "median strain along the major axis that the gross contact has at its "
+                "maximum", has_std=True, label="longitudinal strain"),
+    _at_moments("strain_across", "median_strain", "median strain across that axis", has_std=True),
+    _at_moments("strain_energy", "strain_energy", "strain energy of the whole contact", has_std=True),
+    _at_moments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
+    _at_moments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
+    _at_moments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),
+    _at_moments("global_displacement", "global_displacement", "length of the median displacement since onset",
+                largest=True),
+    _at_moments("force_angle", "force_angle", "angle of the force from the normal, atan |T/N|", largest=True,
+                label="peak force angle"),
+    _at_moments("coverage", "tracked_share", "share of the points in contact that are tracked"),
+))  # fmt: skip
 #: Variables of a result by the names of the quantities that the table lists at several moments.
 AT_MOMENTS = {columns[0].name: columns[0].of[0] for columns in _QUANTITIES}
-_OF_TRIAL = tuple(
-    Variable(name, _TRIAL, shown_in=SHOWN_UNITS.get(facts.pop("shown_in", "")), **facts)
-    for name, facts in _STATED["trial"].items()
-)
+_OF_TRIAL = (
+    Variable("max_force", _TRIAL, "N", "largest normal force", label="largest normal force"),
+    Variable("time_to_max_force", _TRIAL, "s", "from the first frame with contact to the largest normal force",
+             label="time to largest force"),
+    Variable("duration", _TRIAL, "s", "from the first frame with contact to the last"),
+    Variable("force_rate", _TRIAL, "N/s",
+             "largest rate of the normal force from the first contact to the largest force",
+             label="largest force rate"),
+    Variable("max_displacement", _TRIAL, "mm",
+             "largest displacement since onset: the 0.99 quantile over points in contact, so that one lost point does "
+             "not decide", label="largest displacement", shown_in=MICROMETRE),
+    Variable("max_speed", _TRIAL, "mm/s",
+             "largest speed, up to the largest force, of the point that has that displacement", label="largest speed"),
+    Variable("friction", _TRIAL, "1",
+             "median T/N where no skin sticks any more; nothing where the finger did not slide"),
+    Variable("longest_axis_ratio", _TRIAL, "1",
+             "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
+             "chance"),
+)  # fmt: skip
 #: Areas that are also given relative to their median over the participant's trials, when the table is written.
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
@@ -89,5 +117,17 @@ DIFFERENCES: dict[str, Variable] = {
     for name in (*(column.name for column in _OF_TRIAL), *AT_MOMENTS)
 }
 #: Columns of the table of trials that are not numeric.
-FACTS = {name: Variable(name, _TRIAL, "1", meaning) for name, meaning in _STATED["facts"].items()}
+FACTS: dict[str, Variable] = {
+    name: Variable(name, _TRIAL, "1", meaning)
+    for name, meaning in {
+        "status": "measured, failed (no result), or not run",
+        "reason": "why a trial has no result",
+        "slip_verdict": "how the stuck area vanishes, of trials of tangential loading",
+        "frames": "frames that count",
+        "usable_frames": "frames that are pictures of the trial (frame_status)",
+        "warnings": "sentences of the result's warnings, one a line",
+        "recording": "file of the frames, relative to the study",
+        "result": "file of the result, relative to the study",
+    }.items()
+}
 OF_RESULTS = frozenset((*NUMBERS, *DIFFERENCES, *FACTS)) - {"recording"}

@@ -41,15 +41,9 @@ class ShownUnit:
         return f"{words} ({self.name})" if self.name else words
 
 
-_PERCENT, _PERCENT_PER_S = ShownUnit("%", 100.0, 1), ShownUnit("%/s", 100.0, 1)
-#: Units by name that a variable may be shown in, other than that of its values.
-SHOWN_UNITS = {
-    unit.name: unit
-    for unit in (
-        *(_PERCENT, ShownUnit("µm", 1e3, 1), ShownUnit("µJ/mm³", 1e3, 3), ShownUnit("ms", 1e3, 2)),
-        *(ShownUnit("µm/mm", 1e3, 1, _PERCENT), ShownUnit("µm/mm/s", 1e3, 1, _PERCENT_PER_S)),
-    )
-}
+PERCENT, PERCENT_PER_S = ShownUnit("%", 100.0, 1), ShownUnit("%/s", 100.0, 1)
+UM_PER_MM, UM_PER_MM_S = ShownUnit("µm/mm", 1e3, 1, PERCENT), ShownUnit("µm/mm/s", 1e3, 1, PERCENT_PER_S)
+MICROMETRE, MICROJOULE, MILLISECOND = ShownUnit("µm", 1e3, 1), ShownUnit("µJ/mm³", 1e3, 3), ShownUnit("ms", 1e3, 2)
 _BY_UNIT = {
     "1": ShownUnit("", decimals=3),
     "mm": ShownUnit("mm", decimals=3),

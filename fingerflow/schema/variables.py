@@ -1,18 +1,24 @@
 """Definitions of all result variables: name, dimensions, unit, meaning, equation and shown unit.
 
-They stand in `variables.toml`; the formulas of those that follow from others, and their names by group, are here. The
-data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries. Only
-the standard library is imported, because an exported bundle contains this file.
+The data set, its files and tables, the records of a stream, figures, pages and the documentation use these entries.
+Only the standard library is imported, because an exported bundle contains this file.
 """
 
-import tomllib
 from collections.abc import Iterable
 from math import pi
 from operator import truediv
-from pathlib import Path
 from typing import Any
 
-from fingerflow.schema.variable_record import SHOWN_UNITS, ShownUnit, Variable
+from fingerflow.schema.variable_record import (
+    MICROJOULE,
+    MICROMETRE,
+    MILLISECOND,
+    PERCENT,
+    UM_PER_MM,
+    UM_PER_MM_S,
+    ShownUnit,
+    Variable,
+)
 
 #: Symbols used in the equations.
 SYMBOLS = """\
@@ -23,9 +29,36 @@ covariance of the inputs, propagated to first order. E, ν and h are fields.youn
 depth_mm.
 """
 
-FRAME = ("frame",)
-DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
-SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
+FRAME, POINT, FRAME_POINT, TRIANGLE = ("frame",), ("point",), ("frame", "point"), ("frame", "triangle")
+CELLS = ("frame", "cell_row", "cell_column")
+
+_STD_EQUATION = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
+_FIELD_STD_EQUATION = (
+    "σ² = g Σ gᵀ + ⟨k² Δ_gauge²⟩ + late², Σ with the errors that points share as their windows overlap, Δ the change "
+    "by twice the gauge length, less its noise, k from 1/2 inside to 1 at the border of the points, ⟨⟩ the mean over "
+    "half a gauge length, late what the field of a point that moved in changes by in the deviation of its time of entry"
+)
+_MEDIAN_STD_EQUATION = (
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered² + common², g the derivatives by what it is "
+    "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
+    "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
+    "of fields √E points below and above, E points moved in, common on presses 0.9 deviations of a displacement over "
+    "the gauge length"
+)
+_AREA_STD_EQUATION = (
+    "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "
+    "d² = (rim/2)² + ((1 − κ)/(2κ))²/3 + √N/(6 N²), rim the share of a border 0.06 mm wide, κ the known share, N points"
+)
+_MEDIAN = "over the area of the gross contact"
+_ERROR = "standard deviation of the"
+_RATE_EQUATION = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
+_RATE_STD_EQUATION = "σ² = Σ w² σᵢ², w the weights of that slope, σᵢ the deviations of the frames"
+_STRAIN_EQUATION = (
+    "e_xx = u_x + (u_x² + v_x²)/2, e_yy = v_y + (u_y² + v_y²)/2, e_xy = (u_y + v_x)/2 + (u_x u_y + v_x v_y)/2; "
+    "as_printed: e_xy without its products; infinitesimal: without any"
+)
+_RIGID_EQUATION = "|u − (R X + t)|, R and t the rotation and the shift of least squares"
 
 
 def _gross_area_std(semi_axes: Any, real_area: Any) -> Any:
@@ -64,38 +97,349 @@ def _angle_std(semi_axes: Any) -> Any:
     return 1 / (12 / pi**2 + ((semi_axes[..., 0] - semi_axes[..., 1]) / 0.03) ** 2) ** 0.5
 
 
-_FORMULAS = {
-    "real_contact_area_std": _real_area_std,
-    "gross_contact_area_std": _gross_area_std,
-    "contact_area_ratio": truediv,
-    "contact_area_ratio_std": _ratio_std,
-    "ellipse_center_std": _ellipse_std,
-    "ellipse_semi_axes_std": _ellipse_std,
-    "ellipse_angle_std": _angle_std,
-}
+TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
+#: Names of the frame status values; only usable frames have results.
+FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns", "noise")
+DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
+SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
 
-def _read_variables() -> dict[str, tuple[Variable, ...]]:
-    """Return the variables that `variables.toml` defines, by the names of their groups."""
-    groups = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    texts = groups.pop("texts")
-
-    def variable(name: str, long_name: str, equation: str = "", shown_in: str = "", **facts: Any) -> Variable:
-        lists = {key: tuple(value) for key, value in facts.items() if isinstance(value, list)}
-        words = {"long_name": long_name.format_map(texts), "equation": equation.format_map(texts)}
-        formula, unit = _FORMULAS.get(name), SHOWN_UNITS.get(shown_in)
-        return Variable(name, **{**facts, **lists, **words}, shown_in=unit, formula=formula)
-
-    return {group: tuple(variable(name, **facts) for name, facts in named.items()) for group, named in groups.items()}
-
-
-_GROUPS = _read_variables()
-(TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING = (
-    _GROUPS[group] for group in ("time", "frame_check", "loading", "contact", "printed_contact", "tracking")
+# fmt: off
+FRAME_CHECK = (
+    Variable("frame_status", FRAME, "1", "whether a frame is a picture of the trial; where it is not, results are NaN",
+        "u1", equation="by light, saturation, copies and distance of each frame from those before and after",
+        flags=FRAME_STATUS),
 )
-DISPLACEMENT, FIELDS, STRAIN, SLIP, STREAM = (
-    _GROUPS[group] for group in ("displacement", "fields", "strain", "slip", "stream")
+
+LOADING = (
+    Variable("normal_force", FRAME, "N", "normal force",
+        equation="N(t), zero-phase low pass to half the frame rate, at the times of the frames", needs=("forces",)),
+    Variable("tangential_force", FRAME, "N", "tangential force; its length where two components are given",
+        equation="T(t), as the normal force", needs=("forces.tangential",)),
+    Variable("tangential_direction", FRAME, "rad",
+        "direction of the tangential force from the first component towards the second, of one channel 0 or pi by its "
+        "sign; NaN below 0.05 N", equation="atan2(T_2, T_1); NaN where T < 0.05 N", needs=("forces.tangential",)),
+    Variable("load_ratio", FRAME, "1",
+        "friction ratio: tangential over normal force, T/N; NaN where the normal force is below 0.05 N",
+        equation="T/N; NaN where N < 0.05 N", needs=("forces.tangential",), label="friction ratio T/N"),
+    Variable("force_angle", FRAME, "rad",
+        "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
+        equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",)),
 )
+
+CONTACT = (
+    Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact",
+        equation="Otsu's threshold of 1 − (I − D)/(I₀ − D), or contact.threshold"),
+    Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions",
+        equation="s² Σ 1[1 − (I − D)/(I₀ − D) > contact_threshold], after a median of contact.median_px"),
+    Variable("real_contact_area_std", FRAME, "mm2", "standard deviation of the real contact area, shared by frames",
+        equation="σ² = (0.025 mm² (real_contact_area / mm²)^(2/3))² + (0.01 mm²)²: edges of ridges",
+        formula=_real_area_std, of=("real_contact_area",)),
+    Variable("gross_contact_area", FRAME, "mm2",
+        "apparent (gross) contact area, that of the region which the contact spans",
+        equation="area where the contact, averaged over contact.gross_radius_px, is half as dense as near its rim"),
+    Variable("gross_contact_area_std", FRAME, "mm2",
+        "standard deviation of the gross contact area, by the ridge spacing",
+        equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
+        "ellipse, b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
+        "mm² of contacts of less than three ridges; 0.25 mm² where a real contact is too small for an ellipse",
+        formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
+        label="standard deviation of the gross contact area"),
+    Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
+        equation="real_contact_area / gross_contact_area", formula=truediv,
+        of=("real_contact_area", "gross_contact_area")),
+    Variable("contact_area_ratio_std", FRAME, "1", "standard deviation of contact_area_ratio",
+        equation="√(σ²(real) + ratio² σ²(gross)) / gross_contact_area", formula=_ratio_std,
+        of=("real_contact_area", "real_contact_area_std", "gross_contact_area", "gross_contact_area_std")),
+    Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass",
+        equation="c = ∫ x dA / A over the gross contact", label="centre of the ellipse"),
+    Variable("ellipse_center_std", ("frame", "xy"), "mm", "standard deviation of ellipse_center",
+        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_center",)),
+    Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact",
+        equation="2 √λ, λ the eigenvalues of ∫ (x − c)(x − c)ᵀ dA / A", label="semi-axes of the ellipse"),
+    Variable("ellipse_semi_axes_std", ("frame", "axis"), "mm", "standard deviation of ellipse_semi_axes",
+        equation="0.028 mm", formula=_ellipse_std, of=("ellipse_semi_axes",)),
+    Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y",
+        equation="½ atan2(2 m_xy, m_xx − m_yy), m = ∫ (x − c)(x − c)ᵀ dA / A", label="angle of the ellipse"),
+    Variable("ellipse_angle_std", FRAME, "rad", "standard deviation of ellipse_angle",
+        equation="1/√(12/π² + ((a₁ − a₂)/0.03 mm)²)", formula=_angle_std, of=("ellipse_semi_axes",)),
+    Variable("gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
+        equation="1 in cells of the gross contact", unasked=False),
+)
+
+#: Real contact area computed as in figure S3 A of Willemet et al. (2021).
+PRINTED_CONTACT = (
+    Variable("printed_contact_threshold", FRAME, "1",
+        "Otsu's threshold of the intensity lost since the first instant of contact",
+        equation="Otsu's threshold of I(first contact)/I₀ − I/I₀, median of 9 x 9 px", unasked=False,
+        label="contact threshold as printed"),
+    Variable("printed_real_contact_area", FRAME, "mm2",
+        "real contact area by the steps that Willemet et al. 2021 print",
+        equation="s² Σ 1[I(first contact)/I₀ − I/I₀ > printed_contact_threshold]", unasked=False,
+        label="real contact area as printed"),
+    Variable("printed_eroded_contact_area", FRAME, "mm2",
+        "printed_real_contact_area eroded by a unit diamond, as in the code of that lab",
+        equation="the same after erosion by a unit diamond", unasked=False,
+        label="real contact area as printed, eroded"),
+)
+
+#: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
+TRACK_STATUS = (
+    "tracked", "not_finite", "left_frame", "no_texture", "not_converged", "mismatch", "forward_backward", "uncertain",
+    "off_neighbours", "frame_not_usable", "window_differs", "not_seeded_yet", "dust_in_window",
+)  # fmt: skip
+TRACKING = (
+    Variable("position", ("frame", "point", "xy"), "mm", "position on the glass",
+        equation="s (A (x, 1)), A = calibration.topography_to_contact, x = x_px corrected for calibration.distortion"),
+    Variable("position_px", ("frame", "point", "xy"), "px", "position in the topographic view",
+        equation="y with Σ_w g(w) (S(y + w) − T(w)) = 0, S the spline of the frame, T(w) = S_key(p + F⁻¹ w) the "
+        "template, F its deformation, g the gradient of T without its parts along a constant and along T"),
+    Variable("deformation_correction_px", ("frame", "point", "xy"), "px",
+        "what the correction for the deformation of the skin has subtracted from the position at which a window was "
+        "registered: their sum shows the mean displacement over the window", "f4",
+        equation="D (F F₀⁻¹ − I) + (n² − 1)/24 ∇²u, D the lean of the template, F₀ its deformation, n px its side",
+        unasked=False),
+    Variable("position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4",
+        equation="√(tr C/2), C = H⁻¹ (Σ v vᵀ) H⁻¹ (σ²/a² + σ_key²), H = Σ_w g gᵀ, v the weight of a pixel in "
+        "Σ g S, a the gain, σ² and σ_key² the noise of frame and key frame; plus δ²/2, δ the shift to where most of a "
+        "window in which dust stands out matches; plus (0.8 (n² − 1)/24)² Σ (∂²u/∂x∂x)², n the side of the window, "
+        "over all second derivatives of both components, fitted over two windows",
+        label="standard deviation of the position"),
+    Variable("position_noise_px", FRAME_POINT, "px",
+        "part of position_std_px that is not due to displacement curved within the window", "f4",
+        equation="√(tr C/2 + δ²/2), the terms of position_std_px by noise and dust",
+        label="standard deviation of the position by image noise"),
+    Variable("position_anisotropy", ("point", "xy"), "1",
+        "anisotropy of the covariance of a position on the glass, of which position_std_px is the mean over directions",
+        "f4", equation="(C_xx − C_yy, 2 C_xy)/(C_xx + C_yy), C that of position_std_px for the latest template"),
+    Variable("subset_correlation", FRAME_POINT, "1",
+        "correlation of the window (subset) of a point with that in which it was seeded, as of the last check, one in "
+        "every eight frames", "f4",
+        equation="ρ = Σ_w (I − Ī)(T − T̄) / √(Σ_w (I − Ī)² Σ_w (T − T̄)²), I the window deformed as the skin around it",
+        shown_in=PERCENT),
+    Variable("forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4",
+        equation="|x − x′|, x′ after tracking forward and back (Kalal et al. 2010)", label="forward-backward error"),
+    Variable("status", FRAME_POINT, "1", "why a point has a position, or none", "u1",
+        equation="first test that a point has not passed", flags=TRACK_STATUS),
+    Variable("in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1",
+        equation="1[position inside the gross contact]"),
+    Variable("tracked_share", FRAME, "1", "share of the points that are tracked",
+        equation="mean of 1[status = 0] over the points", shown_in=PERCENT, label="points tracked"),
+    Variable("window_differs_share", FRAME, "1",
+        "share of the points that were followed to where their window differs from that in which they were seeded",
+        equation="mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows "
+        "then and now", shown_in=PERCENT, label="points rejected by verification"),
+    Variable("forward_backward_median", FRAME, "px", "median forward-backward distance",
+        equation="median of forward_backward_error over the tracked points", label="median forward-backward distance"),
+)
+
+ENTRY = ("never", "covered", "entered", "seeded_inside")
+#: Reference instant of displacement in words. The attribute ``reference`` of a variable states it for its result.
+SINCE = "of points in contact, since each touched the glass or since the chosen reference"
+DISPLACEMENT = (
+    Variable("onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4",
+        equation="first frame of the first three in a row that the gross contact covers the point",
+        label="frame of onset"),
+    Variable("onset_frame_std", POINT, "1", "standard deviation of onset_frame, in frames",
+        equation="σ² = 0.12 + 2.1 ((e v)²/(1 + d) + d³/(d + 1.4)), d = b v, v frames in which the border passes 1 mm "
+        "of skin, b = 0.06 mm its deviation, e = 0.035 mm that of the ellipse; the factors are measured"),
+    Variable("entry", POINT, "1",
+        "how skin came into contact: the growing contact covered it, or it moved in over a border at rest. Fields of "
+        "skin that moved in count since its own entry, F(t) F(entry)^-1 - I, those of a triangle since the last of its "
+        "points touched. Skin whose point was seeded inside has no known entry, and no displacement", "u1",
+        equation="covered where the border of the gross contact came over the point, entered where the point "
+        "moved before over the glass by more than half of what both approached each other", flags=ENTRY,
+        label="way into contact"),
+    Variable("reference_position", ("point", "xy"), "mm",
+        "position from which displacement counts (fields.reference): by default that at onset, when the border of the "
+        "contact passed the point between two frames. Points that touch only briefly have their position then",
+        equation="X = position in the frame from which displacement counts; by onset x₀ + (x₁ − x₀) d₀/(d₀ − d₁) "
+        "between the frame before and that of onset, d the depth inside the ellipse of the gross contact"),
+    Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}", equation="u = x(t) − X",
+        shown_in=MICROMETRE),
+    Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4",
+        equation="√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2 + Φ(−d/b) (|u| min(1, b/c))²/2), the last of "
+        "points at a depth d below 3 b in the first frame, b = 0.06 mm, that have moved inwards by c since",
+        shown_in=MICROMETRE),
+    Variable("global_displacement_vector", ("frame", "xy"), "mm",
+        f"median displacement {SINCE} {_MEDIAN}, by component",
+        equation="(median u, median v) over the area, each part with the u of the nearest point within half of "
+        "fields.gauge_length_mm; NaN where less than 0.85 is known", shown_in=MICROMETRE, label="median displacement"),
+    Variable("global_displacement_vector_std", ("frame", "xy"), "mm", f"{_ERROR} global_displacement_vector",
+        equation=_AREA_STD_EQUATION, shown_in=MICROMETRE),
+    Variable("global_displacement", FRAME, "mm", "length of the median displacement",
+        equation="|global_displacement_vector|", shown_in=MICROMETRE, label="median displacement"),
+    Variable("global_displacement_std", FRAME, "mm", f"{_ERROR} length of the median displacement",
+        equation="that of the component along global_displacement_vector", shown_in=MICROMETRE),
+    Variable("printed_global_displacement", FRAME, "mm",
+        "length of the median displacement over the points, as the paper has it: points crowd where skin has texture",
+        equation="|(median u, median v)| over the points", shown_in=MICROMETRE, unasked=False),
+)
+
+_ALONE = (
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, the share "
+    "that is not known, and points that moved in"
+)
+FIELDS = (
+    Variable("divergence", FRAME_POINT, "1",
+        "stretch (+) or compression (-) of the skin since each point touched, or since the chosen reference", "f4",
+        equation="u_x + v_y, the divergence of the displacement", shown_in=UM_PER_MM),
+    Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4", equation="v_x − u_y",
+        shown_in=UM_PER_MM),
+    Variable("shear", ("frame", "point", "shear_component"), "1",
+        "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
+        "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6", "f4",
+        equation="(u_x − v_y, u_y + v_x)", shown_in=UM_PER_MM, unasked=False),
+    Variable("rigid_residual", ("frame", "point", "xy"), "mm",
+        "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip", "f4",
+        equation="u − (R X + t), R and t the rotation and the shift of least squares", shown_in=MICROMETRE,
+        unasked=False, label="non-rigid motion"),
+    Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual",
+        equation=f"median of {_RIGID_EQUATION}", shown_in=MICROMETRE, label="median non-rigid motion"),
+    Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4", equation=_FIELD_STD_EQUATION,
+        shown_in=UM_PER_MM),
+    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4", equation=_FIELD_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable("field_coverage", FRAME, "1",
+        "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
+        equation="share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
+        shown_in=PERCENT, label="contact with known fields"),
+    Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}",
+        equation="median of the divergence at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
+    Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}", equation=_MEDIAN_STD_EQUATION,
+        shown_in=UM_PER_MM),
+    Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence", equation=_RATE_EQUATION,
+        shown_in=UM_PER_MM_S),
+    Variable("median_divergence_rate_std", FRAME, "1/s", f"{_ERROR} rate of median_divergence",
+        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
+    Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}",
+        equation="median of the curl at 800 places evenly over the gross contact's ellipse", shown_in=UM_PER_MM),
+    Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}", equation=_MEDIAN_STD_EQUATION,
+        shown_in=UM_PER_MM),
+    Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}",
+        equation=f"median over 800 places evenly over the gross contact's ellipse of {_STRAIN_EQUATION}",
+        shown_in=UM_PER_MM),
+    Variable("median_strain_std", ("frame", "strain_component"), "1", f"{_ERROR} median strain {_ALONE}",
+        equation=_MEDIAN_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain",
+        equation=_RATE_EQUATION, shown_in=UM_PER_MM_S),
+    Variable("median_strain_rate_std", ("frame", "strain_component"), "1/s", f"{_ERROR} rate of median_strain",
+        equation=_RATE_STD_EQUATION, shown_in=UM_PER_MM_S),
+)
+
+STRAIN = (
+    Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4",
+        equation="Delaunay triangulation of reference_position"),
+    Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4",
+        equation=f"{_STRAIN_EQUATION}; u_x ... of the triangle: linear between its corners", shown_in=UM_PER_MM),
+    Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4",
+        equation=_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4",
+        equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
+    Variable("principal_angle", TRIANGLE, "rad", "direction of the major principal strain, from x towards y", "f4",
+        equation="½ atan2(2 e_xy, e_xx − e_yy)", unasked=False),
+    Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4",
+        equation="w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²",
+        shown_in=MICROJOULE),
+    Variable("strain_energy_density_std", TRIANGLE, "mJ/mm3", "standard deviation of the strain energy density", "f4",
+        equation="σ² = g Σ gᵀ + tr(H Σ H Σ)/2 + w(σ)², g and H the first and second derivatives of w by the strain, "
+        "Σ = diag(strain_std²), w(σ) what errors add on average", shown_in=MICROJOULE),
+    Variable("strain_energy", FRAME, "mJ", "strain energy of the whole contact, up to its border",
+        equation="h ⟨∫_contact w dA⟩, the mean over smooth displacement fields that vanish at an advancing border, "
+        "given the points; elsewhere strain_energy_between_points + h w̄ A, A the rest of the contact and w̄ the mean w "
+        "beside it"),
+    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy",
+        equation="√(σ²(points) + σ²(border) + (2U/u · 0.4 µm)²), u the RMS displacement, of which 0.4 µm may be common "
+        "to all points, with its difference Δ to the sum over triangles where skin at the border has moved since; "
+        "elsewhere √(strain_energy_between_points_std² + (h w̄ A/2)²), with 0.7 of what smoothing displacements again "
+        "over 2.5 windows takes from it"),
+    Variable("strain_energy_between_points", FRAME, "mJ",
+        "strain energy in triangles between points in contact, less that of noise",
+        equation="h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average"),
+    Variable("strain_energy_between_points_std", FRAME, "mJ",
+        "standard deviation of strain_energy_between_points, with that of the border's place",
+        equation="√(σ²(points) + (h w̄ p b)² + (0.3 Δ)²), w̄ the mean w within half a gauge length of the border, p its "
+        "perimeter, b = 0.06 mm its deviation, Δ by how much strain_energy exceeds this sum and w̄ on the rest of the "
+        "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
+    Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
+    Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
+)
+
+SLIP = (
+    Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped",
+        equation="stuck_ratio gross_contact_area", label="stick area"),
+    Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²",
+        equation="d² = stuck share of the gross contact's area", label="stick ratio d²"),
+    Variable("stuck_ratio_std", FRAME, "1",
+        "standard deviation of stuck_ratio, most of it shared by all frames; NaN if the border was not found",
+        equation="√(4π d² σ² / gross_contact_area + 0.006²), σ the standard deviation of the border's position",
+        label="standard deviation of stick ratio d²"),
+    Variable("printed_stuck_ratio", FRAME, "1",
+        "d² as Terekhov & Hayward 2011 print it: share of the contact whose skin has moved by less than 40 µm",
+        equation="largest connected share of the gross contact with |u| < slip.stuck_mm",
+        label="stick ratio d² as printed"),
+    Variable("stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1",
+        equation="1 in cells of the largest connected part of the contact that has not slipped (slip.criterion)",
+        label="stick region"),
+    Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show",
+        equation="share of the gross contact within half a window of a tracked point", shown_in=PERCENT,
+        label="contact seen by the windows"),
+    Variable("slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped",
+        equation="(1 − d²) gross_contact_area"),
+    Variable("slip_direction", FRAME, "rad",
+        "direction of the mean displacement of the skin in contact that has slipped, from x towards y",
+        equation="atan2(mean v, mean u) over the points that have slipped"),
+    Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped",
+        equation="|mean of (x(t + 25 ms) − x(t − 25 ms))| / 50 ms over the points that have slipped"),
+    Variable("incipient_slip", FRAME, "mm",
+        "root mean square over the contact of the displacement since the first frame without its best rigid motion",
+        equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),
+    Variable("incipient_slip_irrotational", FRAME, "mm",
+        "root mean square of the part of incipient_slip that its divergence makes: natural Helmholtz-Hodge "
+        "decomposition, no boundary condition (Bhatia et al. 2014)",
+        equation="√(∫ |∇φ|² dA / A), ∇²φ = div of the residual displacement", shown_in=MICROMETRE,
+        label="incipient slip, irrotational part"),
+    Variable("incipient_slip_solenoidal", FRAME, "mm",
+        "root mean square of the part of incipient_slip that its curl makes",
+        equation="√(∫ |∇×ψ|² dA / A), ∇²ψ = −curl of the residual displacement", shown_in=MICROMETRE,
+        label="incipient slip, solenoidal part"),
+    Variable("skin_displacement", (*CELLS, "xy"), "mm",
+        "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame", "f4",
+        equation="u by dense flow at the places of the first frame", shown_in=MICROMETRE, needs=("dense_flow_slip",)),
+    Variable("dense_flow_difference", FRAME, "mm",
+        "median over tracked points of the distance between their displacement and that by dense flow",
+        equation="median over tracked points of |u − u by dense flow|", shown_in=MICROMETRE,
+        needs=("dense_flow_slip",), label="difference to dense flow"),
+    Variable("dense_flow_difference_95", FRAME, "mm",
+        "95th percentile over tracked points of the distance between their displacement and that by dense flow",
+        equation="95th percentile over tracked points of |u − u by dense flow|", shown_in=MICROMETRE,
+        needs=("dense_flow_slip",), label="difference to dense flow, 95th percentile"),
+)
+
+#: Variables of streams only: the state of the stream, and fields that its graphs compute differently.
+STREAM = (
+    Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4",
+        equation="t(result) − t(frame)", shown_in=MILLISECOND),
+    Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8",
+        equation="number of the frame that templates are from"),
+    Variable("restart", FRAME, "1", "how often points had been seeded: points of two restarts are different points",
+        "i4", equation="count of seedings", label="seedings of points"),
+    Variable("slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4",
+        equation="√(mean |u − (R X + t)|²) over the points in contact", shown_in=MICROMETRE,
+        label="non-rigid motion since touch"),
+    Variable("slip_flag", FRAME, "1", "1 where the rim of the contact has moved past its middle in three frames: slip",
+        "u1", equation="u = c + a z + b z̄ + e|z|² + d|z|²z; 1 where e along ū > 2 σ and > 2 √(|a + d|² + |b|²)",
+        label="slip"),
+    Variable("illumination_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4",
+        equation="g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass"),
+    Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4",
+        equation=_STRAIN_EQUATION, shown_in=UM_PER_MM),
+    Variable("entered", FRAME_POINT, "1",
+        "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
+        "entry, its neighbours from that moment", "u1",
+        equation="1 where neighbours that touch have moved by an eighth of the gauge length, in the median",
+        label="moved into contact"),
+)
+# fmt: on
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
@@ -104,12 +448,9 @@ def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
 
 
 #: All variables of results and streams by name.
-VARIABLES: dict[str, Variable] = by_name(*_GROUPS.values())
-#: Names of the frame status values; only usable frames have results.
-FRAME_STATUS = VARIABLES["frame_status"].flags
-#: Names of the values of `fingerflow.kernels.tracking_limits.TrackStatus`, which defines each.
-TRACK_STATUS = VARIABLES["status"].flags
-ENTRY = VARIABLES["entry"].flags
+VARIABLES: dict[str, Variable] = by_name(
+    (TIME,), FRAME_CHECK, LOADING, CONTACT, PRINTED_CONTACT, TRACKING, DISPLACEMENT, FIELDS, STRAIN, SLIP, STREAM,
+)  # fmt: skip
 
 
 def shown_unit(name: str, units: str) -> ShownUnit:
