@@ -161,7 +161,9 @@ def _levels(picture: Path, dpi: float) -> tuple[Tensor, Tensor, tuple[int, int]]
     period = distance * dpi / MM_PER_INCH
     mean = gaussian_filter(plane, 0.75 * period)
     spread = np.sqrt(gaussian_filter((plane - mean) ** 2, 1.5 * period))
-    glass = gaussian_filter(_upper_envelope(plane, period), 2 * period)
+    # The brightest grey level within one ridge distance shows glass or a valley.
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(period) + 1,) * 2)
+    glass = gaussian_filter(np.asarray(cv2.dilate(plane, around), dtype=np.float64), 2 * period)
     dark = np.quantile(plane, 0.03)
     contrast = np.maximum(glass - dark, 0.2 * (glass.max() - dark) + 1e-9)
     touching = (np.minimum(mean, glass - LEAST * contrast) - plane) / contrast
@@ -178,14 +180,6 @@ def _edge_weights(count: int, period: float) -> Plane:
     """
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
-
-
-def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return for each pixel of a fingerprint image the brightest grey level within one ridge distance, `period` px,
-    which shows glass or a valley.
-    """
-    size = 2 * round(period) + 1
-    return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:
