@@ -120,20 +120,13 @@ def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> 
             f"{picture} shows {texture.size[0]:.1f} x {texture.size[1]:.1f} mm at {dpi:g} dpi, and the contact needs "
             f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
         )
-    middle = _contact_centroid(texture)
-    right, down = np.clip(-middle, high - half, low + half).tolist()
-    return replace(plain, texture=replace(texture, centre=(right, down)))
-
-
-def _contact_centroid(texture: PictureTexture) -> Plane:
-    """Return the centroid (x, y), mm, of the touching ridges in a fingerprint image, relative to the centre of the
-    image.
-    """
-    rows, columns = texture._levels[2]
-    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
+    # Centroid of the touching ridges, relative to the centre of the image.
+    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in texture._levels[2])
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
-    return np.array([float(x[touching].mean()), float(y[touching].mean())])
+    middle = np.array([float(x[touching].mean()), float(y[touching].mean())])
+    centre = tuple(np.clip(-middle, high - half, low + half).tolist())
+    return replace(plain, texture=replace(texture, centre=centre))
 
 
 @lru_cache(maxsize=4)
