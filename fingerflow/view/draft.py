@@ -60,7 +60,9 @@ class Draft:
     def create(cls, recording: Recording) -> "Draft":
         """Return a new draft for a recording, with two default views; keys that the user must set are absent."""
         height, width = recording.frame_shape
-        path = _free(recording.path.absolute().parent / "scene.toml")
+        path, number = recording.path.absolute().parent / "scene.toml", 2
+        while path.exists():
+            path, number = path.with_stem(f"scene-{number}"), number + 1
         text = scene_text(frames=recording.path.name, calibration="")
         draft = cls(path, text, None)
         draft.set(("views",), _default_views("press", height, width))
@@ -234,14 +236,6 @@ def _default_views(kind: str, height: int, width: int) -> dict[str, Any]:
             "topography": {"rows": rows, "columns": [0, half]},
         }
     return {name: {"rows": rows, "columns": [0, width]} for name in KINDS[kind].views}
-
-
-def _free(path: Path) -> Path:
-    """Return a path at which no file exists: the given path, or the same with a number after the stem."""
-    free, number = path, 2
-    while free.exists():
-        free, number = path.with_stem(f"{path.stem}-{number}"), number + 1
-    return free
 
 
 def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:
