@@ -86,8 +86,7 @@ def onset_errors(
         depth = border.select(pair.flatten()).inside(position.reshape(-1, 1, 2)).reshape(pair.shape)
         approach = (depth[1] - depth[0]) / steps
         # Within half a chord of sagitta b, sqrt(2 r b), skin that moves along the border is in or out.
-        chord = np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
-        least = np.linalg.norm(speed, axis=1) * chord
+        least = np.linalg.norm(speed, axis=1) * np.sqrt(BORDER_MM / 2 / np.nanmean(border.semi_axes))
         frames_per_mm = np.where(advected, 1 / np.maximum(np.fmax(approach, least), 1e-9), frames_per_mm)
     variance = np.where(counts, _crossing_variance(frames_per_mm) + (faint_mm * frames_per_mm) ** 2, 0.0)
     return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]

@@ -260,7 +260,8 @@ class ContactStage(Stage):
         lower = self._engine.contact(self._engine.images(counts), self._light, view_faults.FAINT * contact.threshold)
         gross, whole = (float(seen.gross_area_px[0]) * size**2 for seen in (contact, lower))
         self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
-        thin = view_faults.thin_rim_mm(contact.real_contact_mask[0, 0], self._largest[0, 0].numpy(), self._period_px)
+        region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
+        thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
         self.faint_rim_mm = max(self._pale_rim_mm, thin)
         return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
 

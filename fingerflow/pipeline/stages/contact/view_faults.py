@@ -41,9 +41,7 @@ _UNEVEN = 0.05  # least relative change of light that is reported
 def check_unlit_glass(region: Mask, light: Picture, radius_px: int) -> list[str]:
     """Return a warning if the contact region reaches glass without light, where its border is not that of the skin."""
     around = cv2.dilate(region.astype(np.uint8), _disc(radius_px)).astype(bool) & ~region
-    if not around.any():
-        return []
-    unlit = float((light[around] <= 0).mean())
+    unlit = float((light[around] <= 0).mean()) if around.any() else 0.0
     if unlit <= _UNLIT_BORDER:
         return []
     return [
@@ -157,11 +155,8 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     """
     depth = cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, 5) / period_px
     rim, inner = touching[(depth > 0) & (depth <= 1)], touching[depth > 2]
-    ridges = len(inner) / period_px**2
-    if not inner.any():
-        return 0.0
-    lacking = _THIN - _SCATTER / np.sqrt(ridges) - rim.mean() / inner.mean()
-    return _THIN_MM * float(np.clip(lacking / _RAMP, 0, 1))
+    usual = _THIN - _SCATTER * period_px / np.sqrt(max(len(inner), 1))
+    return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
 
 
 def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
