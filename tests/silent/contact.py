@@ -137,13 +137,16 @@ def _zero_rows(pictures: Pictures, press: Press) -> Pictures:
     return result
 
 
-def _second(scale: float, right: int, down: int) -> Change:
-    """Return a change that adds a second contact, the first in another size, moved by px to the right and down."""
+def _second(scale: float, right: int, down: int, first: int = 0) -> Change:
+    """Return a change that adds a second contact from the frame `first` on: the first one in another size, moved by px
+    to the right and down.
+    """
 
     def change(pictures: Pictures, press: Press) -> Pictures:
         rows, columns = pictures.shape[1:]
         matrix = np.array([[scale, 0, columns / 2 * (1 - scale) + right], [0, scale, rows / 2 * (1 - scale) + down]])
         second = np.stack([cv2.warpAffine(one, matrix, (columns, rows), borderValue=1.0) for one in pictures])
+        second[:first] = 1
         return np.where(second < 0.85, np.minimum(pictures, second), pictures)
 
     return change
@@ -168,6 +171,7 @@ FAULTS = (
     Fault("light falls by 15 % across the view", "falls", _gradient),
     Fault("second contact of a third of the size", "second contact", _second(0.35, -165, 90)),
     Fault("second contact that merges with the first", "second contact", _second(0.4, -125, 0)),
+    Fault("second contact that touches the first, later", "second contact", _second(0.5, -125, 0, 30)),
     Fault("second finger of the same size", "second contact", _second(1, 178, 0)),
     Fault("contact view saturated", "saturated", _exposed(2), _exposed(2)),
     Fault("empty glass at 0.3 of the exposure", "another exposure", _exposed(1), _exposed(0.3)),

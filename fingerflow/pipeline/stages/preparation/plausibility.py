@@ -270,8 +270,9 @@ def check_missing_frames(gross: Series, normal: Series | None, first_frame: int)
     return [
         f"the gross contact area steps from {gross[frame]:.3g} to {gross[frame + 1]:.3g} mm² between frames "
         f"{frame + first_frame} and {frame + 1 + first_frame}, {step[frame] / max(usual[frame - _BESIDE], 1e-9):.0f} "
-        f"times as far as in the frames around: frames may be missing there, and all times after it be wrong. Copy the "
-        f"recording again, or give one whose file has time stamps"
+        f"times as far as in the frames around: frames may be missing there, and all times after it be wrong, or a "
+        f"second contact merges with the first. Copy the recording again, give one whose file has time stamps, or "
+        f"leave the other contact out by views.contact.region"
     ]
 
 
