@@ -145,7 +145,7 @@ def _rebuild_part(folder: Path, settings: dict[str, Any]) -> Any:
     from fingerflow import synthetic  # which imports this module
 
     part: Any = getattr(synthetic, settings["kind"], None)
-    if not dataclasses.is_dataclass(part):
+    if not hasattr(part, "__dataclass_fields__"):
         raise KeyError(settings["kind"])
     return part(**{name: _to_tuples(value) for name, value in settings.items() if name != "kind"})
 
