@@ -80,7 +80,7 @@ def test_what_is_left_out_is_counted() -> None:
     assert not without.answered
     assert len(without.trials.answer) == 79
     few = {name: without.trials.metrics[name] for name in ("divergence", "curl")}
-    assert "observer" not in study_statistics(replace(without, trials=replace(without.trials, metrics=few)), 20)
+    assert "observer" not in study_statistics(replace(without, trials=replace(without.trials, metrics=few)), 200)
     frame["status"] = "not run"
     with pytest.raises(FingerflowError, match="no trial has been measured"):
         read_sample(frame)
