@@ -45,7 +45,7 @@ def test_a_clock_that_starts_again_is_measured_anew(caplog: pytest.LogCaptureFix
         time, exposed = clock.update(stamp, arrival)
         assert time == pytest.approx(arrival)
         assert exposed == pytest.approx(arrival)
-    assert caplog.text.count("is not after the one before") == 1
+    assert caplog.text.count("does not follow the one before") == 1
 
 
 _EVEN = 100 + np.arange(60) / 100  # s
@@ -55,9 +55,9 @@ _EVEN = 100 + np.arange(60) / 100  # s
     ("stamps", "exact"),
     [
         (_EVEN, 0),
-        (_EVEN * 1e3, 12),  # ms, us and ns for s; the unit is found within a tenth of a second
-        (_EVEN * 1e6, 12),
-        (_EVEN * 1e9, 12),
+        # ms, us and ns for s: the unit is found within a tenth of a second; minutes, hours and days: within 5 s.
+        *((_EVEN * unit, 12) for unit in (1e3, 1e6, 1e9)),
+        *((np.arange(700) / 100 / unit, 504) for unit in (60, 3600, 86400)),
         (np.arange(60.0), None),  # the number of the frame: refused
         (_EVEN + 1e6 * (np.arange(60) > 30), None),  # jumps forth, back, and to what is no number
         (_EVEN - 1e6 * (np.arange(60) > 30), None),
@@ -74,8 +74,8 @@ def test_time_never_runs_backwards_or_away_from_arrivals(stamps: np.ndarray[Any,
     pairs = zip(stamps.tolist(), arrivals.tolist(), strict=True)
     times, exposed = np.transpose([clock.update(*pair) for pair in pairs])
     assert (np.diff(times) > 0).all()
-    assert np.abs(times - arrivals).max() < 0.03
-    assert np.abs(exposed - arrivals).max() < 0.03
+    assert np.abs(times - arrivals)[exact or 0 :].max() < 0.03
+    assert np.abs(exposed - arrivals)[exact or 0 :].max() < 0.03
     if exact is not None:
         np.testing.assert_allclose(np.diff(times[exact:]), 0.01, atol=1e-6)
 
