@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, number, several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_number, parse_toml

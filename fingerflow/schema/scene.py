@@ -37,9 +37,8 @@ def scene_of_text(text: str, path: Path, reader: Reader = "process") -> Scene:
     :func:`load_scene`.
     """
     path = path.resolve()
-    return _scene(
-        SceneCheck(parse_toml(text, path), path.parent, reader), path, lambda keys: f"{path}, line {line_number(text, keys)}"
-    )
+    written = SceneCheck(parse_toml(text, path), path.parent, reader)
+    return _scene(written, path, lambda keys: f"{path}, line {line_number(text, keys)}")
 
 
 def scene_from(written: Mapping[str, Any], path: Path, origin: str, reader: Reader = "process") -> Scene:

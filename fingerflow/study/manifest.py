@@ -3,6 +3,7 @@
 import difflib
 import os
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -276,7 +277,7 @@ def _parse_cell(cell: str) -> Any:
     """Parse a cell of the table of trials as a TOML value; a cell that is no TOML value stays text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return cell
 
 
