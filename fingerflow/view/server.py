@@ -159,7 +159,7 @@ def application(session: Session) -> Starlette:
         Route("/api/result/table", _post(session.table, bodies.TableBody), methods=["POST"]),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _refused}
+    handlers: Mapping[Any, Any] = {FingerflowError: _refused, OSError: _refused}
     return Starlette(routes=routes, exception_handlers=handlers)
 
 
