@@ -249,8 +249,10 @@ def _entry(row: Mapping[str, str], label: str, number: str) -> TrialEntry:
     settings |= {name: _parse_cell(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
+    # Unique as a file name: characters but letters, digits, dots and dashes become %xx.
+    name = "_".join(re.sub(r"[^\w.-]|_", lambda match: f"%{ord(match[0]):02x}", part, flags=re.ASCII) for part in parts)
     return TrialEntry(
-        name="_".join(_file_name(part) for part in parts),
+        name=name,
         origin=label,
         participant=row[PARTICIPANT],
         trial=trial,
@@ -279,11 +281,6 @@ def _parse_cell(cell: str) -> Any:
         return tomllib.loads(f"value = {cell}")["value"]
     except (ValueError, RecursionError):
         return cell
-
-
-def _file_name(text: str) -> str:
-    """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
-    return re.sub(r"[^\w.-]|_", lambda character: f"%{ord(character[0]):02x}", text, flags=re.ASCII)
 
 
 def _merged(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.recipe import load_recipe
@@ -38,7 +38,7 @@ def test_values_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any], 
 @pytest.mark.parametrize(("read", "name"), [(load_bundle, "bundle.json"), (read_results, "header.json")])
 def test_nesting_in_what_the_player_reads(tmp_path: Path, read: Callable[[Path], Any], name: str) -> None:
     (tmp_path / name).write_text(DEEP)
-    with pytest.raises(PlayerError, match=r"recursion.*copy"):
+    with pytest.raises(FingerflowError, match=r"recursion.*copy"):
         read(tmp_path)
 
 
