@@ -380,13 +380,15 @@ def _normalisation(study: PressStudy) -> Obtained:
 
 
 def _criterion(study: PressStudy) -> Obtained:
-    one = study.statistics["observer"]["metrics"]["divergence"]["criterion"]
+    found = study.statistics["observer"]["metrics"]["divergence"]
+    one, (least, most) = found["criterion"], found["false_alarms"]["interval"]
     if one["value"] is None or one["interval"][0] is None:
         return Obtained("", because=f"no criterion: {one['reason']}")
     low, high = one["interval"]
     truth = 1000 * study.column_of_sample("true_divergence")[study.sample.trials.answer]
     return Obtained(
-        f"{one['value']:.1f} ({low:.1f} to {high:.1f}) {one['unit']}",
+        f"{one['value']:.1f} ({low:.1f} to {high:.1f}) {one['unit']}; false alarms "
+        f"{found['false_alarms']['value']:.2f} ({least:.2f} to {most:.2f})",
         ((low, high),),
         f"{np.quantile(truth, 0.25):.1f} {DIVERGENCE_UNIT}",
         "median divergences of the chain are smaller than those that the criterion implies",
@@ -402,8 +404,7 @@ def _ranking(study: PressStudy) -> Obtained:
     answer, who = study.sample.trials.answer, study.sample.trials.participant
     pairs = {name: study.column_of_sample(name + DIFFERENCE) for name in OBSERVED}
     differences = {
-        name: auc(one[answer], one[~answer], (who[answer], who[~answer]), resamples=100).value
-        for name, one in pairs.items()
+        name: auc(one[answer], one[~answer], (who[answer], who[~answer])).value for name, one in pairs.items()
     }
     printed = [_PRINTED_RANKS.get(name, 0) for name in differences]
     tau, p = stats.kendalltau(printed, list(differences.values()))

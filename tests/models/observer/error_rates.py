@@ -20,6 +20,7 @@ from fingerflow.models.observer import (
     one_way_anova,
     pearson,
     repeated_anova,
+    share_above,
     spearman,
 )
 
@@ -42,8 +43,12 @@ def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_s
     return {"metric": rate, "answer": answer, "condition": amplitude, "participants": who}
 
 
-def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2) -> dict[str, Any]:
-    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response."""
+def measured(
+    seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2, gaps: int = 0
+) -> dict[str, Any]:
+    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response, and
+    the first of them, `gaps`, lack one group each.
+    """
     draw = np.random.default_rng(seed)
     who, group = (
         one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij")
@@ -51,6 +56,7 @@ def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: i
     place = group / (groups - 1) - 0.5
     level, response = 2 * draw.standard_normal(people), effect + draw.standard_normal(people)
     metric = level[who] + response[who] * place + draw.standard_normal(who.size)
+    metric[(who < gaps) & (group == (seed + who) % groups)] = np.nan
     return {"values": metric, "groups": group, "participants": who}
 
 
@@ -110,9 +116,9 @@ def classes(table: dict[str, Any]) -> tuple[Values, Values, tuple[NDArray[Any], 
     return metric[answer], metric[~answer], (who[answer], who[~answer])
 
 
-def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
-    """Return the share of intervals that hold the true d', area under the ROC and criterion of studies of `compared`,
-    one a seed; `options` are those of the bootstrap. The truth is that of 560,000 trials.
+def hold_the_truth(studies: int) -> dict[str, float]:
+    """Return the share of intervals that hold the true d', area under the ROC, criterion and false alarms of studies of
+    `compared`, one a seed. The truth is that of 560,000 trials.
     """
     right, wrong, _ = classes(compared(10**6, people=20_000, trials=4))
     truths = {
@@ -120,15 +126,13 @@ def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
         "area": np.searchsorted(np.sort(wrong), right).mean() / wrong.size,
         "criterion": np.quantile(right, 0.25),
     }
-    held = dict.fromkeys(truths, 0)
+    held = dict.fromkeys((*truths, "false alarms"), 0)
     for seed in range(studies):
         correct, incorrect, who = classes(compared(seed))
-        found = (
-            d_prime(correct, incorrect, who),
-            auc(correct, incorrect, who, **options),
-            criterion_for_hits(correct, who[0], **options),
-        )
-        for (name, truth), one in zip(truths.items(), found, strict=True):
+        found = [d_prime(correct, incorrect, who), auc(correct, incorrect, who), criterion_for_hits(correct, who[0])]
+        found.append(share_above(found[-1].value, incorrect, who[1]))
+        expected = (*truths.values(), (wrong > found[2].value).mean())
+        for name, truth, one in zip(held, expected, found, strict=True):
             held[name] += one.interval[0] <= truth <= one.interval[1]
     return {name: count / studies for name, count in held.items()}
 
@@ -145,13 +149,16 @@ def main(studies: int) -> None:
             tables = [answered(seed, people, slope=slope, own_slope=own) for seed in range(studies)]
             found = np.mean([clustered_regression(**table).p < ALPHA for table in tables])
             print(f"clustered regression: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
-        for groups in (2, 7):
+        for groups, gaps in ((2, 0), (7, 0), (7, 7 * people // 16)):
             for effect in (0.0, 1.0):
-                tables = [measured(seed, people, groups, effect) for seed in range(studies)]
+                tables = [measured(seed, people, groups, effect, gaps=gaps) for seed in range(studies)]
                 own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
                 printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
                 found = f"{own_p:.3f}, one-way {printed:.3f}"
-                print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {found}", flush=True)
+                print(
+                    f"ANOVA: {people} participants, {groups} groups, {gaps} gaps, effect {effect:g}: {found}",
+                    flush=True,
+                )
         tables = [answered(seed, people, own_slope=0.0) for seed in range(studies)]
         own_p = np.mean([repeated_anova(one["metric"], one["answer"], one["participants"]).p < ALPHA for one in tables])
         printed = np.mean([one_way_anova(one["metric"], one["answer"]).p < ALPHA for one in tables])
