@@ -154,11 +154,8 @@ def main(studies: int) -> None:
                 tables = [measured(seed, people, groups, effect, gaps=gaps) for seed in range(studies)]
                 own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
                 printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
-                found = f"{own_p:.3f}, one-way {printed:.3f}"
-                print(
-                    f"ANOVA: {people} participants, {groups} groups, {gaps} gaps, effect {effect:g}: {found}",
-                    flush=True,
-                )
+                found = f"effect {effect:g}: {own_p:.3f}, one-way {printed:.3f}"
+                print(f"ANOVA: {people} participants, {groups} groups, {gaps} gaps, {found}", flush=True)
         tables = [answered(seed, people, own_slope=0.0) for seed in range(studies)]
         own_p = np.mean([repeated_anova(one["metric"], one["answer"], one["participants"]).p < ALPHA for one in tables])
         printed = np.mean([one_way_anova(one["metric"], one["answer"]).p < ALPHA for one in tables])

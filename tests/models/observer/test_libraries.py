@@ -45,6 +45,7 @@ FULL, WITH_GAPS = observer.repeated_anova(X, GROUP, WHO), observer.repeated_anov
 PAIR = observer.repeated_anova(X[GROUP < 2], GROUP[GROUP < 2], WHO[GROUP < 2])
 RM = AnovaRM(TABLE, "x", "who", ["group"], aggregate_func="mean").fit().anova_table
 MEANS = X.reshape(7, 4, 2).mean(2)
+SLOPE = ols("answer ~ x + C(who):C(group)", TABLE).fit().params["x"]
 P = {"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.2}
 CASES = {
     "pearson": (observer.pearson(X, Y, WHO).value, stats.pearsonr(X, Y).statistic),
@@ -61,11 +62,7 @@ CASES = {
 }
 NEAR = {
     "repeated F with gaps": (WITH_GAPS.f, random_effects(), 0.03),
-    "clustered slope": (
-        observer.clustered_regression(X, ANSWER, GROUP, WHO).value,
-        ols("answer ~ x + C(who):C(group)", TABLE).fit().params["x"],
-        1e-9,
-    ),
+    "clustered slope": (observer.clustered_regression(X, ANSWER, GROUP, WHO).value, SLOPE, 1e-9),
     "threshold": (FITTED.threshold, psychometric()[0], 0.02),
     "width": (FITTED.width, psychometric()[1], 0.04),
 }
