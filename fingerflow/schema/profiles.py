@@ -7,11 +7,12 @@ from fingerflow.schema.scene_tables import SCENE
 
 PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     # Supplement of Willemet et al. 2021, with Otsu's threshold at the largest force as in the lab's script. Divergence
-    # counts since onset in the dilated contact; strain and energy as in `PrintedStrainStage`. The printed median of 9 px
-    # is that of `printed_real_contact_area` alone: of ridges under 5 px, as where friction is low, it leaves nothing.
+    # counts since onset in the dilated contact; strain and energy as in `PrintedStrainStage`. The printed median of 9
+    # px is that of `printed_real_contact_area` alone: of narrow ridges, as where friction is low, it leaves nothing.
     "willemet_2021": {
         "contact": {"threshold": "reference_frame", "gross_radius_px": 8},
-        "tracking": {"points": 700, "points_from": "enhanced", "template": "previous", "forward_backward_limit_px": 1.0},
+        "tracking": {"points": 700, "forward_backward_limit_px": 1.0, "points_from": "enhanced", "template": "previous",
+                     "direction": "forward"},
         "fields": {"reference": "dilated_onset", "strain": "as_printed", "young_modulus_mpa": 1.0,
                    "poisson_ratio": 0.4, "depth_mm": 2.0},
     },

@@ -199,8 +199,8 @@ class FieldSettings(GaugeSettings):
     """
 
     reference: str | int = key('a frame of the file (120), or a time ("0.25 s"): moment from which displacement '
-        "counts; onset is that of each point, dilated_onset that in the contact with a rim of contact.gross_radius_px, as "
-        "in the script of Willemet et al. 2021", "onset", moment(("onset", "dilated_onset", "first_frame")),
+        "counts; onset is that of each point, dilated_onset that in the contact with a rim of contact.gross_radius_px, "
+        "as in the script of Willemet et al. 2021", "onset", moment(("onset", "dilated_onset", "first_frame")),
         label="displacement counts from")
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = key("measure of strain; as_printed: Willemet et "
         "al. 2021, equation 1", "green_lagrange", label="measure of strain")

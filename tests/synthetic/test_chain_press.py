@@ -77,13 +77,13 @@ def test_the_printed_analysis_of_the_pictures_is_that_of_the_chain(tmp_path: Pat
     force = press.interpolate_chain(press.chain.normal_force.sum(-1))
     presses = SimulatedPresses((friction,), force, force, press.chain)
     for name, truth, error in (
-        ("median_divergence", since_onset(press.chain, 8 * press.mm_per_px / 1e3).area_median, 1.6e-3),
-        ("printed_strain", strain_percent(presses.printed) / 100, 1.2e-3),
-        ("printed_strain_energy", energy_mj(presses.printed), 1e-3),
+        ("median_divergence", since_onset(press.chain, 8 * press.mm_per_px / 1e3).area_median, 1.2e-3),
+        ("printed_strain", strain_percent(presses.printed) / 100, 8e-4),
+        ("printed_strain_energy", energy_mj(presses.printed), 6e-4),
     ):
         measured = result[name].values.reshape(force.size, -1)[:, 0][force > 0.7]
         chain = press.interpolate_chain(torch.as_tensor(truth).reshape(-1))[force > 0.7]
-        assert np.abs(measured - chain).max() < error
+        assert np.sqrt(np.square(measured - chain).mean()) < error
         assert measured[-1] > 3 * error
 
 

@@ -22,8 +22,8 @@ from fingerflow.models.observer.trials_table import Trials
 
 Participants = tuple[ArrayLike, ArrayLike]  # participant of each correct and of each incorrect trial
 Units = NDArray[np.intp]  # number of the participant of each trial
-# Function from values and units of each kind of trials, and from weights (R, P) of the participants in R samples, to the
-# statistic (R,).
+# Function from values and units of each kind of trials, and from weights (R, P) of the participants in R samples, to
+# the statistic (R,).
 Statistic = Callable[[list[Values], list[Units], Values], Values]
 
 _HITS = 0.75  # share of the correct trials above the criterion

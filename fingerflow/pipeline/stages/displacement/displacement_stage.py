@@ -83,15 +83,8 @@ class DisplacementStage(Stage):
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
-        *(
-            "kind",
-            "fields.gauge_length_mm",
-            "fields.reference",
-            "contact.gross_radius_px",
-            "tracking.template",
-            "tracking.direction",
-        ),
-        *("recording.times", "recording.first_frame"),
+        *("kind", "fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
+        *("recording.times", "recording.first_frame", "contact.gross_radius_px"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
