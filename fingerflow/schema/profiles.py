@@ -17,6 +17,11 @@ PROFILES: dict[str, dict[str, dict[str, Any]]] = {
                    "poisson_ratio": 0.4, "depth_mm": 2.0},
     },
 }  # fmt: skip
+#: Outputs that scenes of a profile compute beside the usual ones.
+OUTPUTS = {
+    "willemet_2021": frozenset(("printed_strain", "printed_strain_energy", "printed_real_contact_area",
+                                "printed_global_displacement")),
+}  # fmt: skip
 
 
 def with_profile(written: Mapping[str, Any]) -> dict[str, Any]:

@@ -361,15 +361,15 @@ STRAIN = (
     Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
 )
 
-#: Strain and energy counted as in the lab's script for Willemet et al. (2021), of scenes with that profile.
+#: Strain and energy counted as in the lab's script for Willemet et al. (2021).
 PRINTED_STRAIN = (
     Variable("printed_strain", ("frame", "strain_component"), "1",
         "median strain of the triangles in contact since the first frame with contact",
         equation="median over the triangles whose corners are in contact of the strain of x(t) − x(first contact)",
-        shown_in=UM_PER_MM),
+        shown_in=UM_PER_MM, unasked=False),
     Variable("printed_strain_energy", FRAME, "mJ",
         "strain energy of the triangles in contact since the first frame with contact",
-        equation="h Σ_triangles in contact w A"),
+        equation="h Σ_triangles in contact w A", unasked=False),
 )
 
 SLIP = (

@@ -23,9 +23,9 @@ class PrintedStrainStage(Stage):
 
     name = "printed_strain"
     gives = PRINTED_STRAIN
-    needs = ("views.topography", "profile")
+    needs = ("views.topography",)
     after = (ContactStage, DisplacementStage)
-    settings = ("profile", "fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm")
+    settings = ("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm")
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
