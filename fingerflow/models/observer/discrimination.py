@@ -68,14 +68,14 @@ def observe(
     common = ~lacking[lacking.mean(1) <= _MOST_LACKING].any(0)
     kinds = np.split(common, [int(trials.answer.sum())])
     for name in names:
-        both = [np.where(kind, values, np.nan) for kind, values in zip(kinds, trials.split(name), strict=True)]
-        criterion = criterion_for_hits(both[0], who[0])
+        correct, incorrect = (np.where(*pair, np.nan) for pair in zip(kinds, trials.split(name), strict=True))
+        criterion = criterion_for_hits(correct, who[0])
         summaries[name] = MetricSummary(
-            d_prime(*both, who),
-            replace(auc(*both, who), p=permutation_p(*both, who, permutations, seed)),
+            d_prime(correct, incorrect, who),
+            replace(auc(correct, incorrect, who), p=permutation_p(correct, incorrect, who, permutations, seed)),
             criterion,
-            share_above(criterion.value, both[1], who[1]),
-            printed_observer(*both),
+            share_above(criterion.value, incorrect, who[1]),
+            printed_observer(correct, incorrect),
         )
     return summaries
 

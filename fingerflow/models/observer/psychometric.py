@@ -92,9 +92,10 @@ def fit_psychometric(
     people, row = np.unique(who, return_inverse=True)
     # (2, P + 1, S) answers and trials at each stimulus: of all participants, and without each of them.
     counts = np.zeros((2, people.size + 1, stimuli.size))
-    np.add.at(counts, (slice(None), row + 1, column), (yes, number))
+    for table, values in zip(counts, (yes, number), strict=True):
+        np.add.at(table, (row + 1, column), values)
     counts = counts.sum(1, keepdims=True) - counts
-    offset, slope, lapse, guesses = _most_likely(stimuli, *counts, guess).T
+    offset, slope, lapse, guesses = _most_likely(stimuli, counts[0], counts[1], guess).T
     if (1 - guesses[0] - lapse[0]) * np.ptp(ndtr(offset[0] + slope[0] * stimuli)) <= 0.01:
         return replace(
             nothing, reason="the answers do not change with the stimulus: no width is better than an infinite one"
