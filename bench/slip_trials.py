@@ -1,14 +1,11 @@
 """Trials of partial slip beyond the model: other decays of slip beside the stick border, and a linear stuck area."""
 
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from fingerflow.synthetic import LinearSlip
-from fingerflow.synthetic.linear_slip import LinearSlipMotion
-from fingerflow.synthetic.partial_slip import PartialSlipMotion
+from fingerflow.synthetic import LinearSlip, PartialSlip
 
 #: Laws by which displacement begins beside the stick region: powers of the distance, the half-space's
 #: logarithm where friction is discontinuous (mu_s > mu_k), and the rounded line of `PartialSlip`.
@@ -29,27 +26,13 @@ class LawSlip(LinearSlip):
     law: str = "rounded"
     linear: bool = False
 
-    @cached_property
-    def motion(self) -> "LawSlipMotion":
-        model = super().motion
-        values = {one.name: getattr(model, one.name) for one in fields(model)}
-        return LawSlipMotion(**values, law=self.law, linear=self.linear)
-
-
-@dataclass(frozen=True)
-class LawSlipMotion(LinearSlipMotion):
-    """The motion of a `LawSlip`."""
-
-    law: str = "rounded"
-    linear: bool = False
-
     def stuck_radius(self, progress: Tensor) -> Tensor:
-        return super().stuck_radius(progress) if self.linear else PartialSlipMotion.stuck_radius(self, progress)
+        return super().stuck_radius(progress) if self.linear else PartialSlip.stuck_radius(self, progress)
 
-    def _slip(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
+    def _slip(self, radius: Tensor, progress: Tensor) -> Tensor:
         if self.law == "rounded":
-            return super()._slip(radius, stuck, jumped)
-        beyond = (radius.clamp(max=1) - stuck).clamp(min=0)
+            return super()._slip(radius, progress)
+        beyond = (radius.clamp(max=1) - self.stuck_radius(progress)).clamp(min=0)
         if self.law == "x ln 1/x":
             return _STEEP * self.creep * beyond * (1 - torch.log(beyond + _SHORTEST))
         return self.creep * beyond ** float(self.law.removeprefix("x^"))

@@ -26,13 +26,10 @@ LONGEST = (
     "study/test_simulated_trials.py",
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
-    "pipeline/stages/test_slip.py",
     "test_embedded.py",
     "study/test_run.py",
     "view/test_view_walk.py",
     "view/test_view_page.py",
-    "bench/test_bench_suites.py",
-    "test_kills.py",
 )
 HERE = Path(__file__).resolve().parent
 SHARED_DATA = HERE.parents[1] / "shared" / "data"
@@ -57,6 +54,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     gc.freeze()  # no later collection looks at the objects of all modules
+    gc.set_threshold(20_000)  # tracing graphs makes many objects that stay
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from fingerflow import load_scene
-from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import expected_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
@@ -106,7 +105,7 @@ def write_bundle_of_trials(folder: Path) -> Path:
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
     recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {json.dumps(GRAPHS)}\n", encoding="utf-8")
     found = export_bundle(recipe, folder)
-    verification.write_text(json.dumps([one._asdict() for one in found]), encoding="utf-8")
+    verification.write_text(json.dumps(found), encoding="utf-8")
     return folder
 
 
@@ -121,7 +120,7 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
         (folder / f"{name}.onnx").write_text(f"no graph, {name}")
     settings = asdict(recipe)
     size: dict[str, int] = {one: settings["views"][one] for one in ("height", "width", "bit_depth")}
-    expected = expected_of(NativeEngine(bundle_settings(settings)), **size, points=recipe.tracking.points)
+    expected = expected_of(NativeEngine(recipe.engine_settings), **size, points=recipe.tracking.points)
     write_facts(settings, expected, folder)
     return folder
 

@@ -22,6 +22,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fingerflow import ops
 from fingerflow.export.build import build_graphs
+from fingerflow.export.standard_model import keep_operators
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.outlier_limits import NEIGHBOURS
 from fingerflow.ops.contact import apparent_contact, otsu
@@ -58,13 +59,11 @@ WAITS = {
 
 @pytest.fixture(autouse=True)
 def afresh() -> Iterator[None]:
-    torch.compiler.reset()
-    expected.cache_clear()  # cached by the other form
     yield
     torch.set_default_dtype(torch.float32)
     torch.set_default_device(None)
     torch.compiler.reset()
-    expected.cache_clear()
+    expected.cache_clear()  # cached by the other form
 
 
 def test_every_op_and_module_has_a_case() -> None:
@@ -269,8 +268,9 @@ def in_onnx_runtime(module: nn.Module, inputs: tuple[Any, ...], batches: tuple[i
     tensors = [one for one in inputs if isinstance(one, Tensor)]
     is_batch = [one.ndim > 2 for one in tensors]
     axes = [{0: torch.export.Dim("batch")} if one else None for one in is_batch]
+    keep_operators()
     program = torch.onnx.export(
-        module, inputs, dynamo=True, verbose=False,
+        module, inputs, dynamo=True, verbose=False, optimize=len(batches) == 1,  # which is long
         dynamic_shapes=(tuple(axes) + (None,) * (len(inputs) - len(tensors)),) if len(batches) > 1 else None,
     )  # fmt: skip
     assert program is not None
@@ -315,10 +315,9 @@ def test_compiled_ops_take_batches_of_any_size(name: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("each_form")
 def test_derivatives_are_those_of_the_op() -> None:
-    """Compiled derivatives are those of the op. If a derivative is wanted the portable form is compiled; tracking gives
-    the derivative of a position by its images.
+    """Compiled derivatives are those of the op. If a derivative is wanted the portable form runs and is compiled;
+    tracking gives the derivative of a position by its images.
     """
     first, second, points, moved = scene(1)
     images = [image.float().requires_grad_() for image in (first, second)]
@@ -461,7 +460,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "neighbour_offset": torch.zeros(1, NEIGHBOURS, COUNT, 2),
     }
     for name, graph in build_graphs(recipe).items():
-        step = Step(graph.module, lambda given=tuple(known[one] for one in graph.inputs): given)
+        step = Step(graph, lambda given=tuple(known[one] for one in graph.inputs): given)
         yield name, step
         results = run_without_values(step.module, step.inputs())
         computed = {

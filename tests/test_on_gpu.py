@@ -9,7 +9,7 @@ import torch
 
 from bench.streams import play
 from fingerflow import process
-from fingerflow.engines.check import both_numbers_of, built_in, check_frames
+from fingerflow.engines.check import check_engine, expected_of
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.torch import TorchEngine
 from tests.small_trials import write_trial
@@ -33,9 +33,8 @@ def portable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_a_frame_has_the_numbers_of_the_processor() -> None:
     """Every number of the built-in frame on the GPU is that of the portable form on the processor."""
     settings = EngineSettings(window_px=15, gauge_length_mm=2.0)
-    frame = built_in(96, 128, 8, 64, settings.window_px)
-    expected = both_numbers_of(TorchEngine(settings, torch.device("cpu")), frame)
-    check_frames(TorchEngine(settings, torch.device("cuda")), frame, expected)
+    expected = expected_of(TorchEngine(settings, torch.device("cpu")), 96, 128, 8, 64)
+    check_engine(TorchEngine(settings, torch.device("cuda")), expected)
 
 
 def test_a_press(tmp_path: Path) -> None:

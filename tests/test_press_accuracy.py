@@ -62,7 +62,7 @@ def agree(stated: float, measured: float) -> bool:
 
 def test_pages_state_the_table_of_the_demo(result: xr.Dataset) -> None:
     """README and docs/accuracy.md state the errors that `make demo` prints."""
-    rows = {row.quantity: numbers(row.error) for row in compare(result, Press())}
+    rows = {row["quantity"]: numbers(row["error"]) for row in compare(result, Press())}
     page = (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
     for name, quantities in STATED.items():
         cells = next(line for line in page.splitlines() if line.startswith(f"| {name} |")).split("|")[2:4]

@@ -27,7 +27,7 @@ from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strai
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
-from fingerflow.synthetic import SyntheticScene
+from fingerflow.synthetic import Press
 
 Values = NDArray[np.float64]
 _PAPER = PARAMETERS["paper"]
@@ -69,7 +69,7 @@ def _reflection(_: PressStudy) -> Obtained:
 
 
 def _camera(study: PressStudy) -> Obtained:
-    rig, used = SyntheticScene(), study.truth_of(study.manifest.trials[0])
+    rig, used = Press(), study.truth_of(study.manifest.trials[0])
     (rows, columns), view = (scene.views["contact"].shape for scene in (rig, used))
     size = rows * rig.mm_per_px, columns * rig.mm_per_px
     return Obtained(

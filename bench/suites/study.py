@@ -88,7 +88,7 @@ def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, st
         raise RuntimeError("a study that is done would be run again")
     write_tables(study)
     again = 1e3 * (time.process_time() - start) / count
-    found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
+    found = [one.made["cpu_seconds"] for one in summary.outcomes.values() if not one.reason]
     if len(found) != count:
         raise RuntimeError(f"{len(found)} of {count} trials were measured: {summary}")
     frames = count * press.n_frames

@@ -12,7 +12,7 @@ from bench.papers.page import read_results
 from bench.record import RESULTS, newest_suites
 from bench.rows import as_text
 from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
-from fingerflow.schema.key_list import ListedKey, key_list
+from fingerflow.schema.key_list import key_list
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variables import SYMBOLS
 
@@ -93,11 +93,11 @@ def keys_page() -> str:
         + ".",
         "",
     ]
-    tables: dict[str, list[ListedKey]] = {}
-    for key in key_list():
-        tables.setdefault(key.name.partition(".")[0], []).append(key)
-    for name, keys in tables.items():
-        rows = [(key.name.partition(".")[2], key.type, key.default, key.needed_by, key.help) for key in keys]
+    tables: dict[str, list[tuple[str, ...]]] = {}
+    for path, key in key_list().items():
+        table, _, name = path.partition(".")
+        tables.setdefault(table, []).append((name, *key))
+    for name, rows in tables.items():
         lines += [f"## [{name}]", "", *_table(("key", "is", "default", "needed by", "meaning"), rows)]
     return "\n".join(lines)
 

@@ -47,17 +47,17 @@ def calibrate_files(
     output, chosen = Path(output), dict(views or {})
     if target is None and "topography" in chosen:
         raise FingerflowError("a topography view needs a target: without one the calibration is a scale alone")
-    if (chessboard is None) != (corners is None):
+    counted = corners is not None and len(corners) == 2 and all(3 <= count <= 99 for count in corners)
+    if counted != (chessboard is not None):
         raise FingerflowError("chessboard and corners belong together: the frame, and its inner corners, such as 9 6")
     inputs = [None if file is None else Path(file) for file in (ring, target, background, chessboard)]
     ring_frame, target_frame, empty_frame, board = (None if file is None else _first_frame(file) for file in inputs)
     assert ring_frame is not None
     rows, columns = ring_frame.shape
     half = 0 if target is None else columns // 2
-    halves = {"contact": View((0, rows), (half, columns))}
+    views = {"contact": View((0, rows), (half, columns)), **chosen}
     if target is not None:
-        halves["topography"] = View((0, rows), (0, half))
-    views = {**halves, **chosen}
+        views.setdefault("topography", View((0, rows), (0, half)))
     try:
         if board is not None and board.shape != ring_frame.shape:
             raise FingerflowError("the frame of the chessboard has another size; record all with the same settings")

@@ -127,7 +127,7 @@ def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Tran
     if similarity is not None and similarity.rms_px > MOST_SIMILARITY_RMS_PX:
         warnings.append(
             f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; one of them "
-            f"is oblique or distorted. Measure the lens, with --chessboard and --corners"
+            f"is oblique, or the lens distorts, which a calibration with a chessboard corrects"
         )
     for name, side in (("topography", 0), ("contact", 1)):
         for disc in (pair[side] for pair in pairs):

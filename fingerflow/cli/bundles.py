@@ -23,7 +23,7 @@ def export(
     from fingerflow.export import as_text, export_bundle
 
     rows = export_bundle(recipe, bundle, progress=not as_json)
-    facts = {"bundle": str(bundle), "differences": [row._asdict() for row in rows]}
+    facts = {"bundle": str(bundle), "differences": rows}
     tell(facts, f"{as_text(rows)}\n\nbundle: {bundle}", as_json)
 
 

@@ -28,12 +28,12 @@ def keys(
     names: Annotated[list[str] | None, typer.Argument(help="Of keys, or parts of names. Default: all.")] = None,
 ) -> None:
     """List the keys of scene files: type and range, default and meaning of each."""
-    from fingerflow.schema.key_list import key_list
+    from fingerflow.schema.key_list import as_text, key_list
 
-    rows = [row for row in key_list() if not names or any(name in row.name for name in names)]
+    rows = {key: row for key, row in key_list().items() if not names or any(name in key for name in names)}
     if not rows:
         raise FingerflowError(f"no key is called {' or '.join(names or ())}; `fingerflow keys` lists all")
-    typer.echo("\n".join(map(str, rows)))
+    typer.echo("\n".join(as_text(*row) for row in rows.items()))
 
 
 @app.command()

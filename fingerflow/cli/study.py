@@ -62,8 +62,8 @@ def run(
     typer.echo(loaded.matched, nl=bool(loaded.matched))
     if dry_run:
         planned = plan_run(loaded, only, retry_failed)
-        for plan in planned:
-            typer.echo(f"{plan.entry.name}: {plan.why}")
+        for entry, _, why in planned:
+            typer.echo(f"{entry.name}: {why}")
         typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
         return
     summary = run_study(loaded, scheduler, workers, only, retry_failed)

@@ -35,7 +35,7 @@ def demo(
     save_result(result, folder / "result.h5")
     rows = compare(result, rebuild_scene(folder))
     report = write_report(result, scene, folder, rows)
-    facts = {"report": str(report), "comparison": [row._asdict() for row in rows]}
+    facts = {"report": str(report), "comparison": rows}
     tell(facts, f"{as_text(rows)}\n\nresult: {folder / 'result.h5'}\nreport: {report}", as_json)
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
-from fingerflow.schema.keys import keys_of
 from fingerflow.schema.recipe import GRAPHS as GRAPHS  # `choice` may not import the schema, and takes it from here
 from fingerflow.schema.recipe import parse_recipe
 
@@ -98,7 +97,7 @@ def load_bundle(folder: Path) -> Bundle:
         expected=facts["expected"],
         **size,
         points=recipe.tracking.points,
-        engine_settings=bundle_settings(asdict(recipe)),
+        engine_settings=recipe.engine_settings,
     )
 
 
@@ -123,12 +122,3 @@ def _content(path: Path, most: float = math.inf) -> bytes:
     if (size := path.stat().st_size) > most:
         raise OSError(0, f"it has {size} bytes")
     return path.read_bytes()
-
-
-def bundle_settings(recipe: Mapping[str, Any]) -> EngineSettings:
-    """Return the engine settings of a deployment bundle, given the recipe in bundle.json.
-
-    The strain measure is the default.
-    """
-    stated = {**recipe["contact"], **recipe["tracking"], **recipe["fields"]}
-    return EngineSettings(**{name: stated[name] for name in keys_of(EngineSettings)})

@@ -7,7 +7,7 @@ is called, with inputs that do not depend on the results of other methods where 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ _MARGIN = 8  # px, distance of the tracking windows from the border of the view
 _SEMI_AXES = np.array([0.36, 0.3])  # of the contact, in widths and heights of the view
 _UNKNOWN = 7  # every 7th point has the position NaN, as a lost point has
 _FEW, _MOST_FEW = 3, 16  # every 3rd point, at most 16, is among `BuiltIn.few`
-_MOTIONS = "numbers", "reversed"  # names in bundle.json
+_SIZE, _MOTIONS = ("height", "width", "bit_depth", "points"), ("numbers", "reversed")  # names in bundle.json
 _DIGITS = 8  # significant digits of the numbers in bundle.json
 _FLIPS = 0.01  # largest share of the values that may be finite in one of both results and NaN in the other
 _DARKER = 0.9  # light of the empty glass of the reversed motion, and of its frame relative to this glass
@@ -98,13 +98,9 @@ class BuiltIn(NamedTuple):
         return BuiltIn(empty, contact, self.topography, self.key, start, expected, self.few + 1)
 
 
-class Difference(NamedTuple):
-    """Largest difference of a result from the expected one in both motions, and the largest that rounding explains."""
-
-    result: str
-    difference: float
-    tolerance: float
-    unit: str
+# Largest difference of a result from the expected one in both motions, and the largest that rounding explains: result,
+# difference, tolerance, unit.
+Difference = dict[str, Any]
 
 
 def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference]:
@@ -120,31 +116,14 @@ def check_engine(engine: Engine, expected: Mapping[str, Any]) -> list[Difference
         FingerflowError: they differ by more than rounding explains, or `expected` is damaged.
     """
     try:
-        height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
+        size = {name: int(expected[name]) for name in _SIZE}
         of_bundle = [{name: np.array(expected[motion][name], np.float64) for name in TOLERANCES} for motion in _MOTIONS]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FingerflowError(
             f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
         ) from None
-    return check_frames(engine, built_in(height, width, bit_depth, points, engine.settings.window_px), of_bundle)
-
-
-def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str, Array]]) -> list[Difference]:
-    """Check that an engine gives the expected results of a built-in frame and then of its reversed motion; return the
-    differences.
-
-    An engine that returns the results of the first frame for ever, or a kernel that computes wrongly, gives others.
-
-    Args:
-        engine: to be checked.
-        frame: built-in frame.
-        expected: results of both motions by name, those of `both_numbers_of` by another engine.
-
-    Raises:
-        FingerflowError: a result is not that of its frame.
-    """
-    largest = dict.fromkeys(expected[0], 0.0)
-    for shown, stated in zip((frame, frame.reversed()), expected, strict=True):
+    frame, largest = built_in(**size, window_px=engine.settings.window_px), dict.fromkeys(TOLERANCES, 0.0)
+    for shown, stated in zip((frame, frame.reversed()), of_bundle, strict=True):
         numbers = numbers_of(engine, shown)
         for name, theirs in stated.items():
             worst, message = _difference(name, numbers[name], theirs)
@@ -155,7 +134,10 @@ def check_frames(engine: Engine, frame: BuiltIn, expected: Sequence[Mapping[str,
                     "provider"
                 )
             largest[name] = max(largest[name], worst)
-    return [Difference(name, worst, *TOLERANCES[name]) for name, worst in largest.items()]
+    return [
+        {"result": name, "difference": worst, "tolerance": TOLERANCES[name][0], "unit": TOLERANCES[name][1]}
+        for name, worst in largest.items()
+    ]
 
 
 def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
@@ -174,18 +156,14 @@ def _difference(name: str, ours: Array, theirs: Array) -> tuple[float, str]:
     return worst, f"is off by {worst:.2g} {unit}, where rounding explains {most:g}"
 
 
-def both_numbers_of(engine: Engine, frame: BuiltIn) -> list[dict[str, Array]]:
-    """Compute the results of an engine for the built-in frame and for its reversed motion, as `numbers_of`."""
-    return [numbers_of(engine, one) for one in (frame, frame.reversed())]
-
-
 def expected_of(engine: Engine, height: int, width: int, bit_depth: int, points: int) -> dict[str, Any]:
     """Compute what a bundle states for `check_engine`, by an engine whose numbers are right: the sizes of the built-in
     frame, and the results of both motions as nested lists, with None for NaN, which JSON cannot represent.
     """
-    size = {"height": height, "width": width, "bit_depth": bit_depth, "points": points}
-    both = both_numbers_of(engine, built_in(**size, window_px=engine.settings.window_px))
-    stated = [{name: _rounded(values) for name, values in numbers.items()} for numbers in both]
+    size = dict(zip(_SIZE, (height, width, bit_depth, points), strict=True))
+    frame = built_in(**size, window_px=engine.settings.window_px)
+    both = (numbers_of(engine, shown) for shown in (frame, frame.reversed()))
+    stated = ({name: _rounded(values) for name, values in numbers.items()} for numbers in both)
     return {**size, **dict(zip(_MOTIONS, stated, strict=True))}
 
 

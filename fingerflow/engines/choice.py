@@ -91,7 +91,7 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
             f"({why}); export the recipe without `graphs` in [export]"
         )
     try:
-        from fingerflow.engines.providers import installed_providers
+        from fingerflow.engines.sessions import installed_providers
     except ModuleNotFoundError as error:
         raise FingerflowError(
             f"no engine serves here: native does not ({why}), and onnxruntime cannot be loaded ({error}); install it: "
@@ -116,8 +116,7 @@ def open_onnx(bundle: Bundle, provider: str = "cpu", threads: int = 1) -> GraphE
     `sessions.open_sessions`.
     """
     from fingerflow.engines.graph_engine import GraphEngine
-    from fingerflow.engines.providers import provider_named
-    from fingerflow.engines.sessions import open_sessions
+    from fingerflow.engines.sessions import open_sessions, provider_named
 
     sessions = open_sessions(bundle.files, provider, threads)
     return GraphEngine(sessions, bundle.engine_settings, bundle.points, f"onnx ({provider_named(provider)})")

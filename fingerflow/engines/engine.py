@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,9 @@ class TemplateBuffers(Protocol):
     @property
     def numbers(self) -> Array:
         """Return the template statistics (N, 32) in the order of `kernels.tracking_limits.Number`."""
-        ...
 
     def update(self, rows: Array, updated: Any) -> None:
         """Replace the templates with indices `rows` (L,) by templates that `Engine.prepare` has returned."""
-        ...
 
 
 class Followed(NamedTuple):
@@ -77,7 +75,6 @@ class Corrected(NamedTuple):
     expected: Array
 
 
-@runtime_checkable
 class Engine(Protocol):
     """Interface that every engine implements: stateless computations on frames.
 
@@ -101,7 +98,6 @@ class Engine(Protocol):
 
         They are not copied where this can be avoided, and never written to.
         """
-        ...
 
     def contact(self, images: Images, light: GlassLight, threshold: Array | None = None) -> FrameContact:
         """Segment the contact: pixels whose relative intensity loss exceeds `threshold` (K,); none if it is NaN.
@@ -109,11 +105,9 @@ class Engine(Protocol):
         Without a threshold it is measured: the relative intensity loss at the edges of ridges in contact, NaN without
         contact.
         """
-        ...
 
     def detect(self, image: Images, mask: Array, count: int) -> Array:
         """Detect up to `count` corners (n, 2) px inside a mask (H, W) bool, strongest first."""
-        ...
 
     def prepare(self, key: Any, points: Array, warp: Array | None = None) -> TemplateBuffers:
         """Prepare the templates (image windows to be tracked) of points (N, 2) px in a key frame, deformed by the
@@ -122,7 +116,6 @@ class Engine(Protocol):
         `key` is the image (1, 1, H, W) of the key frame, of which a copy is kept, or templates of the same key frame.
         Points that are NaN match nothing.
         """
-        ...
 
     def track(self, templates: Any, images: Images, place: Array, speed: Array, rows: Array | None = None) -> Followed:
         """Track templates through consecutive frames: all templates, or those with indices `rows` (L,).
@@ -131,7 +124,6 @@ class Engine(Protocol):
         `tracker.point_prediction`. A point that one step does not reach is tracked on from where it ended, in up to
         `kernels.tracking_limits.ROUNDS` steps.
         """
-        ...
 
     def correct(self, start: Array, found: TrackedPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         """Reject outliers among the tracking results `found`, correct the others for the deformation of the skin since
@@ -141,7 +133,6 @@ class Engine(Protocol):
         key frame, and is the same array for all its frames; statistics `numbers` (N, 32) and inverse deformation
         (N, 2, 2) are those of the templates.
         """
-        ...
 
     def search(self, templates: Any, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
         """Search `image` for the image content around `points` (n, 2) px of the key frame of templates, near `guess`
@@ -149,13 +140,11 @@ class Engine(Protocol):
 
         A position is confirmed where the backward search returns to the start.
         """
-        ...
 
     def windows(self, images: Images, number: Array, places: Array, warp: Array) -> Array:
         """Sample the grey levels (N, m) in windows around positions `places` (N, 2) px, deformed by the matrices `warp`
         (N, 2, 2), on a grid of `STEP` px; `number` (N,) is the frame of each window.
         """
-        ...
 
     def fit(
         self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
@@ -166,7 +155,6 @@ class Engine(Protocol):
 
         `variance` (K, N) is that of a component of a value. Without it the covariance is None.
         """
-        ...
 
     def fields(
         self,
@@ -179,7 +167,6 @@ class Engine(Protocol):
         """Compute divergence, curl and strain at N points in K frames, and their medians over the contact `ellipse`,
         from displacements (K, N, 2) mm of points with reference positions (N, 2) mm.
         """
-        ...
 
 
 def noise_of(engine: Engine, image: Images) -> float:
@@ -219,12 +206,12 @@ def reject(points: TrackedPoints, which: Array, status: int) -> TrackedPoints:
     """Return the results with the points marked in `which` (K, N) rejected: their positions and covariances are NaN,
     their status is `status`.
     """
-    if not which.any():
+    if not np.logical_or.reduce(which, axis=None):
         return points
-    positions, covariance = points.points.copy(), points.covariance.copy()
+    positions, covariance, changed = points.points.copy(), points.covariance.copy(), points.status.copy()
     positions[which] = covariance[which] = np.nan
-    changed = np.where(which, np.uint8(status), points.status)
-    return points._replace(points=positions, covariance=covariance, status=changed)
+    changed[which] = status
+    return TrackedPoints(positions, points.error, covariance, changed, points.estimate)
 
 
 def reject_outliers(points: TrackedPoints, off_neighbours: Array, uncertain: Array) -> TrackedPoints:

@@ -69,6 +69,7 @@ class NativeEngine:
         self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
         if self.cell_px > 2 * settings.gross_radius_px + 1:
             raise ValueError(f"cells of {self.cell_px} px: the boxes of {settings.gross_radius_px} px are narrower")
+        self._block = block_of(settings.gross_radius_px)
         self._neighbours = Recent(partial(tracking.find_neighbours, gauge_length=WARP_GAUGE_PX))
 
     def images(self, frames: Array) -> Array:
@@ -87,7 +88,7 @@ class NativeEngine:
             black=light[1],
             limits=(1 - threshold).astype(np.float32),
             size=self.settings.median_px,
-            block=block_of(radius),
+            block=self._block,
             radius=radius,
             side=self.cell_px,
         )
@@ -139,7 +140,7 @@ class NativeEngine:
             window=self.settings.window_px,
             gauge_px=WARP_GAUGE_PX,
         )
-        better = found._replace(points=corrected.points, covariance=corrected.covariance)
+        better = TrackedPoints(corrected.points, found.error, corrected.covariance, found.status, found.estimate)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
     def search(self, templates: _NativeTemplates, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
@@ -181,7 +182,7 @@ class NativeEngine:
         np.add(parts[1], parts[2], out=flat[:, 1])
         divergence_std = curl_std = None
         if spread is not None:
-            divergence_std, curl_std = _root(divergence_variance(spread)), _root(curl_variance(spread))
+            divergence_std, curl_std = _root(np.array((divergence_variance(spread), curl_variance(spread))))
         divergence, curl = fields[:2].reshape(2, batch, count)
         strain = np.ascontiguousarray(fields[2:].T).reshape(batch, count, 3)
         return FrameFields(divergence, curl, strain, shear, divergence_std, curl_std, median, median_std, known_share)

@@ -12,11 +12,14 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from fingerflow.engines.providers import CPU, provider_named
 from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
 
+#: Short name of the CPU provider, which is always installed.
+CPU = "cpu"
+_SUFFIX = "ExecutionProvider"
+_REMOTE = "AzureExecutionProvider"  # runs models on a remote server, not on this computer
 _ON_GPU = ("tensorrt", "cuda")  # providers that keep inputs and outputs in GPU memory
 _DTYPES = ("float32", "uint8", "uint16", "int32", "int64", "bool")
 log = logging.getLogger("fingerflow.engines")
@@ -72,12 +75,35 @@ class GraphSession:
         return np.ascontiguousarray(array, dtype)
 
 
+def installed_providers() -> dict[str, str]:
+    """Return the execution providers of this computer by short name, such as "cuda" for "CUDAExecutionProvider".
+
+    They are in the order in which to try them, that of ONNX Runtime: the CPU is the last.
+    """
+    names = [name for name in ort.get_available_providers() if name != _REMOTE]
+    if any(name.startswith("CUDA") for name in names):
+        ort.preload_dlls()  # loads CUDA's libraries if they were installed as Python packages
+    return {full.removesuffix(_SUFFIX).lower(): full for full in names}
+
+
+def provider_named(name: str) -> str:
+    """Return the full name of an installed execution provider, given the short name.
+
+    Raises:
+        FingerflowError: it is not installed.
+    """
+    installed = installed_providers()
+    if name not in installed:
+        raise FingerflowError(f"provider {name!r} is not installed here; there are: {', '.join(installed)}")
+    return installed[name]
+
+
 def open_sessions(files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> dict[str, GraphSession]:
     """Open the sessions of all graphs of a bundle with one execution provider.
 
     Args:
         files: paths of the graphs, by name.
-        provider: short name, of `providers.installed_providers`.
+        provider: short name, of `installed_providers`.
         threads: inside an operator. One is fastest: an operator of these graphs takes some microseconds, and threads
             wait for each other at each of them.
 

@@ -38,7 +38,7 @@ class TorchSession:
 
     def __call__(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         """Run the graph on inputs by name, and return outputs by name as arrays, or None."""
-        tensors = self.graph.module(*(self.kept(name, inputs[name]) for name in self.graph.inputs))
+        tensors = self.graph(*(self.kept(name, inputs[name]) for name in self.graph.inputs))
         arrays = (None if tensor is None else as_array(tensor) for tensor in tensors)
         return dict(zip(self.graph.outputs, arrays, strict=True))
 

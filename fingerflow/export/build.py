@@ -1,8 +1,5 @@
 """Graphs of a recipe, in order of execution, and the units of all their inputs and outputs."""
 
-from dataclasses import asdict
-
-from fingerflow.engines.bundle import bundle_settings
 from fingerflow.graphs.engine_graphs import LIGHT, SUPPORTS, Graph, engine_graphs
 from fingerflow.kernels.result_records import FrameFields
 from fingerflow.schema.recipe import GRAPHS, GraphName, Recipe
@@ -33,5 +30,5 @@ UNITS = {
 
 def build_graphs(recipe: Recipe) -> dict[GraphName, Graph]:
     """Build all graphs of a recipe, by name in order of execution, including graphs that are not exported."""
-    graphs = engine_graphs(bundle_settings(asdict(recipe)), recipe.tracking.points)
+    graphs = engine_graphs(recipe.engine_settings, recipe.tracking.points)
     return {name: graphs[name] for name in GRAPHS}

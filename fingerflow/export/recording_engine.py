@@ -97,7 +97,7 @@ class ExportedGraph:
         with torch.inference_mode(False):
             # Copies: the exporter would merge two inputs that are the same tensor.
             tensors = tuple(torch.from_numpy(array.copy()) for array in arrays.values())
-            model = standard_model(self._graph.module, tensors, self._graph.inputs, self._graph.outputs)
+            model = standard_model(self._graph, tensors, self._graph.inputs, self._graph.outputs)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = self._threads
         return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])

@@ -19,7 +19,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.engines.bundle import bundle_settings
 from fingerflow.engines.check import Difference, built_in, check_engine, expected_of, numbers_of
 from fingerflow.engines.graph_engine import GraphEngine
 from fingerflow.engines.sessions import open_sessions
@@ -60,7 +59,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     part = unfinished(folder)
     try:
         part.mkdir(parents=True)
-        views, settings = recipe.views, bundle_settings(asdict(recipe))
+        views, settings = recipe.views, recipe.engine_settings
         size = (views.height, views.width, views.bit_depth, recipe.tracking.points)
         sessions = {name: PortableSession(graph) for name, graph in build_graphs(recipe).items()}
         numbers_of(GraphEngine(sessions, settings, size[-1]), built_in(*size, settings.window_px))
@@ -89,12 +88,12 @@ def verify(
     """
     files = {str(name): folder / f"{name}.onnx" for name in recipe.export.graphs}
     opened: dict[Any, Any] = {**sessions, **open_sessions(files)}
-    return check_engine(GraphEngine(opened, bundle_settings(asdict(recipe)), recipe.tracking.points), expected)
+    return check_engine(GraphEngine(opened, recipe.engine_settings, recipe.tracking.points), expected)
 
 
 def as_text(rows: list[Difference]) -> str:
     """Return the largest differences between ONNX Runtime and torch as a text table, one row for each result."""
-    lines = [f"{row.result:<20}{row.difference:>11.2g}{row.tolerance:>11.2g} {row.unit}" for row in rows]
+    lines = ["{result:<20}{difference:>11.2g}{tolerance:>11.2g} {unit}".format(**row) for row in rows]
     return "\n".join((f"{'result':<20}{'to torch':>11}{'at most':>11}", *lines))
 
 
@@ -103,7 +102,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, tensors: tuple[Te
     import onnx
 
     # Clone the inputs: the exporter would merge two inputs that are the same tensor.
-    model = standard_model(graph.module, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
+    model = standard_model(graph, tuple(tensor.clone() for tensor in tensors), graph.inputs, graph.outputs)
     model.producer_name, model.producer_version = "fingerflow", __version__
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()

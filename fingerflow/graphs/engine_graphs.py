@@ -1,7 +1,6 @@
 """Graphs of an engine: torch modules for each of its computations, with the names of all inputs and outputs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -35,21 +34,16 @@ LIGHT = ("light", "black")
 SUPPORTS = ("support_weights", "support_within", "inner_weights", "inner_within")
 
 
-@dataclass(frozen=True)
-class Graph:
-    """Torch module that maps tensors to a tuple of tensors, with the names of its inputs and outputs."""
+class Graph(nn.Module):
+    """Torch module that passes tensors by position to a function or module, which returns a tuple of tensors; `inputs`
+    and `outputs` are the names of these.
+    """
 
-    module: nn.Module
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-
-class _Call(nn.Module):
-    """Torch module that wraps a function or module and passes tensors to it by position."""
-
-    def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
+    def __init__(
+        self, function: Callable[..., tuple[Tensor, ...]], inputs: tuple[str, ...], outputs: tuple[str, ...]
+    ) -> None:
         super().__init__()
-        self.function = function
+        self.function, self.inputs, self.outputs = function, inputs, outputs
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         return self.function(*tensors)
@@ -69,7 +63,7 @@ def engine_graphs(settings: EngineSettings, points: int) -> dict[str, Graph]:
         **_point_graphs(settings),
         **_field_graphs(settings),
     }
-    return {name: Graph(_Call(call).eval(), inputs, outputs) for name, (call, inputs, outputs) in described.items()}
+    return {name: Graph(*parts).eval() for name, parts in described.items()}
 
 
 _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]

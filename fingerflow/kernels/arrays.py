@@ -86,7 +86,7 @@ def rows_in_one_piece(images: Any) -> tuple[Any, int, int]:
 def limits_of(array: Any) -> tuple[int, int]:
     """Return the minimum and the maximum of a non-empty array of integers."""
     if isinstance(array, np.ndarray):
-        return int(array.min()), int(array.max())
+        return int(np.minimum.reduce(array, axis=None)), int(np.maximum.reduce(array, axis=None))
     # The minimum of uint16 is not implemented in torch.
     least, greatest = (array.int() if KINDS[array.dtype] == "uint16" else array).aminmax()
     return int(least), int(greatest)
@@ -120,6 +120,7 @@ def inverse_2x2(matrix: NDArray[Any]) -> NDArray[Any]:
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     result = np.empty(matrix.shape, matrix.dtype)
     result[..., 0, 0], result[..., 0, 1], result[..., 1, 0], result[..., 1, 1] = d, -b, -c, a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        result /= (a * d - b * c)[..., None, None]
+    determinant = (a * d - b * c)[..., None, None]
+    determinant[determinant == 0] = np.nan
+    result /= determinant
     return result

@@ -30,15 +30,15 @@ def local_gradients(
     Sums run in another order. `points` (B, N, 2), `values` (B, N, C), `queries` (B, Q, 2) and `noise` (B, N, 1 or C *
     C) share a dtype, float32 or float64. B is that of the results, or 1.
     """
-    batches = [
-        array.shape[0] for array in (points, values, queries, noise) if array is not None and array.shape[0] != 1
-    ]
+    batch = 1
+    for array in (points, values, queries) if noise is None else (points, values, queries, noise):
+        batch = array.shape[0] if batch == 1 else batch
     fit = compiled("local_gradients")(
         points=points,
         values=values,
         queries=queries,
         noise=noise,
-        batch=batches[0] if batches else 1,
+        batch=batch,
         minimum_points=minimum_points,
         radius=radius,
         least_spread=limits.MINIMUM_SPREAD * radius,

@@ -4,7 +4,6 @@ What does not fit the declaration of a kernel raises TypeError (wrong dtype) or 
 """
 
 from collections.abc import Sequence
-from typing import Generic, NamedTuple
 
 import numpy as np
 
@@ -14,17 +13,6 @@ from fingerflow.kernels.library import compiled
 
 # Channels of tensor, right, down, inverse and inside; then their numbers of rows and columns minus those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
-
-
-class FlowResidual(NamedTuple, Generic[Array]):
-    """Residual of a flow: means, over cells of 2 x 2 px, of the part of the image difference that displacement and
-    illumination do not explain.
-    """
-
-    data: Array  # (B, 2, h, w) products of residual and slopes
-    squares: Array  # (B, 1, h, w) squared residuals
-    seen: Array  # (B, 1, h, w) share of the cell's pixels with a residual
-    gain: Array  # (B, 1, 1, 1) illumination gain
 
 
 def flow_descend(

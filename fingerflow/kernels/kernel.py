@@ -7,10 +7,10 @@ import os
 import struct
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import CodeType
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from fingerflow.kernels.arrays import (
 from fingerflow.kernels.declarations import ArrayField, Function, NumberField
 
 _NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
+_PLAIN = {int, float, bool, type(None)}
+_LAYOUTS = 256  # largest number of layouts of calls that are kept, of which a stream has a few
 _NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of declarations
 
 
@@ -37,6 +39,22 @@ class _ThreadState(threading.local):
 
 
 _here = _ThreadState()
+
+
+class _Layout(NamedTuple):
+    """What follows from dtypes and shapes of the arrays, and from the whole numbers, of a call that was checked.
+
+    Attributes:
+        numbers: arguments by name, with sizes, strides and dtypes of the arrays; None for arrays.
+        copied: names of the arrays that are copied.
+        like: name of an array that is a tensor, "" if none is.
+        results: name, dtype, shape (None if it is not allocated) of each result, and whether it begins as zeros.
+    """
+
+    numbers: dict[str, Any]
+    copied: list[str]
+    like: str
+    results: list[tuple[str, str, tuple[Any, ...] | None, bool]]
 
 
 class Kernel:
@@ -58,7 +76,7 @@ class Kernel:
         self._inputs = [(array, array.name, [_size(size) for size in array.shape]) for array in inputs]
         self._names = [array.name for array in arrays]
         self._conditions = [(number, compile(number.where, name, "eval")) for number in self._numbers if number.where]
-        self._indices = [array for array in inputs if array.below]
+        self._indices = [(array.name, array.below) for array in inputs if array.below]
         self._results = [array for array in arrays if array.role != "input"]
         self._shapes = [_shape(array.shape) for array in self._results]
         self._arguments = {array.name for array in inputs} | {number.name for number in self._numbers}
@@ -69,6 +87,7 @@ class Kernel:
         self._enter: Any = library[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
         self._message = library.fingerflow_last_message
+        self._layouts: dict[tuple[Any, ...], _Layout] = {}
 
     def __call__(self, **values: Any) -> Any:
         """Call the library function, without holding the global interpreter lock, and return the results in the order
@@ -82,49 +101,50 @@ class Kernel:
             MemoryError: the kernel cannot allocate its memory.
             RuntimeError: any other exception of the kernel, with its name.
         """
-        if not self._needed <= values.keys() <= self._arguments:
-            raise TypeError(f"kernel {self._name} was called with {sorted(values)}: it has {sorted(self._arguments)}")
-        arrays, like = self._checked_arrays(values)
-        # As `threads()`, which would be one more call of Python.
-        count = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)
-        values = {**self._defaults, **values, "threads": count()}
-        for number in self._numbers:
-            value = values[number.name]
-            if number.least is not None and (
-                not hasattr(value, "__index__")
-                or not number.least <= value <= number.most
-                or (number.step > 1 and (value - number.least) % number.step)
-                or (number.among and value not in number.among)
-            ):
-                self._refuse_number(number, value)
-        for number, condition in self._conditions:
-            if not eval(condition, _NO_NAMES, values):
-                raise ValueError(f"kernel {self._name}: {number.name} is {values[number.name]}: give {number.where}")
+        # Here, as a call of Python for each step would take as long as the step.
+        key: list[Any] = [*values]
+        for value in values.values():
+            if type(value) is np.ndarray:
+                key += value.dtype, value.shape, value.strides, value.flags.aligned
+            elif type(value) in _PLAIN:
+                key.append(type(value) if type(value) is float else value)
+            else:
+                key.clear()  # layouts of tensors are not kept
+                break
+        layout = self._layouts.get(tuple(key))
+        if layout is None:
+            layout = self._layout(values)
+            if key:
+                if len(self._layouts) >= _LAYOUTS:
+                    self._layouts.clear()
+                self._layouts[tuple(key)] = layout
+        like = values[layout.like] if layout.like else None
+        values = {**layout.numbers, **values}
+        copies = []  # alive until the call ends
+        for name in layout.copied:
+            values[name] = values[name].copy() if like is None else copied(values[name])
+            copies.append(values[name])
+        for name, below in self._indices:
+            if values[name] is not None and not _here.shapes_only:
+                self._check_indices(name, below, values)
         results: list[Any] = []
-        size_of: Callable[[Any, Any], Any] = values.get
-        for field, sizes in zip(self._results, self._shapes, strict=True):
-            array = arrays.get(field.name)
-            if array is None and (not field.needs or field.needs in arrays):
-                dtype = field.dtypes[0] if field.dtypes else KINDS[arrays[field.like].dtype]
-                if isinstance(sizes, CodeType):
-                    shape: tuple[Any, ...] = eval(sizes, _NO_NAMES, values)
-                else:
-                    shape = tuple(map(size_of, sizes, sizes))  # a number is its own size
-                array = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
-                if field.role == "updated":
-                    array[...] = 0
-                arrays[field.name] = array
-            results.append(array)
+        for name, dtype, shape, cleared in layout.results:
+            if shape is not None:
+                values[name] = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
+                if cleared:
+                    values[name][...] = 0
+            results.append(values[name])
         if not _here.shapes_only:
-            # Here, as a call of Python for each step would take as long as the step.
             for name in self._names:
-                array = arrays.get(name)
+                array = values[name]
                 if array is None:
                     values[name] = 0
                 elif DATA_OFFSET and isinstance(array, np.ndarray):
                     values[name] = ctypes.c_size_t.from_address(id(array) + DATA_OFFSET).value
                 else:
                     values[name] = address(array)
+            # As `threads()`, which would be one more call of Python.
+            values["threads"] = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)()
             try:
                 packed = self._pack(*self._in_order(values))
             except (struct.error, OverflowError, TypeError):
@@ -143,19 +163,50 @@ class Kernel:
                 raise RuntimeError(f"kernel {self._name} failed: {message}")
         return results[0] if len(results) == 1 else tuple(results)
 
-    def _checked_arrays(self, values: dict[Any, Any]) -> tuple[dict[str, Any], Any]:
+    def _layout(self, values: dict[str, Any]) -> _Layout:
+        """Check names, numbers, dtypes and shapes of the arguments, not array values; return the call's layout."""
+        if not self._needed <= values.keys() <= self._arguments:
+            raise TypeError(f"kernel {self._name} was called with {sorted(values)}: it has {sorted(self._arguments)}")
+        numbers = values.copy()
+        copies, like = self._checked_arrays(numbers)
+        numbers = {**self._defaults, **numbers}
+        for number in self._numbers:
+            value = numbers[number.name]
+            if number.least is not None and (
+                not hasattr(value, "__index__")
+                or not number.least <= value <= number.most
+                or (number.step > 1 and (value - number.least) % number.step)
+                or (number.among and value not in number.among)
+            ):
+                self._refuse_number(number, value)
+        for number, condition in self._conditions:
+            if not eval(condition, _NO_NAMES, numbers):
+                raise ValueError(f"kernel {self._name}: {number.name} is {numbers[number.name]}: give {number.where}")
+        results: list[tuple[str, str, tuple[Any, ...] | None, bool]] = []
+        for field, sizes in zip(self._results, self._shapes, strict=True):
+            shape, dtype = None, ""
+            if values.get(field.name) is None and (not field.needs or values[field.needs] is not None):
+                dtype = field.dtypes[0] if field.dtypes else KINDS[values[field.like].dtype]
+                if isinstance(sizes, CodeType):
+                    shape = eval(sizes, _NO_NAMES, numbers)
+                else:
+                    shape = tuple([numbers.get(str(size), size) for size in sizes])  # a number is its own size
+            results.append((field.name, dtype, shape, field.role == "updated"))
+        kept = {name: value for name, value in numbers.items() if name not in self._names}
+        return _Layout({**dict.fromkeys(self._names), **kept}, copies, like, results)
+
+    def _checked_arrays(self, values: dict[Any, Any]) -> tuple[list[str], str]:
         """Check the arrays among the arguments, and add their sizes, strides and codes of dtypes to the arguments.
 
-        Return those that are not None, contiguous, and one of them that is a tensor, or None.
+        Return the names of those that a call copies, and of one of them that is a tensor, or "".
         """
-        arrays: dict[str, Any] = {}
-        like = None
+        copies, like = list[str](), ""
         for field, name, sizes in self._inputs:
             array = values[name]
             if array is None and field.optional:
                 continue
             dtype = getattr(array, "dtype", None)
-            if KINDS[dtype] not in (field.dtypes or (KINDS[arrays[field.like].dtype],)):
+            if KINDS[dtype] not in (field.dtypes or (KINDS[values[field.like].dtype],)):
                 self._refuse_array(field, array, values, TypeError)
             if field.dtypes:
                 values[f"{name}_kind"] = field.dtypes.index(KINDS[dtype])
@@ -171,20 +222,17 @@ class Kernel:
                         values[letter] = actual
                 if not fits:
                     self._refuse_array(field, array, values)
+            whole = array
             if field.rows:
-                array = in_one_piece(array) if field.whole else array
-                array, values[f"{name}_stride"], values[f"{name}_row_stride"] = rows_in_one_piece(array)
-            elif field.role == "updated":
-                array = copied(array)
-            elif not (isinstance(array, np.ndarray) and array.flags.c_contiguous and array.flags.aligned):
-                array = in_one_piece(array)
-            if like is None and not isinstance(array, np.ndarray):
-                like = array
-            arrays[name] = array
-        for field in self._indices:
-            if field.name in arrays and not _here.shapes_only:
-                self._check_indices(field, arrays[field.name], values)
-        return arrays, like
+                whole = in_one_piece(array) if field.whole else array
+                whole, values[f"{name}_stride"], values[f"{name}_row_stride"] = rows_in_one_piece(whole)
+            elif field.role != "updated":
+                whole = in_one_piece(array)
+            if field.role == "updated" or whole is not array:
+                copies.append(name)
+            if not like and not isinstance(array, np.ndarray):
+                like = name
+        return copies, like
 
     def _refuse_array(
         self, field: ArrayField, array: Any, values: dict[str, Any], error: type[Exception] = ValueError
@@ -207,14 +255,15 @@ class Kernel:
         whole = hasattr(value, "__index__") or (number.least is None and isinstance(value, float))
         raise (ValueError if whole else TypeError)(f"kernel {self._name}: {number.name} is {value!r}: give {words}")
 
-    def _check_indices(self, field: ArrayField, array: Any, values: dict[str, Any]) -> None:
+    def _check_indices(self, name: str, below: str, values: dict[str, Any]) -> None:
         """Raise ValueError unless the values of an array of indices lie from 0 to the declared limit."""
+        array, limit = values[name], values[below]
         if 0 not in array.shape:
             lowest, highest = limits_of(array)
-            if not 0 <= lowest <= highest < values[field.below]:
+            if not 0 <= lowest <= highest < limit:
                 raise ValueError(
-                    f"kernel {self._name}: {field.name} goes from {lowest} to {highest}: it must lie from 0 to "
-                    f"{field.below} - 1, which is {values[field.below] - 1}"
+                    f"kernel {self._name}: {name} goes from {lowest} to {highest}: it must lie from 0 to {below} - 1, "
+                    f"which is {limit - 1}"
                 )
 
 

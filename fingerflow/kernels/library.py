@@ -50,6 +50,7 @@ def declared() -> dict[str, Function]:
     return {name: kernel.function for name, kernel in (_library() or {}).items()}
 
 
+@functools.cache  # whose calls are none of Python
 def is_present() -> bool:
     """Return whether the compiled library is installed, built from the present sources and not switched off."""
     return _library() is not None

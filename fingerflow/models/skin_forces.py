@@ -52,57 +52,57 @@ def half_circle(count: int, radius: float) -> Array:
     return np.stack((np.concatenate((-x[::-1], middle, x)), np.concatenate((z[::-1], middle, z))), 1)
 
 
-def elastic_forces(chain: Chain, nodes: Array) -> Array:
-    """Compute the elastic forces (N + 1, 2), N, on elements and bone of a chain at positions `nodes` (N + 1, 2), m: the
-    negative gradient of the elastic energy.
-    """
-    moved, column = nodes[:-1] - chain.reference, _Columns(chain, nodes)
-    pull = chain.membrane * np.diff(moved, axis=0)
-    held = column.shear * column.sheared - column.push * column.line
-    held[:, [0, -1]] += chain.nail * column.sheared[:, [0, -1]]
-    forces = np.empty_like(nodes)
-    forces[:-1] = -held.T
-    forces[:-1, 1] += chain.contact * np.maximum(-nodes[:-1, 1], 0)
-    forces[:-2] += pull
-    forces[1:-1] -= pull
-    forces[-1] = held.sum(1)
-    return forces
-
-
-def tissue_slopes(chain: Chain, nodes: Array) -> tuple[Array, Array, Array]:
-    """Compute the stiffnesses, N/m, of the springs (tissue, shear and nail) between each of N elements and the bone, at
-    positions `nodes` (N + 1, 2), m: the entries xx, xz and zz, (N,) each, of a symmetric 2 x 2 matrix.
-    """
-    column = _Columns(chain, nodes)
-    (along_x, along_z), (shear_x, shear_z) = column.line, column.sheared
-    turned, twice = column.slope + column.push / column.length, column.shear * column.stiffening
-    plain = column.shear - column.push / column.length
-    plain[[0, -1]] += chain.nail
-    return (
-        turned * along_x**2 - 2 * twice * along_x * shear_x + plain,
-        turned * along_x * along_z - twice * (along_x * shear_z + along_z * shear_x),
-        turned * along_z**2 - 2 * twice * along_z * shear_z + plain,
-    )
-
-
-class _Columns:
-    """State of the columns of tissue between N elements and the bone: geometry, stiffness and force.
+class Columns:
+    """State of the columns of tissue between the N elements of a chain at positions `nodes` (N + 1, 2), m, and the
+    bone: geometry, stiffness and force.
 
     With c = R - |X - P|, d = u - U and the unit vector e along X - P, the energy of a column is W(c) + 1/2 k |d|^2,
     k = k_s exp(c / c_0). It pushes the element along e by W' + k |d|^2 / (2 c_0) and across by -k d.
     """
 
     def __init__(self, chain: Chain, nodes: Array) -> None:
-        (x, z), (first_x, first_z), (bone_x, bone_z) = nodes[:-1].T, chain.reference.T, nodes[-1]
-        across, down = x - bone_x, z - (chain.radius + bone_z)
-        self.sheared = np.stack((across - first_x, z - first_z - bone_z))  # (2, N) m, d
-        self.length = np.hypot(across, down)  # (N,) m, |X - P|
-        self.line = np.stack((across / self.length, down / self.length))  # (2, N), e
+        self.chain, self.moved, self.depth = chain, nodes[:-1] - chain.reference, np.maximum(-nodes[:-1, 1], 0)
+        self.sheared = (self.moved - nodes[-1]).T  # (2, N) m, d
+        line = (nodes[:-1] - nodes[-1] - (0.0, chain.radius)).T
+        self.length = np.hypot(*line)  # (N,) m, |X - P|
+        self.line = line / self.length  # (2, N), e
         compression = chain.radius - self.length
-        self.stiffening = np.where(compression > 0, chain.stiffening, 0.0)  # (N,) 1/m; a stretched column is linear
-        grown = np.exp(self.stiffening * compression)
+        self.stiffening = chain.stiffening * (compression > 0)  # (N,) 1/m; a stretched column is linear
+        relative = self.stiffening * compression
+        grown = np.exp(relative)
         self.shear = chain.shear * grown  # (N,) N/m, k
         bulge = self.shear * self.stiffening * (self.sheared[0] ** 2 + self.sheared[1] ** 2) / 2
         # exprel(x) = (exp(x) - 1) / x is 1 at 0: without stiffening W' = (k_t - k_s) c.
-        self.push = chain.tissue * compression * exprel(self.stiffening * compression) + bulge  # (N,) N
+        self.push = chain.tissue * compression * exprel(relative) + bulge  # (N,) N
         self.slope = chain.tissue * grown + self.stiffening * bulge  # (N,) N/m, -d push / d length
+
+    def forces(self, friction: Array | float = 0.0, load: Array | float = 0.0) -> Array:
+        """Compute the forces (N + 1, 2), N, on elements and bone: the negative gradient of the elastic energy, less
+        the `friction` (N,) of each element along x, and the `load` (2,) on the bone.
+        """
+        chain, count = self.chain, len(self.moved)
+        pull = chain.membrane * (self.moved[1:] - self.moved[:-1])
+        held = self.shear * self.sheared - self.push * self.line
+        held[:, :: count - 1] += chain.nail * self.sheared[:, :: count - 1]
+        forces = np.empty((count + 1, 2))
+        forces[:-1] = -held.T
+        forces[:-1, 1] += chain.contact * self.depth
+        forces[:-2] += pull
+        forces[1:-1] -= pull
+        forces[:-1, 0] -= friction
+        forces[-1] = held.sum(1) + load
+        return forces
+
+    def slopes(self) -> tuple[Array, Array, Array]:
+        """Compute the stiffnesses, N/m, of the springs (tissue, shear and nail) between each element and the bone: the
+        entries xx, xz and zz, (N,) each, of a symmetric 2 x 2 matrix.
+        """
+        (along_x, along_z), (shear_x, shear_z) = self.line, self.sheared
+        pushed, twice = self.push / self.length, self.shear * self.stiffening
+        turned, plain = self.slope + pushed, self.shear - pushed
+        plain[:: len(plain) - 1] += self.chain.nail
+        return (
+            turned * along_x**2 - 2 * twice * along_x * shear_x + plain,
+            turned * along_x * along_z - twice * (along_x * shear_z + along_z * shear_x),
+            turned * along_z**2 - 2 * twice * along_z * shear_z + plain,
+        )

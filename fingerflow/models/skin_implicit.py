@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 from fingerflow.models.friction import dahl_friction
-from fingerflow.models.skin_forces import Array, Chain, elastic_forces, tissue_slopes
+from fingerflow.models.skin_forces import Array, Chain, Columns
 
 GAMMA = 2 - np.sqrt(2.0)
 C = GAMMA / 2  # weight of the unknown forces in both stages, as a share of the step
@@ -51,16 +51,16 @@ class Arrow:
     unknown.
     """
 
-    def __init__(self, chain: Chain, nodes: Array, along: Array, above: Array, c: float) -> None:
-        count = len(chain.reference)
-        xx, xz, zz = (c * slope for slope in tissue_slopes(chain, nodes))
+    def __init__(self, columns: Columns, along: Array, above: Array, c: float) -> None:
+        chain, count = columns.chain, len(columns.moved)
+        xx, xz, zz = (c * slope for slope in columns.slopes())
         link = c * chain.membrane
         links = np.full(count, chain.damping + 2 * link)
         links[[0, -1]] -= link
         band = np.zeros((7, 2 * count), order="F")  # as LAPACK has it: row 4 + i - j, column j
         band[2, 2:] = band[6, :-2] = -link
         band[4, ::2] = xx + links + c * along
-        band[4, 1::2] = zz + links + c * np.where(nodes[:-1, 1] < 0, chain.contact, 0.0)
+        band[4, 1::2] = zz + links + c * chain.contact * (columns.depth > 0)
         band[3, 1::2] = xz + c * above
         band[5, ::2] = xz
         self._factors = dgbtrf(band, 2, 2, overwrite_ab=1)[:2]
@@ -87,10 +87,7 @@ def net_forces(chain: Chain, state: State, load: Array) -> Array:
     """Return the unbalanced forces (N + 1, 2), N, on elements and bone of a chain: the sum of elastic forces, friction
     and the load (2,) on the bone, which vanishes at equilibrium.
     """
-    forces = elastic_forces(chain, state.nodes)
-    forces[:-1, 0] -= state.friction
-    forces[-1] += load
-    return forces
+    return Columns(chain, state.nodes).forces(state.friction, load)
 
 
 def advance(
@@ -117,7 +114,7 @@ def advance(
             state.steps += 1
             if time >= duration * (1 - 1e-12):
                 return duration
-            if np.abs(net_forces(chain, state, _interpolate_load(load, time / duration))).sum() <= rest:
+            if rest and np.abs(net_forces(chain, state, _interpolate_load(load, time / duration))).sum() <= rest:
                 return time
         else:
             state.rejected += 1
@@ -183,24 +180,24 @@ def _newton(
     ``rubbed`` (N,) is the friction at ``origin``, the nodes from which the elements slide. Returns None if Newton's
     iteration does not converge.
     """
+    steep, dampers, before, share = mu * chain.contact, chain.dampers, math.nan, 1.0
 
     def slid(nodes: Array) -> tuple[Array, Array, Array]:
-        steep = mu * chain.contact
         return dahl_friction(rubbed, origin[:-1], nodes[:-1], steep, chain.friction_stiffness, chain.exponent)
 
     nodes = guess
     for _ in range(MOST_ITERATIONS):
         rubbing, along, above = slid(nodes)
-        forces = elastic_forces(chain, nodes)
-        forces[:-1, 0] -= rubbing
-        forces[-1] += load
-        side = chain.dampers * (base - nodes) + c * forces
-        arrow = Arrow(chain, nodes, along, above, c)
-        moved = arrow.solve(side)
-        nodes = nodes + moved
+        columns = Columns(chain, nodes)
+        arrow = Arrow(columns, along, above, c)
+        moved = arrow.solve(dampers * (base - nodes) + c * columns.forces(rubbing, load))
         most = np.abs(moved).max()
         if not most < 1.0:  # m: the iteration diverges
             return None
-        if most <= NEWTON * tolerance:
+        if before < 2 * most:  # to and fro across a kink, for which half the movement converges
+            share = 0.5
+        nodes = nodes + share * moved
+        if most * min(1.0, max(most / before, 1 - share)) <= NEWTON * tolerance:  # what is left to move
             return nodes, slid(nodes)[0], arrow
+        before = most
     return None

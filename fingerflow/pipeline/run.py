@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 import xarray as xr
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from fingerflow import __version__
@@ -116,7 +117,8 @@ def _prepared(
     """Yield the plan, opened inputs, result size in bytes and variable definitions of a run."""
     planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
-    with inputs.recording:
+    # Products of matrices are small here: threads of BLAS would take longer, and wait for the next one at full load.
+    with inputs.recording, threadpool_limits(1, user_api="blas"):
         possible = (variable for stage in planned.stages for variable in stage.gives)
         variables = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
         size = size_of_results(variables, len(inputs.times), scene.tracking.points)

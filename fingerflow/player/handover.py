@@ -124,12 +124,11 @@ class Slot(Frame):
                 "set the camera to that depth or export a bundle with the camera's"
             )
         for name, view in self._placed.items():
-            np.copyto(self.views[name][0, 0], view.crop(frame))
+            self.views[name][...] = frame[slice(*view.rows), slice(*view.columns)]
             if 8 < bundle.bit_depth < 16 and self.views[name].max() >> bundle.bit_depth:
                 raise PlayerError(
                     f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
                     "bundle; export one with the camera's bit_depth"
                 )
         if self._bright:
-            seen = self.views[CONTACT_VIEW]
-            np.copyto(seen, negative(seen, bundle.bit_depth))
+            self.views[CONTACT_VIEW][...] = negative(self.views[CONTACT_VIEW], bundle.bit_depth)

@@ -26,8 +26,8 @@ SHOWN = {
                  "slip_flag")
 }  # fmt: skip
 
-# Function from the numbers of a frame and of the restart to the true values by name.
-Expected = Callable[[int, int], Mapping[str, float]]
+# Function from the number of a frame to the true values by name.
+Expected = Callable[[int], Mapping[str, float]]
 
 
 class LiveData:
@@ -92,7 +92,7 @@ class LiveData:
         self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
 
     def _expected_values(self, record: Array) -> Mapping[str, float]:
-        return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
+        return {} if self._expect is None else self._expect(int(record["frame"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
         """Return the latest image and the time traces, with further facts about the stream, for the live page."""

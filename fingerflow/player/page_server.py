@@ -59,29 +59,22 @@ def serve_page(
     Raises PlayerError where the address is in use.
     """
     folder = Path(__file__).with_name("page")
-    shown = json.dumps(SHOWN).encode()
-    files = {path: ((folder / name).read_bytes(), content_type) for path, (name, content_type) in _FILES.items()}
+    absent = 404, "text/plain", b"not here"
+    fixed = {path: (200, kind, (folder / name).read_bytes()) for path, (name, kind) in _FILES.items()}
+    fixed["/shown"] = 200, "application/json", json.dumps(SHOWN).encode()
 
     class Handler(_Handler):
         def do_GET(self) -> None:
             if not self.is_refused():
-                if self.path in files:
-                    body, content_type = files[self.path]
-                    self.answer(200, content_type, body)
-                elif self.path == "/shown":
-                    self.answer(200, "application/json", shown)
-                elif self.path == "/live":
-                    self.answer(200, "application/octet-stream", live.packed(facts()))
-                else:
-                    self.answer(404, "text/plain", b"not here")
+                is_live = self.path == "/live"
+                body = (200, "application/octet-stream", live.packed(facts())) if is_live else None
+                self.answer(*(body or fixed.get(self.path, absent)))
 
         def do_POST(self) -> None:
             if not self.is_refused():
-                if self.path == "/restart":
+                if is_restart := self.path == "/restart":
                     restart()
-                    self.answer(204, "text/plain", b"")
-                else:
-                    self.answer(404, "text/plain", b"not here")
+                self.answer(*((204, "text/plain", b"") if is_restart else absent))
 
     try:
         server = PageServer(address, Handler, live)

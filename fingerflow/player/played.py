@@ -25,9 +25,9 @@ _STILLS = 64  # number of averaged frames of the empty glass: the noise is an ei
 class StreamInput(NamedTuple):
     """Input of a stream: scene, frame source, range of frames, background image (empty glass) and dark image.
 
-    ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
-    known. ``forces_in`` is the scene file that names the forces of these frames. ``size`` is that of the frames with
-    the background, None if only its contact view is there.
+    ``expected`` returns the true values of a frame from its number, where they are known. ``forces_in`` is the scene
+    file that names the forces of these frames. ``size`` is that of the frames with the background, None if only its
+    contact view is there.
     """
 
     scene: Scene
@@ -57,9 +57,8 @@ def choose_input(options: argparse.Namespace, bundle: Bundle) -> StreamInput:
     check_scene(scene, bundle, path)
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
-        gauge = bundle.engine_settings.gauge_length_mm if path is None else None
         scene = replace(scene, contact=replace(scene.contact, appears="dark"))  # it draws dark contact
-        drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
+        drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth)
         glass = scene.views.contact.crop(drawn.background)
         # The true values hold for the scene of the synthetic source only, not for the views of a scene file.
         expected = drawn.expected_values if path is None else None

@@ -40,7 +40,9 @@ log = logging.getLogger("fingerflow.player")
 _STALL_WARNING = 2.0  # s without a frame after which a warning is logged
 _HANGING = 2.0  # s for which a stopped stream waits for its source before it abandons the source
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
+_WATCH_INTERVAL = 0.2  # s between two checks by the main thread
 _STORE_INTERVAL = 0.02  # s between two wake-ups of the storing thread
+_COUNTS = ("frames_in", "processed", "dropped", "overruns", "reconnects", "stalls")  # of the summary
 _SENTENCES = {  # log messages by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
@@ -107,8 +109,7 @@ class Player:
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
         # Views of the fields, looked up only once.
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
-        self.frames_in = self.processed = self.dropped = self.overruns = 0
-        self.reconnects = self.stalls = 0
+        self.frames_in = self.processed = self.dropped = self.overruns = self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
@@ -178,9 +179,9 @@ class Player:
                 self._sink.close()
             except FingerflowError as error:
                 self._failure = self._failure or error
+            if self._failure is None and sys.exc_info()[1] is None:
+                self._log_findings()
             if self.processed:
-                if self._failure is None and sys.exc_info()[1] is None:
-                    self._log_findings()
                 self._sink.write_summary(self.summary() | {"warnings": self._warnings})
             else:
                 self._sink.discard()
@@ -190,15 +191,12 @@ class Player:
                 page.stop()
         if self._failure is not None:
             raise self._failure
-        if not self.processed:
-            self._log_findings()
         return self.summary() | {"warnings": self._warnings}
 
     def _log_findings(self) -> None:
-        missing = self._findings.missing(math.isfinite(self._tracker.threshold))
+        few, missing = self._findings.unknown_medians(), self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
-        few = self._findings.unknown_medians()
         if few and not any(few in sentence for sentence in missing):
             log.info("%s", few)
 
@@ -212,12 +210,7 @@ class Player:
         """Return the frame counts, duration in s, frame rate and latencies of the stream so far."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
-            "frames_in": self.frames_in,
-            "processed": self.processed,
-            "dropped": self.dropped,
-            "overruns": self.overruns,
-            "reconnects": self.reconnects,
-            "stalls": self.stalls,
+            **{name: getattr(self, name) for name in _COUNTS},
             "restarts": self._tracker.restarts,
             "key_frames": self._tracker.keys,
             "not_usable": dict(self._findings.not_usable),
@@ -281,7 +274,7 @@ class Player:
 
     def _watch(self) -> None:
         logged, processed, stalled = time.perf_counter(), 0, False
-        while not self._finished.wait(0.05) and not self._stop.is_set():
+        while not self._finished.wait(_WATCH_INTERVAL) and not self._stop.is_set():
             now = time.perf_counter()
             since = self._waiting_since
             silent = now - since if since is not None else 0.0
@@ -420,18 +413,15 @@ class Player:
     # Computing thread: from frames to outcomes.
 
     def _compute(self) -> None:
+        slot: Slot | None
         while (slot := self._frames.get()) is not None:
             if math.isnan(self._first):
                 self._first = slot.time
-            if not self._queue_outcomes(self._tracker.step(slot)):
-                return
-        self._queue_outcomes(self._tracker.settle())
-
-    def _queue_outcomes(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Queue final frame outcomes, and events such as a new choice of points, for the measuring thread; return False
-        if the stream has failed.
-        """
-        return all(self._outcomes.put(outcome) for outcome in passed)
+            for outcome in self._tracker.step(slot):
+                if not self._outcomes.put(outcome):  # the stream has failed
+                    return
+        for outcome in self._tracker.settle():
+            self._outcomes.put(outcome)
 
     # Measuring thread: from outcomes to records.
 
@@ -459,18 +449,16 @@ class Player:
             fields["slip_flag"][index] = self._tracker.slipping
         else:
             self._layout.fill(fields, index, results)
-            named = ("real_contact_area", "gross_contact_area", "median_divergence")
-            self._findings.count(slot.number, outcome.tracked, *(float(results[name]) for name in named))
+            area, gross_area = results["real_contact_area"], results["gross_contact_area"]
+            self._findings.count(slot.number, outcome.tracked, area, gross_area, float(results["median_divergence"]))
         if self._forces is not None:
             for name, force in self._forces.read(slot.number, slot.arrival).items():
                 fields[name][index] = force
         latency = time.perf_counter() - slot.arrival
-        for name, value in (
-            *(("frame", slot.number), ("time", slot.time - self._first), ("latency", latency)),
-            *(("key_frame", outcome.key_frame), ("restart", outcome.restart), ("frame_status", outcome.status)),
-            ("contact_threshold", outcome.threshold),
-        ):
-            fields[name][index] = value
+        fields["frame"][index], fields["time"][index] = slot.number, slot.time - self._first
+        fields["latency"][index], fields["frame_status"][index] = latency, outcome.status
+        fields["key_frame"][index], fields["restart"][index] = outcome.key_frame, outcome.restart
+        fields["contact_threshold"][index] = outcome.threshold
         if self._senders:
             record = self._room[index].copy()
             stamp = FrameStamp(slot.number, EPOCH + slot.arrival, math.nan, record)

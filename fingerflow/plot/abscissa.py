@@ -1,7 +1,5 @@
 """Horizontal axis of curves: normal force if it varies monotonically, else time."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -18,17 +16,8 @@ _SMOOTHED = 5  # samples of a median filter that removes single outliers
 _MAD_TO_STD = 1.4826
 
 
-@dataclass(frozen=True)
-class Abscissa:
-    """Horizontal axis of a plot of F frames: variable name, values (F,) and label."""
-
-    name: str
-    values: NDArray[np.float64]
-    label: str
-
-
-def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
-    """Return the horizontal axis for curves of a result.
+def abscissa(result: xr.Dataset, against: str | None = None) -> tuple[str, NDArray[np.float64], str]:
+    """Return the horizontal axis for curves of a result: name of its variable, values (F,) of the frames, and label.
 
     Args:
         result: a data set with `time`.
@@ -47,9 +36,7 @@ def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
     # Record for a variable that is not one of fingerflow.
     foreign = Variable(name, ("frame",), str(result[name].attrs.get("units", "1")), "")
     variable = VARIABLES.get(name, foreign)
-    return Abscissa(
-        name, np.asarray(variable.shown_values(result[name].values.astype(np.float64))), variable.axis_label
-    )
+    return name, np.asarray(variable.shown_values(result[name].values.astype(np.float64))), variable.axis_label
 
 
 def varies(result: xr.Dataset, force: str) -> bool:

@@ -1,7 +1,6 @@
 """Curves of a result against time or force: areas, deformation, energy, forces, tracking quality."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,16 +17,9 @@ Values = NDArray[np.float64]
 _FEW = 60  # a curve with fewer frames is drawn with dots
 
 
-class _Curve(NamedTuple):
-    """Curve to be drawn: legend text, values (F,) and their standard deviations (F,), and the variable it shows.
-
-    Both are in the unit of the axis; `std` is None without standard deviations.
-    """
-
-    name: str
-    values: Values
-    std: Values | None
-    variable: str
+# Curve to be drawn: legend text, values (F,) and their standard deviations (F,) or None, both in the unit of the axis,
+# and the variable that it shows.
+_Curve = tuple[str, Values, Values | None, str]
 
 
 def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
@@ -115,8 +107,8 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
     The frame in which points are seeded is compared with itself and left out.
     """
     need(result, "forward_backward_median")
-    curve = _curve(result, "forward_backward_median")
-    curve = curve._replace(values=np.where(curve.values > 0, curve.values, np.nan))
+    name, values, std, variable = _curve(result, "forward_backward_median")
+    curve = name, np.where(values > 0, values, np.nan), std, variable
     return _start_at_zero(_draw(result, axes, against, [curve], "Forward-backward distance", "distance"))
 
 
@@ -129,11 +121,11 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     need(result, "position_std_px")
     values = np.where(result["position_std_px"].values > 0, result["position_std_px"].values, np.nan)
     measured = np.isfinite(values).any(1)
-    curves = []
+    curves: list[_Curve] = []
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
         rows[measured] = np.nanquantile(values[measured], fraction, axis=1)
-        curves.append(_Curve(f"{fraction:.0%} of the points below", rows, None, "position_std_px"))
+        curves.append((f"{fraction:.0%} of the points below", rows, None, "position_std_px"))
     return _start_at_zero(_draw(result, axes, against, curves, "Uncertainty of a position", "standard deviation"))
 
 
@@ -155,7 +147,7 @@ def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | Non
         return np.asarray(values if component is None else values[:, component])
 
     spread = shown(f"{name}_std") if f"{name}_std" in result else None
-    return _Curve(legend or VARIABLES[name].words, shown(name), spread, name)
+    return legend or VARIABLES[name].words, shown(name), spread, name
 
 
 def _start_at_zero(axes: Axes) -> Axes:
@@ -178,24 +170,24 @@ def _draw(
     `words` label the vertical axis, with the unit of the first curve; without them its variable does.
     """
     axes = given_or_new(axes)
-    variable = VARIABLES[curves[0].variable]
+    variable = VARIABLES[curves[0][-1]]
     label = variable.add_unit(words) if words else variable.axis_label
-    x = abscissa(result, against)
+    _, x, x_label = abscissa(result, against)
     for (name, values, spread, _), style in zip(curves, line_styles(len(curves)), strict=True):
-        drawn = np.isfinite(values) & np.isfinite(x.values)
+        drawn = np.isfinite(values) & np.isfinite(x)
         padded = np.pad(drawn, 1)
         alone = drawn & ~padded[:-2] & ~padded[2:]  # frames without known neighbours, which a line would not show
-        axes.plot(x.values, values, marker="." if drawn.sum() < _FEW else "", label=name, **style)
+        axes.plot(x, values, marker="." if drawn.sum() < _FEW else "", label=name, **style)
         if alone.any():
-            axes.plot(x.values[alone], values[alone], ".", color=style["color"], label="_alone")
+            axes.plot(x[alone], values[alone], ".", color=style["color"], label="_alone")
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
-            axes.fill_between(x.values, low, high, color=style["color"], alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_frame_limits(x.values))
-    if not any(np.isfinite(curve.values).any() for curve in curves):
+            axes.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0)
+    axes.set(xlabel=x_label, ylabel=label, title=title, xlim=_frame_limits(x))
+    if not any(np.isfinite(values).any() for _, values, *_ in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         axes.set_yticks([])
-    finished(axes, _caption(curves, title, x.label))
+    finished(axes, _caption(curves, title, x_label))
     if len(curves) == 1 and (legend := axes.get_legend()) is not None:
         legend.remove()
     return axes
@@ -203,17 +195,16 @@ def _draw(
 
 def _caption(curves: Sequence[_Curve], title: str, against: str) -> str:
     """Return the caption of a figure with curves: definition of each variable, meaning of bands, number of frames."""
-    shown = dict.fromkeys(curve.variable for curve in curves)
+    shown = dict.fromkeys(variable for *_, variable in curves)
     sentences = [f"{title} against {against.partition(' (')[0]}."]
     sentences += [definition_text(each) for each in map(VARIABLES.__getitem__, shown) if each.long_name != each.words]
-    banded = [curve for curve in curves if curve.std is not None]
-    if banded:
-        deviations = dict.fromkeys(f"{curve.variable}_std" for curve in banded)
+    deviations = dict.fromkeys(f"{variable}_std" for _, _, std, variable in curves if std is not None)
+    if deviations:
         errors = dict.fromkeys(
             VARIABLES[name].long_name.partition(" by ")[2] for name in deviations if name in VARIABLES
         )
         sentences.append(f"Bands: {BAND_WORDS}" + "".join(f", by {error}" for error in errors if error) + ".")
-    counts = [int(np.isfinite(curve.values).sum()) for curve in curves]
+    counts = [int(np.isfinite(values).sum()) for _, values, *_ in curves]
     sentences.append(f"n = {max(counts)} frames.")
     return " ".join(sentences)
 

@@ -1,7 +1,5 @@
 """Key frames of a trial for maps and tables: selected by force, load ratio, displacement or contact area."""
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -15,14 +13,10 @@ _APART = 0.02  # least distance between two key frames, as a share of all frames
 _LOADED = 0.2  # share of the largest normal force above which the load ratio of a frame counts
 
 
-class ReportFrame(NamedTuple):
-    """Frame that a report shows in detail: index in the result, and reason for the selection."""
-
-    frame: int
-    why: str
+KeyFrame = tuple[int, str]  # frame that a report shows in detail: index in the result, and reason for the selection
 
 
-def key_frames(result: xr.Dataset) -> list[ReportFrame]:
+def key_frames(result: xr.Dataset) -> list[KeyFrame]:
     """Select up to five key frames of a result, in order of time: at the largest force, for example.
 
     Of more candidates those named first below are selected. If the normal force varies: its largest value, then 3, 2
@@ -34,7 +28,7 @@ def key_frames(result: xr.Dataset) -> list[ReportFrame]:
     usable = _usable_frames(result)
     if not usable.any():
         return []
-    frames: list[ReportFrame] = []
+    frames: list[KeyFrame] = []
     pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
     if pulled:
         frames += _pull_frames(result, usable)
@@ -57,53 +51,53 @@ def _usable_frames(result: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(area) > 0)
 
 
-def _press_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
+def _press_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[KeyFrame]:
     top = frame_of_largest(result, ("normal_force",), usable)
     if top is None:
         return []
     press = np.where(usable, np.nan_to_num(result["normal_force"].values), 0.0)
     levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
-    largest = [ReportFrame(top, "largest force")]
+    largest = [(top, "largest force")]
     # Put higher levels first, as they show more and are selected first.
-    return largest + [ReportFrame(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
+    return largest + [(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
 
 
-def _pull_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
+def _pull_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[KeyFrame]:
     normal, ratio = result["normal_force"].values, np.abs(result["load_ratio"].values)
     loaded = usable & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
     if not loaded.any():
         return []
     top, half = _largest_and_half(np.where(loaded, ratio, -np.inf), "T/N")
-    last = ReportFrame(int(np.flatnonzero(loaded)[-1]), "last frame")
-    between = ReportFrame((top.frame + last.frame) // 2, "sliding")
-    return [top, last, half, *([between] if usable[between.frame] else [])]
+    last = int(np.flatnonzero(loaded)[-1])
+    between = (top[0] + last) // 2
+    return [top, (last, "last frame"), half, *([(between, "sliding")] if usable[between] else [])]
 
 
-def _contact_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[ReportFrame]:
+def _contact_frames(result: xr.Dataset, usable: NDArray[np.bool_]) -> list[KeyFrame]:
     area = result["gross_contact_area"].values if "gross_contact_area" in result else np.zeros(len(usable))
     area = np.where(usable, np.nan_to_num(area), 0.0)
     touching = np.flatnonzero(area > 0)
     if not len(touching):
-        return [ReportFrame(int(np.flatnonzero(usable)[-1]), "last frame")]
+        return [(int(np.flatnonzero(usable)[-1]), "last frame")]
     top, half = _largest_and_half(area, "contact")
-    return [top, ReportFrame(int(touching[-1]), "last frame in contact"), half]
+    return [top, (int(touching[-1]), "last frame in contact"), half]
 
 
-def _largest_and_half(values: NDArray[np.floating], name: str) -> list[ReportFrame]:
+def _largest_and_half(values: NDArray[np.floating], name: str) -> list[KeyFrame]:
     """Return two key frames of a time series (F,): where it is largest, and where it first reaches half of that; `name`
     is the name of the series in their reasons.
     """
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
-    return [ReportFrame(top, f"largest {name}"), ReportFrame(half, f"half of the largest {name}")]
+    return [(top, f"largest {name}"), (half, f"half of the largest {name}")]
 
 
-def _select_spaced(candidates: list[ReportFrame], count: int) -> list[ReportFrame]:
+def _select_spaced(candidates: list[KeyFrame], count: int) -> list[KeyFrame]:
     """Select, in order of preference as given, up to five candidate frames more than 2 % of the recording's `count`
     frames apart, and return them sorted by time.
     """
-    chosen: list[ReportFrame] = []
+    chosen: list[KeyFrame] = []
     for frame in candidates:
-        if len(chosen) < _MOST and all(abs(frame.frame - earlier.frame) > _APART * count for earlier in chosen):
+        if len(chosen) < _MOST and all(abs(frame[0] - earlier) > _APART * count for earlier, _ in chosen):
             chosen.append(frame)
     return sorted(chosen)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from fingerflow.report.key_frames import ReportFrame
+from fingerflow.report.key_frames import KeyFrame
 from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.variables import VARIABLES
 
@@ -15,13 +15,13 @@ _QUANTITIES = (
 )  # fmt: skip
 
 
-def key_numbers(result: xr.Dataset, frames: Sequence[ReportFrame]) -> list[tuple[str, str, list[str]]]:
+def key_numbers(result: xr.Dataset, frames: Sequence[KeyFrame]) -> list[tuple[str, str, list[str]]]:
     """Return the rows of the table of key numbers, one per quantity (time, force, areas, divergence, energy and
     others): its name, its unit, and its value at each of the key frames `frames` ± one standard deviation as text.
 
     A quantity without a standard deviation is shown without.
     """
-    indices = [frame.frame for frame in frames]
+    indices = [frame for frame, _ in frames]
     rows = [("time", "s", [f"{value:.3f}" for value in result["time"].values[indices]])]
     for name in _QUANTITIES:
         if name not in result or not np.isfinite(result[name].values).any():

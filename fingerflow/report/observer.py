@@ -21,14 +21,14 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
         axes.set_title(observer.reason)
         return finished(axes)
     middles = (observer.bins[:-1] + observer.bins[1:]) / 2
-    for counts, fitted, colour, dashes, name in (
+    for counts, (amplitude, mean, deviation), colour, dashes, name in (
         (observer.counts_correct, observer.correct, GREEN, "-", "correct"),
         (observer.counts_incorrect, observer.incorrect, RED, "--", "incorrect"),
     ):
         axes.stairs(counts, observer.bins, color=colour, fill=True, alpha=0.25)
-        if np.isfinite(fitted.mean):
+        if np.isfinite(mean):
             x = np.linspace(middles[0], middles[-1], 300)
-            curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
+            curve = amplitude * np.exp(-(((x - mean) / deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, linestyle=dashes, label=name)
     d_prime = f"d' of the Gaussians {observer.d_prime:.2f}" if np.isfinite(observer.d_prime) else "no d'"
     axes.set_title(d_prime)

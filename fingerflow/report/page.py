@@ -24,7 +24,7 @@ from fingerflow.plot.picture import shown_views
 from fingerflow.plot.wording import frame_text
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.inline_svg import hover_curves, inline_svg
-from fingerflow.report.key_frames import ReportFrame, key_frames
+from fingerflow.report.key_frames import KeyFrame, key_frames
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.practice_table import practice_tables
@@ -48,13 +48,8 @@ class Drawn:
     curves: dict[str, Any] | None = None
 
 
-@dataclass(frozen=True)
-class Panel:
-    """Group of figures that are shown together; `layout` names it, a class of page.css."""
-
-    label: str
-    figures: list[Drawn]
-    layout: str = "grid"
+# Figures that are shown together: their label, the figures, and the layout, a class of page.css.
+Panel = tuple[str, list[Drawn], str]
 
 
 @dataclass(frozen=True)
@@ -107,16 +102,16 @@ class _Figures:
         """
         there = [(draw, variable) for draw, variable in drawings if _has_values(self.result, variable)]
         if not there:
-            return Section(title, [Panel("", list(before))]) if before else None
-        first = plot.abscissa(self.result).name
+            return Section(title, [("", list(before), "grid")]) if before else None
+        first, *_ = plot.abscissa(self.result)
         axes = [first]
         if varies(self.result, "normal_force") and not self.brief:
             axes.append("time" if first == "normal_force" else "normal_force")
         panels = [
-            Panel(f"against {plot.abscissa(self.result, against).label}", self.each(there, against=against))
+            (f"against {plot.abscissa(self.result, against)[2]}", self.each(there, against=against), "grid")
             for against in axes
         ]
-        panels[0].figures[:0] = before
+        panels[0][1][:0] = before
         return Section(title, panels, notes)
 
     def each(self, drawings: Sequence[tuple[Draw, str]], **settings: str) -> list[Drawn]:
@@ -173,8 +168,8 @@ def write_report(
     curves = {
         figure.name: figure.curves
         for section in sections
-        for panel in section.panels
-        for figure in panel.figures
+        for _, shown, _ in section.panels
+        for figure in shown
         if figure.curves
     }
     numbers = result["frame"].values
@@ -188,7 +183,7 @@ def write_report(
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
-            columns=[{"why": frame.why, "number": int(numbers[frame.frame])} for frame in frames],
+            columns=[(why, int(numbers[frame])) for frame, why in frames],
             numbers=key_numbers(result, frames),
             comparison=comparison,
             sections=sections,
@@ -212,28 +207,24 @@ def write_report(
     return path
 
 
-def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]) -> list[Section]:
+def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -> list[Section]:
     result = make.result
     sections: list[Section | None] = []
-    most = next((k for k, frame in enumerate(frames) if frame.why.startswith("largest")), len(frames) - 1)
+    most = next((k for k, (_, why) in enumerate(frames) if why.startswith("largest")), len(frames) - 1)
     if make.brief:
         frames, most = frames[most : most + 1], 0
     if scene is not None:
-        pictured = frames or [ReportFrame(0, "first frame")]
+        pictured = frames or [(0, "first frame")]
         panels = [
-            Panel(
-                frame.why,
+            (
+                why,
                 [
-                    make.drawn(
-                        plot.picture(result, scene, frame.frame, view=view),
-                        f"picture-{view}-{frame.frame}",
-                        f"{view} view",
-                    )
+                    make.drawn(plot.picture(result, scene, frame, view=view), f"picture-{view}-{frame}", f"{view} view")
                     for view in shown_views(scene)
                 ],
                 "grid pictures",
             )
-            for frame in pictured
+            for frame, why in pictured
         ]
         sections.append(Section("What was seen", panels, first=max(most, 0)))
     time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
@@ -254,7 +245,7 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
         trial = SlipTrial.read(result, "Partial slip")
         slip = make.whole(trial_figure(trial, make.wide_mm), "partial-slip", verdict_line(trial))
-        sections.append(Section(verdict_line(trial), [Panel("", [slip], "strip")]))
+        sections.append(Section(verdict_line(trial), [("", [slip], "strip")]))
     quality: list[tuple[Draw, str]] = [
         (plot.tracked_share, "tracked_share"),
         (plot.forward_backward, "forward_backward_median"),
@@ -262,15 +253,15 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[ReportFrame]
     ]
     shown = [(draw, name) for draw, name in quality if name in result and bool((result[name] > 0).any())]
     if shown and not make.brief:
-        sections.append(Section("Quality", [Panel("", make.each(shown))]))
+        sections.append(Section("Quality", [("", make.each(shown), "grid")]))
     return [section for section in sections if section is not None]
 
 
-def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], first: int) -> Section | None:
+def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first: int) -> Section | None:
     """Return the page's section with maps over the contact at the key frames `frames`, each quantity with one colour
     scale, or None without maps; the reader first sees frame number `first` of these.
     """
-    indices = [frame.frame for frame in frames]
+    indices = [frame for frame, _ in frames]
     shown = [result.isel(frame=index) for index in indices]
     drawable = [name for name in (_BRIEF_MAPS if make.brief else _MAPS) if name in plot.drawable(result)]
     there = [
@@ -282,19 +273,19 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[ReportFrame], fir
         return None
     limits = {name: plot.colour_limit(result, name, indices) for name in there}
     panels = [
-        Panel(
-            frame.why,
+        (
+            why,
             [
                 make.drawn(
-                    plot.field_map(result, name, frame.frame, limit=limits[name]),
-                    f"map-{name}-{frame.frame}",
-                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=frame.frame))}",
+                    plot.field_map(result, name, frame, limit=limits[name]),
+                    f"map-{name}-{frame}",
+                    f"{plot.QUANTITIES[name].title}, {frame_text(result.isel(frame=frame))}",
                 )
                 for name in there
             ],
             "grid maps",
         )
-        for frame in frames
+        for frame, why in frames
     ]
     note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
     return Section("Maps on the skin", panels, (note,), first)

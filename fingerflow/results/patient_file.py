@@ -91,7 +91,7 @@ class PatientFile:
                 try:
                     while self._kept:
                         del self._kept[: os.write(self._file, self._kept)]
-                    return self._recover()
+                    return None if self._since is None else self._recover(self._since)
                 except OSError as error:
                     self._raise_or_wait(error)
                     if not must_wait:
@@ -122,10 +122,8 @@ class PatientFile:
         if self._tried - self._since >= _PATIENCE:
             raise error
 
-    def _recover(self) -> tuple[float, int] | None:
-        if self._since is None:
-            return None
-        ended = time.monotonic() - self._since, self._most
+    def _recover(self, since: float) -> tuple[float, int]:
+        ended = time.monotonic() - since, self._most
         self._since, self._most = None, 0
         log.warning("%s: there is room again after %.1f s, nothing is lost", self._path, ended[0])
         return ended

@@ -1,13 +1,12 @@
 """Reading and writing of result files in HDF5/NetCDF4 format."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import xarray as xr
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.guard.checked_hdf5 import open_hdf5
@@ -70,38 +69,26 @@ def open_result(path: Path) -> xr.Dataset:
     return open_own(path)
 
 
-class StoredValues(NamedTuple):
-    """Values of one variable in a result file, with the attributes of the variable if requested."""
-
-    values: NDArray[Any]
-    attrs: Mapping[str, Any]
-
-
-class Own(dict[str, StoredValues]):
-    """Variables by name, read from a result file that this process itself wrote; `attrs` holds the attributes of the
-    file.
-    """
-
-    def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
-        super().__init__(variables)
-        self.attrs = attrs
-
-
-def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
+def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> xr.Dataset:
     """Read the variables `names` of a result file that this process itself wrote, and its frame numbers and times;
     variables that the file lacks are left out.
 
-    Attributes are read only of the variables named in `described`. Values and texts are those of :func:`load_result`,
-    which opens every variable of the file first; for a small recording that takes longer than a stage.
+    Attributes are read only of the variables named in `described`, and dimensions of none. Values and texts are those
+    of :func:`load_result`, which opens every variable of the file first; for a small recording that takes longer than a
+    stage.
     """
     described = set(described)
     with h5py.File(path) as file:
         stored = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
         variables = {
-            name: StoredValues(dataset[()], _attributes(dataset) if name in described else {})
+            name: (
+                [f"{name} {axis}" for axis in range(dataset.ndim)],
+                dataset[()],
+                _attributes(dataset) if name in described else {},
+            )
             for name, dataset in stored
         }
-        return Own(variables, _attributes(file))
+        return xr.Dataset(variables, attrs=_attributes(file))
 
 
 def open_own(path: Path) -> xr.Dataset:

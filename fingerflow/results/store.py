@@ -109,29 +109,37 @@ class MemoryStore(Store):
 
     def __init__(self, variables: Mapping[str, Variable], frames: int) -> None:
         super().__init__(variables, frames)
-        self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
+        self._attributes: dict[str, dict[str, Any]] = {}
 
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
-        values = np.full(shape, *_fill(variable))
-        self._arrays[variable.name] = (variable.dims, values, attributes)
-        return values
+        self._attributes[variable.name] = attributes
+        return np.full(shape, *_fill(variable))
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
-        dims, values, attributes = self._arrays[name]
-        empty, dtype = _fill(self._variables[name])
+        values, (empty, dtype) = self._values[name], _fill(self._variables[name])
         shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
         more = np.full(shape, empty if fill is None else fill, dtype)
-        self._values[name] = longer = np.concatenate((values, more), axis=axis)
-        self._arrays[name] = (dims, longer, attributes)
+        self._values[name] = np.concatenate((values[:], more), axis=axis)
 
     def check_room(self, needed: float) -> None:
         check_memory(needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
-        coordinates = {"time": (TIME.dims, time, TIME.attributes()), "frame": frame}
-        labels = {name: list(labels) for name, labels in LABELS.items() if name in used}
-        self.dataset = indexed_by_time(xr.Dataset(self._arrays, {**coordinates, **labels}, dict(attributes)))
+        described = self._attributes.items()
+        arrays = {name: (self._variables[name].dims, self._values[name], about) for name, about in described}
+        self.dataset = labelled(arrays, time, frame, attributes)
+
+
+def labelled(
+    arrays: Mapping[str, Any], time: NDArray[Any], frame: NDArray[Any], attributes: Mapping[str, Any]
+) -> xr.Dataset:
+    """Return a result data set of variables, each as dimensions, values and attributes, with the times (s) and numbers
+    of its frames and the labels of the dimensions.
+    """
+    used = {dim for dims, _, _ in arrays.values() for dim in dims}
+    coordinates = {"time": (TIME.dims, time, TIME.attributes()), "frame": frame}
+    labels = {name: list(labels) for name, labels in LABELS.items() if name in used}
+    return indexed_by_time(xr.Dataset(arrays, {**coordinates, **labels}, dict(attributes)))
 
 
 def indexed_by_time(result: xr.Dataset) -> xr.Dataset:

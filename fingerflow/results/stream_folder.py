@@ -180,13 +180,15 @@ class Sink:
         self._records.write(record.data)
         due = time.perf_counter() - self._synced >= 1
         if due or len(self._records) >= _AT_ONCE:
-            with self._explained():
+            try:  # `_explained` is five calls of Python
                 if due:
                     self._stay()
                 self._flush(self._records)
                 if due:
                     self._synced = time.perf_counter()
                     self._records.sync()
+            except OSError as error:
+                raise self._unwritable(error) from None
 
     def _stay(self) -> None:
         """Continue in another folder, with all results until now, if this one was removed, renamed or unmounted."""
@@ -243,7 +245,10 @@ class Sink:
                 f"{self.folder}: exists already and results are never overwritten; give --output another name"
             ) from None
         except OSError as error:
-            raise PlayerError(
-                f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
-                "give --output another place"
-            ) from None
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> PlayerError:
+        return PlayerError(
+            f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
+            "give --output another place"
+        )

@@ -9,10 +9,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.results.store import indexed_by_time
+from fingerflow.results.store import labelled
 from fingerflow.results.stream_folder import StreamResults, read_results
-from fingerflow.schema.variable_record import LABELS, Variable
-from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TIME, TRACKING, by_name
+from fingerflow.schema.variable_record import Variable
+from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
 
 Array = NDArray[Any]
 _VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
@@ -51,18 +51,13 @@ def _warnings(folder: Path) -> list[str]:
 
 def _labelled(results: StreamResults, warnings: list[str]) -> xr.Dataset:
     chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
-    variables = {
+    arrays = {
         name: (variable.dims, values, _attributes(variable, results.header))
         for name, values in _values(results, chosen).items()
         if (variable := _VARIABLES.get(name)) is not None
     }
-    used = {name for dims, _, _ in variables.values() for name in dims}
-    coordinates: dict[str, Any] = {
-        "time": (TIME.dims, np.array(results.records["time"]), TIME.attributes()),
-        "frame": np.array(results.records["frame"]),
-        **{name: list(labels) for name, labels in LABELS.items() if name in used},
-    }
-    return indexed_by_time(xr.Dataset(variables, coords=coordinates, attrs=_about(results.header, warnings)))
+    time, frame = (np.array(results.records[name]) for name in ("time", "frame"))
+    return labelled(arrays, time, frame, _about(results.header, warnings))
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:

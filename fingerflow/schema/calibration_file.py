@@ -2,9 +2,9 @@
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.text_file import read_text
@@ -13,49 +13,32 @@ Pixels = tuple[int, int]
 _REMEDY = "write it again with `fingerflow calibrate`"
 
 
-class CalibrationFile(NamedTuple):
-    """Image scale, views and transform of a calibration file in plain numbers.
+def read_calibration(path: Path) -> tuple[dict[str, Any], dict[str, tuple[Pixels, Pixels]]]:
+    """Read what a scene takes from a calibration file: values of the keys of its table [calibration], and the half-open
+    ranges of rows and columns of the views for which they hold, by name. A calibration of a scale alone has no
+    ``topography_to_contact``, one without a lens no ``intrinsics``.
 
-    Attributes:
-        mm_per_px: of the contact view.
-        views: half-open ranges of rows and columns of a frame, by the name of the view.
-        matrix: (2, 3), maps (x, y, 1) px of the topography view to (x, y) px of the contact view; None where the
-            calibration holds a scale alone.
-        lens: the keys ``intrinsics`` and ``distortion`` of a scene, where the calibration has them.
-    """
-
-    mm_per_px: float
-    views: Mapping[str, tuple[Pixels, Pixels]]
-    matrix: list[list[float]] | None
-    lens: Mapping[str, Any]
-
-
-def read_calibration(path: Path) -> CalibrationFile:
-    """Read scale, views and transform of a calibration file.
-
-    Raises FingerflowError where the file cannot be read, lacks one of them, or holds an invalid one.
+    Raises FingerflowError where the file cannot be read, lacks a value, or holds an invalid one.
     """
     try:
         table = tomllib.loads(read_text(path, _REMEDY))
-        transform = table.get("topography_to_contact")
-        calibration = CalibrationFile(
-            float(_number(table["mm_per_px"])),
-            {
-                name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
-                for name, view in table["views"].items()
-            },
-            None if transform is None else _matrix(transform["affine"]["matrix"]),
-            {key: table[key] for key in ("intrinsics", "distortion") if key in table},
-        )
+        values: dict[str, Any] = {"mm_per_px": float(_number(table["mm_per_px"]))}
+        values |= {key: table[key] for key in ("intrinsics", "distortion") if key in table}
+        views = {
+            name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
+            for name, view in table["views"].items()
+        }
+        if (transform := table.get("topography_to_contact")) is not None:
+            values["topography_to_contact"] = _matrix(transform["affine"]["matrix"])
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FingerflowError(f"{path}: this calibration cannot be read: {error}; {_REMEDY}") from None
     except KeyError as error:
         raise FingerflowError(f"{path}: this calibration has no entry {error}; {_REMEDY}") from None
     except (TypeError, ValueError, AttributeError) as error:
         raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}; {_REMEDY}") from None
-    if not 0 < calibration.mm_per_px < math.inf:
-        raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0; {_REMEDY}")
-    return calibration
+    if not 0 < values["mm_per_px"] < math.inf:
+        raise FingerflowError(f"{path}: mm_per_px is {values['mm_per_px']}; it must be above 0; {_REMEDY}")
+    return values, views
 
 
 def pixel_range(name: str, values: Any) -> Pixels:

@@ -11,7 +11,7 @@ from fingerflow.schema.key_types import BOTH, number, several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
 from fingerflow.schema.scene import line_number
 from fingerflow.schema.scene_check import TableCheck
-from fingerflow.schema.scene_tables import ContactCells, GaugeSettings, PointSettings
+from fingerflow.schema.scene_tables import ContactCells, EngineSettings, GaugeSettings, PointSettings
 from fingerflow.schema.text_file import read_text
 
 GraphName = Literal[
@@ -66,6 +66,11 @@ class Recipe:
     tracking: PointSettings = table("points on the skin", default=PointSettings())
     fields: GaugeSettings = table("deformation of the skin", default=GaugeSettings())
     export: ExportRecipe = table("graphs of the bundle", default=ExportRecipe())
+
+    @property
+    def engine_settings(self) -> EngineSettings:
+        """Return the settings of the engine; the strain measure is the default."""
+        return EngineSettings(**vars(self.contact), **vars(self.tracking), **vars(self.fields))
 
 
 class _Check(TableCheck):

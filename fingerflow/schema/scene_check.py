@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.calibration_file import CalibrationFile, Pixels, read_calibration
+from fingerflow.schema.calibration_file import Pixels, read_calibration
 from fingerflow.schema.key_types import File, Reader, WrongValue, either
 from fingerflow.schema.keys import SceneKey, SceneTable
 from fingerflow.schema.profiles import PROFILES, with_profile
@@ -38,7 +38,7 @@ class TableCheck:
         self.messages: dict[Keys, str] = {}
         self._missing: set[Keys] = set()
         self._meant: set[Keys] = set()  # likely intended keys of misspelt ones, which are not reported missing
-        self.calibration: CalibrationFile | None = None
+        self.calibration: tuple[dict[str, Any], dict[str, tuple[Pixels, Pixels]]] | None = None
         self.values: dict[str, Any] = {}
         self.given: set[str] = set()
 
@@ -203,9 +203,9 @@ class SceneCheck(TableCheck):
 
     def _read_calibration(self) -> None:
         """Take scale and transform from the calibration file in place of their keys, and record conflicts."""
-        key, scale, transform = "calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"
+        key = "calibration.file"
         if key not in self.given:
-            if "calibration" in self.given and scale not in self.given:
+            if "calibration" in self.given and "calibration.mm_per_px" not in self.given:
                 self.lacks(("calibration", "mm_per_px"))
             return
         keys = ("mm_per_px", "topography_to_contact", "intrinsics", "distortion")
@@ -215,16 +215,11 @@ class SceneCheck(TableCheck):
             self.messages.pop(("calibration", "file"), None)
             self.record_conflict(key, f"a file and {', '.join(excluded)} exclude each other; keep one of them")
             return
-        calibration = self.calibration
-        if calibration is None:
-            return
-        values = {scale: calibration.mm_per_px, **({transform: calibration.matrix} if calibration.matrix else {})}
-        values |= {f"calibration.{name}": value for name, value in calibration.lens.items()}
-        for name, value in values.items():
-            self.given.add(name)
-            entry = SCENE["calibration"].keys[_name(name)]
+        for name, value in (self.calibration or ({},))[0].items():
+            self.given.add(f"calibration.{name}")
+            entry = SCENE["calibration"].keys[name]
             assert isinstance(entry, SceneKey)
-            self.values["calibration"][_name(name)] = self.value(("calibration", _name(name)), entry, value)
+            self.values["calibration"][name] = self.value(("calibration", name), entry, value)
 
     def _check_lens(self) -> None:
         """Record a problem of a lens whose intrinsics are not stated, or in a scene that cannot be corrected for it."""
@@ -286,7 +281,7 @@ class SceneCheck(TableCheck):
             )
         elif self.calibration is not None:
             for name, view in views.items():
-                made_with = self.calibration.views.get(name)
+                made_with = self.calibration[1].get(name)
                 if made_with != view:
                     self.record_conflict(
                         key,

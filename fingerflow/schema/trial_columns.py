@@ -6,7 +6,6 @@ moment. `_std` is its standard deviation.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 from fingerflow.schema.variable_record import MICROMETRE, Variable
 from fingerflow.schema.variables import VARIABLES
@@ -23,10 +22,13 @@ _TRIAL = ("trial",)
 _LARGEST = "the largest of the trial"
 
 
-class AtMoments(NamedTuple):
-    """Quantity that the table of trials lists at several moments of a trial, in one column per moment.
+def _at_moments(
+    name: str, variable: str, definition: str, has_std: bool = False, largest: bool = False, label: str = ""
+) -> Iterator[Variable]:
+    """Yield the columns of a quantity that the table of trials lists at several moments of a trial, one per moment; the
+    first has no suffix.
 
-    Attributes:
+    Args:
         name: of the column without a suffix.
         variable: of a result that has the same unit.
         definition: of the quantity.
@@ -34,33 +36,43 @@ class AtMoments(NamedTuple):
         largest: whether the column without a suffix is the largest value of the trial, else the value at the maximum.
         label: on axes and in tables; "" for the name in words.
     """
+    source = VARIABLES[variable]
 
-    name: str
-    variable: str
-    definition: str
-    has_std: bool = False
-    largest: bool = False
-    label: str = ""
+    def column(name: str, definition: str, label: str = "") -> Variable:
+        shown_in = source.shown_in
+        return Variable(name, _TRIAL, source.units, definition, shown_in=shown_in, of=(variable,), label=label)
+
+    yield column(name, f"{definition}, {_LARGEST if largest else MOMENTS[AT_MAX]}", label)
+    if has_std:
+        yield column(f"{name}_std", f"standard deviation of {name}, by the errors of the points")
+    for moment, when in MOMENTS.items():
+        if moment == AT_MAX and not largest:
+            continue
+        yield column(f"{name}_{moment}", f"{definition}, {when}")
+        if has_std:
+            yield column(f"{name}_{moment}_std", f"standard deviation of {name}_{moment}")
 
 
-AT_MOMENTS = (
-    AtMoments("real_contact_area", "real_contact_area", "real contact area"),
-    AtMoments("gross_contact_area", "gross_contact_area", "gross contact area"),
-    AtMoments("divergence", "median_divergence", "median divergence over the gross contact", has_std=True),
-    AtMoments("curl", "median_curl", "median curl over the gross contact", has_std=True),
-    AtMoments("strain", "median_strain", "median strain along the major axis that the gross contact has at its maximum",
-              has_std=True, label="longitudinal strain"),
-    AtMoments("strain_across", "median_strain", "median strain across that axis", has_std=True),
-    AtMoments("strain_energy", "strain_energy", "strain energy of the whole contact", has_std=True),
-    AtMoments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
-    AtMoments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
-    AtMoments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),
-    AtMoments("global_displacement", "global_displacement", "length of the median displacement since onset",
-              largest=True),
-    AtMoments("force_angle", "force_angle", "angle of the force from the normal, atan |T/N|", largest=True,
-              label="peak force angle"),
-    AtMoments("coverage", "tracked_share", "share of the points in contact that are tracked"),
-)  # fmt: skip
+_QUANTITIES = tuple(tuple(columns) for columns in (
+    _at_moments("real_contact_area", "real_contact_area", "real contact area"),
+    _at_moments("gross_contact_area", "gross_contact_area", "gross contact area"),
+    _at_moments("divergence", "median_divergence", "median divergence over the gross contact", has_std=True),
+    _at_moments("curl", "median_curl", "median curl over the gross contact", has_std=True),
+    _at_moments("strain", "median_strain", "median strain along the major axis that the gross contact has at its "
+                "maximum", has_std=True, label="longitudinal strain"),
+    _at_moments("strain_across", "median_strain", "median strain across that axis", has_std=True),
+    _at_moments("strain_energy", "strain_energy", "strain energy of the whole contact", has_std=True),
+    _at_moments("divergence_rate", "median_divergence_rate", "rate of the median divergence", largest=True),
+    _at_moments("strain_rate", "median_strain_rate", "rate of the strain along the major axis", largest=True),
+    _at_moments("strain_energy_rate", "strain_energy_rate", "rate of the strain energy", largest=True),
+    _at_moments("global_displacement", "global_displacement", "length of the median displacement since onset",
+                largest=True),
+    _at_moments("force_angle", "force_angle", "angle of the force from the normal, atan |T/N|", largest=True,
+                label="peak force angle"),
+    _at_moments("coverage", "tracked_share", "share of the points in contact that are tracked"),
+))  # fmt: skip
+#: Variables of a result by the names of the quantities that the table lists at several moments.
+AT_MOMENTS = {columns[0].name: columns[0].of[0] for columns in _QUANTITIES}
 _OF_TRIAL = (
     Variable("max_force", _TRIAL, "N", "largest normal force", label="largest normal force"),
     Variable("time_to_max_force", _TRIAL, "s", "from the first frame with contact to the largest normal force",
@@ -84,29 +96,12 @@ _OF_TRIAL = (
 NORMALISED = ("real_contact_area", "gross_contact_area")
 
 
-def _moment_columns(entry: AtMoments) -> Iterator[Variable]:
-    source = VARIABLES[entry.variable]
-
-    def column(name: str, definition: str, label: str = "") -> Variable:
-        return Variable(name, _TRIAL, source.units, definition, shown_in=source.shown_in, label=label)
-
-    yield column(entry.name, f"{entry.definition}, {_LARGEST if entry.largest else MOMENTS[AT_MAX]}", entry.label)
-    if entry.has_std:
-        yield column(f"{entry.name}_std", f"standard deviation of {entry.name}, by the errors of the points")
-    for moment, when in MOMENTS.items():
-        if moment == AT_MAX and not entry.largest:
-            continue
-        yield column(f"{entry.name}_{moment}", f"{entry.definition}, {when}")
-        if entry.has_std:
-            yield column(f"{entry.name}_{moment}_std", f"standard deviation of {entry.name}_{moment}")
-
-
 #: Numeric columns of the table of trials.
 NUMBERS: dict[str, Variable] = {
     column.name: column
     for column in (
         *_OF_TRIAL,
-        *(column for entry in AT_MOMENTS for column in _moment_columns(entry)),
+        *(column for columns in _QUANTITIES for column in columns),
         *(
             Variable(f"{name}_normalised", _TRIAL, "1", f"{name} over its median in the participant's trials")
             for name in NORMALISED
@@ -119,7 +114,7 @@ DIFFERENCES: dict[str, Variable] = {
     f"{name}{DIFFERENCE}": replace(
         NUMBERS[name], name=f"{name}{DIFFERENCE}", long_name=f"{NUMBERS[name].long_name}; less that of the reference"
     )
-    for name in (*(column.name for column in _OF_TRIAL), *(entry.name for entry in AT_MOMENTS))
+    for name in (*(column.name for column in _OF_TRIAL), *AT_MOMENTS)
 }
 #: Columns of the table of trials that are not numeric.
 FACTS: dict[str, Variable] = {

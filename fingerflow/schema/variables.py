@@ -209,6 +209,9 @@ TRACKING = (
         "part of position_std_px that is not due to displacement curved within the window", "f4",
         equation="√(tr C/2 + δ²/2), the terms of position_std_px by noise and dust",
         label="standard deviation of the position by image noise"),
+    Variable("position_anisotropy", ("point", "xy"), "1",
+        "anisotropy of the covariance of a position on the glass, of which position_std_px is the mean over directions",
+        "f4", equation="(C_xx − C_yy, 2 C_xy)/(C_xx + C_yy), C that of position_std_px for the latest template"),
     Variable("subset_correlation", FRAME_POINT, "1",
         "correlation of the window (subset) of a point with that in which it was seeded, as of the last check, one in "
         "every eight frames", "f4",

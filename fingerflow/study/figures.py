@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,15 +32,9 @@ _NEVER_NEGATIVE = (*_AREAS, "strain_energy")
 _MOST_NAMED = 12  # largest number of conditions named in a legend
 
 
-class StudyFigure(NamedTuple):
-    """Figure of a study as it was written: name, image file ("" if not drawn), caption, and sentences on the panels
-    that were left out.
-    """
-
-    name: str
-    file: str
-    caption: str
-    left_out: tuple[str, ...]
+# Figure of a study as it was written: name, image file ("" if not drawn), caption, and sentences on the panels that
+# were left out.
+StudyFigure = tuple[str, str, str, list[str]]
 
 
 def write_figures(
@@ -65,7 +59,7 @@ def write_figures(
     """
     on_page = [suffix for suffix in files.formats if suffix in ("svg", "png")] or ["png"]
     files = replace(files, formats=tuple(dict.fromkeys((*files.formats, on_page[0]))))
-    written = []
+    written: list[StudyFigure] = []
     for name in FIGURES:
         trials = sample.trials
         if name == "S1":
@@ -91,12 +85,12 @@ def write_figures(
         left_out = Sheet(name, (), tuple(missing)).missing()
         left_out += [f"{', '.join(letters)} need answers" for letters in dropped]
         if not panels:
-            written.append(StudyFigure(name, "", "", tuple(left_out)))
+            written.append((name, "", "", left_out))
             continue
         ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
         figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
         files.save(figure, folder, name)
-        written.append(StudyFigure(name, f"{name}.{on_page[0]}", caption_of(figure), tuple(left_out)))
+        written.append((name, f"{name}.{on_page[0]}", caption_of(figure), left_out))
     return written
 
 

@@ -8,7 +8,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.results.result import Own
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
 Series = NDArray[np.float64]
@@ -23,10 +22,11 @@ CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "stra
 _COMPUTED = ("strain", "strain_across", "strain_rate", "force_angle", "coverage")
 #: Series of the table that are variables of a result; `READ` lists all variables that `measure` reads.
 _SERIES = {
-    f"{moment.name}{suffix}": f"{moment.variable}{suffix}"
-    for moment in AT_MOMENTS
-    if moment.name not in _COMPUTED
-    for suffix in (("", "_std") if moment.has_std else ("",))
+    f"{name}{suffix}": f"{variable}{suffix}"
+    for name, variable in AT_MOMENTS.items()
+    if name not in _COMPUTED
+    for suffix in ("", "_std")
+    if f"{name}{suffix}" in NUMBERS
 }
 READ = (
     *_SERIES.values(),
@@ -43,7 +43,7 @@ _SLID = 0.02  # stuck share up to which no skin counts as sticking
 _FEWEST_SLID = 5  # least number of frames
 
 
-def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
+def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
     """Return the table row of a trial (values by the column names in `NUMBERS` and `FACTS`), computed from its
     processed result, and its curves: variables interpolated at the normal forces of `FORCE_GRID`.
 
@@ -55,16 +55,16 @@ def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[fl
     trial = _Trial(result)
     row: dict[str, Any] = dict.fromkeys(NUMBERS)
     row |= trial.trial_numbers()
-    for name, _, _, has_std, largest, _ in AT_MOMENTS:
+    for name in AT_MOMENTS:
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
         if series is None:
             continue
         for moment, where in trial.moments.items():
-            suffix = "" if moment == AT_MAX and not largest else f"_{moment}"
+            suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
             row[f"{name}{suffix}"] = _interpolated(series, where)
-            if has_std and deviation is not None:
+            if deviation is not None and f"{name}_std" in NUMBERS:
                 row[f"{name}{suffix}_std"] = _interpolated(deviation, where)
-        if largest:
+        if f"{name}_{AT_MAX}" in NUMBERS:
             row[name] = trial.largest(series)
     curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series}
     numbers = {name: _finite(value) for name, value in row.items()} | trial.facts()
@@ -76,7 +76,7 @@ class _Trial:
     force, and forces of 1 to 3 N.
     """
 
-    def __init__(self, result: xr.Dataset | Own) -> None:
+    def __init__(self, result: xr.Dataset) -> None:
         self._result = result
         self._time = np.asarray(result["time"].values, dtype=np.float64)
         self._window = float(json.loads(result.attrs["settings"])["fields"]["rate_window_s"])

@@ -9,43 +9,36 @@ from fingerflow.errors import FingerflowError
 from fingerflow.study.cache_keys import all_codes, trial_keys
 from fingerflow.study.cluster import Interrupted, run_on_workers, threads_each, workers_for
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.trial import Outcome, is_current, run_trial
+from fingerflow.study.trial import is_current, run_trial
 from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
-
-@dataclass(frozen=True)
-class Planned:
-    """Trial that must run: its entry in the manifest, what to redo ("everything", only what has "changed", or only the
-    table "row"), and why.
-    """
-
-    entry: TrialEntry
-    redo: Part
-    why: str
+# Trial that must run: its entry in the manifest, what to redo ("everything", only what has "changed", or only the table
+# "row"), and why.
+Planned = tuple[TrialEntry, Part, str]
 
 
 @dataclass
 class Summary:
-    """Outcome of a study run: numbers of trials selected to run and of those left as they were, the outcome of each
-    that ran, and the reason if the run was interrupted.
+    """Outcome of a study run: numbers of trials selected to run and of those left as they were, the outcomes of
+    those that ran by name, and the reason if the run was interrupted.
     """
 
     planned: int
     skipped: int
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: dict[str, TrialRow] = field(default_factory=dict)
     interrupted: str = ""
 
     def __str__(self) -> str:
         """Return a text with one line of counts, and one line for each failed trial."""
-        counts = Counter(outcome.status for outcome in self.outcomes)
+        counts = Counter(outcome.status for outcome in self.outcomes.values())
         left = self.planned - len(self.outcomes)
         lines = [
             f"{counts[MEASURED]} trials measured, {counts[FAILED]} failed, {self.skipped} were done already"
             + (f", {left} not run" if left else "")
         ]
         lines += [
-            f"  {outcome.name}: {outcome.reason}{' (is tried again by the next run)' if outcome.passing else ''}"
-            for outcome in self.outcomes
+            f"  {name}: {outcome.reason}{' (is tried again by the next run)' if outcome.passing else ''}"
+            for name, outcome in self.outcomes.items()
             if outcome.status == FAILED
         ]
         return "\n".join(lines + ([f"stopped: {self.interrupted}"] if self.interrupted else []))
@@ -100,14 +93,14 @@ def run_study(
         return summary
     threads = threads_each(scheduler, workers_for(len(planned), workers))
     run = partial(run_trial, codes=all_codes(), threads=threads)
-    tasks = ((plan.entry.name, (replace(manifest, trials=(plan.entry,)), plan.redo)) for plan in planned)
+    tasks = ((entry.name, (replace(manifest, trials=(entry,)), redo)) for entry, redo, _ in planned)
 
-    def failed_outcome(name: str, error: BaseException) -> Outcome:
-        return _outcome_of_error(error, name, manifest)
+    def failed_outcome(name: str, error: BaseException) -> tuple[str, TrialRow]:
+        return name, _outcome_of_error(error, name, manifest)
 
     try:
-        for outcome in run_on_workers(run, tasks, len(planned), failed_outcome, scheduler, workers, progress):
-            summary.outcomes.append(outcome)
+        for name, outcome in run_on_workers(run, tasks, len(planned), failed_outcome, scheduler, workers, progress):
+            summary.outcomes[name] = outcome
     except Interrupted as stop:
         summary.interrupted = str(stop)
     return summary
@@ -117,31 +110,31 @@ def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Pl
     folder = manifest.results / entry.name
     stored = read_row(folder)
     if stored is None:
-        return Planned(entry, "everything", "has not been run" if not folder.exists() else "has no row")
+        return entry, "everything", "has not been run" if not folder.exists() else "has no row"
     if stored.status == FAILED and (stored.passing or retry_failed):
-        return Planned(entry, "everything", f"failed: {stored.reason}")
+        return entry, "everything", f"failed: {stored.reason}"
     try:
         keys = trial_keys(manifest.build_scene(entry), None if stored.keys is None else stored.keys.inputs)
     except FingerflowError as error:
         # The trial would fail with the same message again, so its row is final.
-        return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")
+        return None if stored.reason == str(error) else (entry, "everything", f"cannot be run: {error}")
     if stored.keys is None:
-        return Planned(entry, "everything", "could not be opened last time")
+        return entry, "everything", "could not be opened last time"
     if is_current(stored, keys, folder):
         return None
     changed = stored.keys.changed_inputs(keys)
     if changed:
-        return Planned(entry, "everything", f"{', '.join(changed)} changed")
+        return entry, "everything", f"{', '.join(changed)} changed"
     if stored.status == FAILED:
-        return Planned(entry, "everything", "settings or code changed since it failed")
+        return entry, "everything", "settings or code changed since it failed"
     if not has_result(folder, stored):
-        return Planned(entry, "everything", "its result is gone or damaged")
+        return entry, "everything", "its result is gone or damaged"
     if stored.keys.result != keys.result:
-        return Planned(entry, "changed", "settings or code changed; what does not depend on them is kept")
-    return Planned(entry, "row", "the table has other columns now; the result is kept")
+        return entry, "changed", "settings or code changed; what does not depend on them is kept"
+    return entry, "row", "the table has other columns now; the result is kept"
 
 
-def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
+def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> TrialRow:
     """Return the outcome "failed" of the trial `name`, whose worker was killed or which raised `error`; if `error` is a
     FingerflowError, raise it again.
     """
@@ -152,8 +145,9 @@ def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> Ou
             "every worker that took it was killed, as where memory is too small: give fewer workers, or ask why in "
             "their logs"
         )
-        write_row(manifest.results / name, TrialRow(FAILED, reason, passing=True))
-        return Outcome(name, FAILED, reason, passing=True)
+        outcome = TrialRow(FAILED, reason, passing=True)
+        write_row(manifest.results / name, outcome)
+        return outcome
     if isinstance(error, FingerflowError):
         raise error
-    return Outcome(name, FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)
+    return TrialRow(FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)

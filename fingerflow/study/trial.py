@@ -1,4 +1,4 @@
-"""Execution of trials by a worker process, which writes results to the trial's folder and returns a short outcome."""
+"""Execution of trials by a worker process, which writes results to the trial's folder and returns the outcome."""
 
 import errno
 import gc
@@ -7,7 +7,7 @@ import platform
 import time
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -30,21 +30,8 @@ _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM
 _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of one trial in a study run: name, status, reason of a failure, whether that is transient (`passing`),
-    and processor time (s).
-    """
-
-    name: str
-    status: str
-    reason: str = ""
-    passing: bool = False
-    cpu_seconds: float = 0.0
-
-
-def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: int) -> Outcome:
-    """Process one trial, write its result and table row into its folder, and return the outcome.
+def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: int) -> tuple[str, TrialRow]:
+    """Process one trial, write its result and table row into its folder, and return its name and its table row.
 
     Args:
         task: manifest of this trial alone, and what to redo: "everything", what settings or code have "changed", or the
@@ -72,7 +59,7 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
         stored = read_row(folder)
         keys = trial_keys(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
-            return Outcome(entry.name, MEASURED, "was done by another run meanwhile")
+            return entry.name, TrialRow(MEASURED, "was done by another run meanwhile")
         path, earlier = folder / result_name(keys), None
         if redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
             earlier = folder / stored.result
@@ -90,11 +77,10 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
         trial = TrialRow(FAILED, reason, _is_transient(error), keys)
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
-    cpu_seconds = time.process_time() - cpu
     made = {
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(time.perf_counter() - wall, 3),
-        "cpu_seconds": round(cpu_seconds, 3),
+        "cpu_seconds": round(time.process_time() - cpu, 3),
         "redone_from": redo,
         "threads": threads,
         "seed": None,  # `process` uses no random numbers
@@ -102,10 +88,11 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
         **trace,
     }
     try:
-        write_row(folder, replace(trial, made=made))
+        trial = replace(trial, made=made)
+        write_row(folder, trial)
     except FingerflowError as error:  # the trial runs again, as it has no row
-        return Outcome(entry.name, FAILED, str(error), True, cpu_seconds)
-    return Outcome(entry.name, trial.status, trial.reason, trial.passing, cpu_seconds)
+        trial = TrialRow(FAILED, str(error), passing=True, made=made)
+    return entry.name, trial
 
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:

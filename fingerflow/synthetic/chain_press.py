@@ -3,8 +3,8 @@ friction.
 """
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -32,8 +32,13 @@ class ChainPress(SyntheticScene):
     the force rises, then stays constant.
 
     Contact is a disc and displacement is radial; both are those of the chain. While the force is held they persist, and
-    disc and skin may shift as a whole. Progress is 1 at the end of the rise and 2 in the last frame. Settings that all
-    scenes share are those of `SyntheticScene`.
+    disc and skin may shift as a whole. Progress is 1 at the end of the rise and 2 in the last frame.
+
+    With r the distance from the disc's centre, material = position - s (position - centre), where s(r, p) is a bicubic
+    spline, even in r, and p the place on the path of the chain. The square of the disc's radius is a cubic spline of p.
+    Both splines are even at either end of the path, because the force begins and ends with zero slope. Beyond a
+    progress of 1 disc and skin move together, by shift sin²(pi (progress - 1) / 2). Settings that all scenes share are
+    those of `SyntheticScene`.
 
     Args:
         friction: coefficient between skin and glass.
@@ -82,10 +87,49 @@ class ChainPress(SyntheticScene):
         share = np.minimum(self.progress(self.times), 1) * self._path_end
         return np.where(share > 0, np.interp(share, np.linspace(0, 1, _TIMES), values.numpy()), np.nan)
 
-    @cached_property
-    def motion(self) -> "RadialMotion":
-        motion = _radial_motion(*self._path)
-        return replace(motion, centre=self.contact_centre, shift=self.shift, end=self._path_end)
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        shifted = self._shifted(progress)
+        x, y = x - self.shift[0] * shifted, y - self.shift[1] * shifted
+        right, down = x - self.contact_centre[0], y - self.contact_centre[1]
+        # 1e-30 is below the rounding of any relevant position, and makes the gradient at the centre finite.
+        radius = torch.sqrt(right.square() + down.square() + 1e-30)
+        side, share, _ = _path_splines(*self._path)
+        rows, columns = share.shape
+        first, weights = _spline_weights(self._on_path(progress), rows - 3)
+        table = share.to(x.dtype)
+        start, across = _spline_weights(radius / side, columns - 3)
+        if progress.numel() == 1:  # a whole image has one progress, so one row of coefficients serves all pixels
+            four = torch.stack([weight.reshape(()) for weight in weights])
+            spread = _spline_value(four @ table[int(first) : int(first) + 4], start, across)
+        else:
+            flat, spread = table.flatten(), torch.zeros_like(radius)
+            for k, weight in enumerate(weights):
+                spread = spread + weight * _spline_value(flat, (first + k) * columns + start, across)
+        return x - spread * right, y - spread * down
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        shifted, (centre_x, centre_y) = self._shifted(progress), self.contact_centre
+        right, down = x - centre_x - self.shift[0] * shifted, y - centre_y - self.shift[1] * shifted
+        largest = float(self._square(torch.ones(1, dtype=torch.float64)))
+        return (self._square(progress) - right.square() - down.square()) / largest
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        at = torch.tensor(progress, dtype=torch.float64)
+        square, shifted = (float(self._square(at)) if progress > 0 else 0.0), float(self._shifted(at))
+        centre = self.contact_centre[0] + self.shift[0] * shifted, self.contact_centre[1] + self.shift[1] * shifted
+        return Ellipse(centre, (math.sqrt(square), math.sqrt(square))) if square > 1e-6 else None
+
+    def _on_path(self, progress: Tensor) -> Tensor:
+        return progress.clamp(0, 1) * self._path_end
+
+    def _shifted(self, progress: Tensor) -> Tensor:
+        return torch.sin(math.pi / 2 * (progress - 1).clamp(0, 1)).square()
+
+    def _square(self, progress: Tensor) -> Tensor:
+        """Return the square of the contact radius, mm², at a progress of the movement."""
+        square = _path_splines(*self._path)[2]
+        start, weights = _spline_weights(self._on_path(progress), len(square) - 3)
+        return _spline_value(square.to(progress.dtype), start, weights)
 
     def progress(self, time: Array) -> Array:
         share = self._share_of_rise(time)
@@ -161,11 +205,12 @@ def _invert_force_share(share: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _radial_motion(
+def _path_splines(
     friction: float, parameters: str, softness: float, force: float, rise_s: float, elements: int
-) -> "RadialMotion":
-    """Simulate a skin chain as `pressed_chain` does, and return the growth of its contact and the radial motion of its
-    skin around the origin as splines.
+) -> tuple[float, Tensor, Tensor]:
+    """Simulate a skin chain as `pressed_chain` does; return the radius (mm) where the spline s of the radial motion
+    ends, beyond which s is constant, its coefficients (K + 3, M + 3) from p = 0 to 1 and radius 0 to there, padded by
+    one on each side, and the coefficients (K + 3,) of the square of the contact radius, mm².
     """
     chain = pressed_chain(friction, parameters, softness, force, rise_s, elements)
     x = 1e3 * (chain.position[..., 0] - chain.position[..., 0].flip(-1)).numpy() / 2
@@ -178,78 +223,7 @@ def _radial_motion(
         moved = CubicSpline(positions[seen], (positions - undeformed)[seen])
         row[0], row[1:] = moved(0.0, 1), moved(radius[1:]) / radius[1:]
     square = (500 * chain.contact_length.numpy()) ** 2
-    return RadialMotion((0.0, 0.0), side, _coefficients(_smoothed(share)), _coefficients(_smoothed(square)))
-
-
-@dataclass(frozen=True, eq=False)
-class RadialMotion:
-    """Motion of a contact disc that grows while skin spreads radially from its centre, both given by splines.
-
-    Progress from 0 to 1 is the rise of the force. With r the distance from the disc's centre, material = position -
-    s (position - centre), where s(r, p) is a bicubic spline, even in r, and p = end progress the place on the path of
-    the chain. The square of the disc's radius is a cubic spline of p. Both splines are even at either end of the path,
-    because the force begins and ends with zero slope. Beyond a progress of 1 disc and skin move together, by shift
-    sin²(pi (progress - 1) / 2).
-
-    Args:
-        centre: of the contact during the rise, mm.
-        side: radius (mm) where the spline ends; beyond it s is constant.
-        share: coefficients (K + 3, M + 3) of s, from p = 0 to 1 and radius 0 to ``side``, padded by one on each side.
-        square: coefficients (K + 3,) of the square of the contact radius, mm².
-        shift: displacement (x, y) of disc and skin as a whole at a progress of 2, mm.
-        end: p at the end of the rise.
-    """
-
-    centre: tuple[float, float]
-    side: float
-    share: Tensor
-    square: Tensor
-    shift: tuple[float, float] = (0.0, 0.0)
-    end: float = 1.0
-
-    # The contact grows faster than the skin spreads, so a point inside it stays inside and enters only once.
-    entry_steps = 1
-
-    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        shifted = self._shifted(progress)
-        x, y = x - self.shift[0] * shifted, y - self.shift[1] * shifted
-        right, down = x - self.centre[0], y - self.centre[1]
-        # 1e-30 is below the rounding of any relevant position, and makes the gradient at the centre finite.
-        radius = torch.sqrt(right.square() + down.square() + 1e-30)
-        rows, columns = self.share.shape
-        first, weights = _spline_weights(self._on_path(progress), rows - 3)
-        table = self.share.to(x.dtype)
-        start, across = _spline_weights(radius / self.side, columns - 3)
-        if progress.numel() == 1:  # a whole image has one progress, so one row of coefficients serves all pixels
-            four = torch.stack([weight.reshape(()) for weight in weights])
-            spread = _spline_value(four @ table[int(first) : int(first) + 4], start, across)
-        else:
-            flat, spread = table.flatten(), torch.zeros_like(radius)
-            for k, weight in enumerate(weights):
-                spread = spread + weight * _spline_value(flat, (first + k) * columns + start, across)
-        return x - spread * right, y - spread * down
-
-    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        shifted = self._shifted(progress)
-        right, down = x - self.centre[0] - self.shift[0] * shifted, y - self.centre[1] - self.shift[1] * shifted
-        largest = float(self._square(torch.ones(1, dtype=torch.float64)))
-        return (self._square(progress) - right.square() - down.square()) / largest
-
-    def ellipse(self, progress: float) -> Ellipse | None:
-        at = torch.tensor(progress, dtype=torch.float64)
-        square, shifted = (float(self._square(at)) if progress > 0 else 0.0), float(self._shifted(at))
-        centre = self.centre[0] + self.shift[0] * shifted, self.centre[1] + self.shift[1] * shifted
-        return Ellipse(centre, (math.sqrt(square), math.sqrt(square))) if square > 1e-6 else None
-
-    def _on_path(self, progress: Tensor) -> Tensor:
-        return progress.clamp(0, 1) * self.end
-
-    def _shifted(self, progress: Tensor) -> Tensor:
-        return torch.sin(math.pi / 2 * (progress - 1).clamp(0, 1)).square()
-
-    def _square(self, progress: Tensor) -> Tensor:
-        start, weights = _spline_weights(self._on_path(progress), len(self.square) - 3)
-        return _spline_value(self.square.to(progress.dtype), start, weights)
+    return side, _coefficients(_smoothed(share)), _coefficients(_smoothed(square))
 
 
 def _smoothed(values: Array) -> Array:

@@ -1,7 +1,7 @@
 """Comparison of pipeline results with the ground truth of a synthetic scene."""
 
 from dataclasses import astuple
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,14 +15,9 @@ from fingerflow.synthetic.frame_threads import each_frame
 Array = NDArray[np.float64]
 
 
-class Comparison(NamedTuple):
-    """Comparison of one measured quantity with the truth: both values in the last frame, and a text with the errors."""
-
-    quantity: str
-    unit: str
-    measured: float
-    truth: float
-    error: str
+# Comparison of one measured quantity with the truth: quantity, unit, measured and truth, both in the last frame, and a
+# text with the error.
+Comparison = dict[str, Any]
 
 
 def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
@@ -32,12 +27,15 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     """
     truth = scene.truth
     last = scene.n_frames - 1
-    rows = []
+    rows: list[Comparison] = []
+
+    def add(quantity: str, unit: str, measured: float, true: float, error: str) -> None:
+        rows.append({"quantity": quantity, "unit": unit, "measured": measured, "truth": true, "error": error})
 
     def relative(quantity: str, unit: str, values: Array, true: Array, large: NDArray[np.bool_]) -> None:
         error = np.abs(values[large] / true[large] - 1)
         text = f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})"
-        rows.append(Comparison(quantity, unit, values[last], true[last], text))
+        add(quantity, unit, values[last], true[last], text)
 
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
     large = gross > 10
@@ -61,7 +59,7 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     distance = np.linalg.norm(pixels[last] - truth.follow(pixels[0], 0, last), axis=-1)[tracked]
     root_mean_square = float(np.sqrt((distance**2).mean()))
     text = f"{root_mean_square:.4f} RMS, {distance.max():.3f} worst"
-    rows.append(Comparison("position of a point, last frame", "px", root_mean_square, 0.0, text))
+    add("position of a point, last frame", "px", root_mean_square, 0.0, text)
     if "median_divergence" not in result:
         return rows
     frames = [*looked[::2], last]
@@ -78,20 +76,14 @@ def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
         variable = VARIABLES[name]
         computed, expected = variable.shown_values(measured[frames]), variable.shown_values(true)
         error = computed - expected
-        rows.append(
-            Comparison(
-                f"{variable.words}{component}",
-                variable.shown_unit.name,
-                float(computed[-1]),
-                float(expected[-1]),
-                f"{error[-1]:+.3g} (worst frame: {error[np.nanargmax(np.abs(error))]:+.3g})",
-            )
-        )
+        text = f"{error[-1]:+.3g} (worst frame: {error[np.nanargmax(np.abs(error))]:+.3g})"
+        name, unit = f"{variable.words}{component}", variable.shown_unit.name
+        add(name, unit, float(computed[-1]), float(expected[-1]), text)
     return rows
 
 
 def as_text(rows: list[Comparison]) -> str:
     """Return the comparisons of measured with true values as a table in plain text, with one row per quantity."""
     lines = [f"{'quantity':33}{'measured':>12}{'truth':>12}  {'unit':7}error"]
-    lines += [f"{row.quantity:33}{row.measured:12.4f}{row.truth:12.4f}  {row.unit:7}{row.error}" for row in rows]
+    lines += ["{quantity:33}{measured:12.4f}{truth:12.4f}  {unit:7}{error}".format(**row) for row in rows]
     return "\n".join(lines)

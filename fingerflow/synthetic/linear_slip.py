@@ -1,13 +1,12 @@
 """Synthetic trial of partial slip whose stuck area falls linearly with load, as in Terekhov & Hayward 2011."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.synthetic.partial_slip import PartialSlip, PartialSlipMotion
+from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.scenes import Array
 
 _SWING_HZ = 3.0
@@ -35,26 +34,12 @@ class LinearSlip(PartialSlip):
     bend: float = 1.0
     swing: float = 0.0
 
-    @cached_property
-    def motion(self) -> "LinearSlipMotion":
-        return LinearSlipMotion(**vars(super().motion), last=self.last, bend=self.bend)
-
-    def tangential_force(self, time: Array) -> Array:
-        return super().tangential_force(time) * (1 - self.swing * np.sin(np.pi * _SWING_HZ * time) ** 2)
-
-
-@dataclass(frozen=True)
-class LinearSlipMotion(PartialSlipMotion):
-    """Skin motion of a `LinearSlip` trial: the stuck area share d² falls from 1 to `last` as the tangential force
-    rises, linearly if `bend` is 1.
-    """
-
-    last: float = 0.2
-    bend: float = 1.0
-
     def stuck_radius(self, progress: Tensor) -> Tensor:
         share = progress.double() / self.loaded
         rest = (1 - share).clamp(min=0) ** self.bend
         left = (self.full_slip - progress.double()) / (self.full_slip - self.loaded)
         area = torch.where(left < 1, self.last * left.clamp(min=0), self.last + (1 - self.last) * rest)
         return torch.where(area > 1e-12, area.clamp(min=1e-12).sqrt(), 0.0).to(progress.dtype)
+
+    def tangential_force(self, time: Array) -> Array:
+        return super().tangential_force(time) * (1 - self.swing * np.sin(np.pi * _SWING_HZ * time) ** 2)

@@ -9,7 +9,6 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, stuck_area
-from fingerflow.synthetic.motion import SlideMotion
 from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
@@ -27,6 +26,11 @@ class PartialSlip(Slide):
     the critical area then collapses at constant load, linearly in time; otherwise it has faded to nothing. From then on
     contact and skin travel together, and T/N falls to mu_k within `collapse`. The truth of a frame is `stuck_share`,
     d²; `slow_share`, the estimate of d² by a displacement limit; and `truth`, the position of each point.
+
+    With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has moved by creep (f(r -
+    s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below. From the border of the stick region the skin
+    takes up a uniform stretch, and beyond the contact it moves rigidly. Nothing has moved where s = 1. Each jump before
+    full slip adds `jump` g((r - s) / (1 - s)), g rising from 0 to 1 as 3 x² - 2 x³.
 
     Settings are those of `Slide`. Here `creep` is the displacement of the skin at the rim of the contact when nothing
     sticks any more: about its stretch along the pull (0.2 by default) times a semi-axis.
@@ -55,7 +59,7 @@ class PartialSlip(Slide):
 
     def __post_init__(self) -> None:
         for number, time in enumerate(sorted(self.jumps), 1):
-            stuck = float(self.motion.stuck_radius(torch.tensor(time / self.times[-1], dtype=torch.float64)))
+            stuck = float(self.stuck_radius(torch.tensor(time / self.times[-1], dtype=torch.float64)))
             annulus = (1 - stuck) * min(self.semi_axes)
             before = time < self.full_slip * self.times[-1]
             if time <= 0 or (before and _STEEPEST * number * self.jump > _MOST_STRETCH * annulus):
@@ -66,60 +70,28 @@ class PartialSlip(Slide):
                 )
 
     @cached_property
-    def motion(self) -> "PartialSlipMotion":
+    def loaded(self) -> float:
+        """Return the progress at which the critical load is reached."""
         critical = float(critical_stuck_area(self.static_friction, self.kinetic_friction).nan_to_num(0.0))
-        collapse = self.collapse / self.times[-1] if critical > 0 else 0.0
-        return PartialSlipMotion(
-            **vars(super().motion),
-            static_friction=self.static_friction,
-            kinetic_friction=self.kinetic_friction,
-            loaded=self.full_slip - collapse,
-            jumps=tuple(float(time / self.times[-1]) for time in self.jumps),
-            jump=self.jump,
-        )
+        return self.full_slip - (self.collapse / self.times[-1] if critical > 0 else 0.0)
 
-    def tangential_force(self, time: Array) -> Array:
-        progress = self.progress(time)
-        held = self.motion.load_ratio(torch.from_numpy(progress)).numpy()
-        slipping = np.clip((progress - self.full_slip) * self.times[-1] / self.collapse, 0, 1)
-        return np.asarray(self.force * (held + slipping * (self.kinetic_friction - held)))
-
-
-@dataclass(frozen=True)
-class PartialSlipMotion(SlideMotion):
-    """Motion of a slide whose stuck ellipse has the area of the partial-slip model at a linearly rising load.
-
-    With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has moved by creep (f(r -
-    s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below. From the border of the stick region the skin
-    takes up a uniform stretch, and beyond the contact it moves rigidly. Nothing has moved where s = 1. Each jump before
-    full slip adds `jump` g((r - s) / (1 - s)), g rising from 0 to 1 as 3 x² - 2 x³.
-
-    Args:
-        static_friction: mu_s.
-        kinetic_friction: mu_k.
-        loaded: progress at which the critical load is reached.
-        jumps: progress of each jump.
-        jump: length of each, mm.
-    """
-
-    static_friction: float
-    kinetic_friction: float
-    loaded: float
-    jumps: tuple[float, ...] = ()
-    jump: float = 0.0
+    @cached_property
+    def _jumps(self) -> list[float]:
+        """Return the progress of each jump."""
+        return [float(time / self.times[-1]) for time in self.jumps]
 
     def travelled(self, progress: Tensor) -> Tensor:
         """Return the distance, mm, by which contact and skin have slid together as a whole at a progress of the slide,
         including stick-slip jumps after full slip.
         """
-        late = (at for at in self.jumps if at >= self.full_slip)
+        late = (at for at in self._jumps if at >= self.full_slip)
         return sum((self.jump * (progress >= at).to(progress.dtype) for at in late), super().travelled(progress))
 
     def jumped(self, progress: Tensor) -> Tensor:
         """Return the total length, mm, of the stick-slip jumps that the rim of the contact has made up to a progress of
         the slide, without those after full slip.
         """
-        early = (at for at in self.jumps if at < self.full_slip)
+        early = (at for at in self._jumps if at < self.full_slip)
         return self.jump * sum(((progress >= at).to(progress.dtype) for at in early), 0 * progress)
 
     def load_ratio(self, progress: Tensor) -> Tensor:
@@ -138,31 +110,28 @@ class PartialSlipMotion(SlideMotion):
         # Near 0 the square root has no finite slope, which differentiation of the motion needs.
         return torch.where(area > 1e-12, area.clamp(min=1e-12).sqrt(), 0.0).to(progress.dtype)
 
-    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        travelled = self.travelled(progress)
-        radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
-        slipped = travelled + self._slip(radius, self.stuck_radius(progress), self.jumped(progress))
-        return x - slipped * self.direction[0], y - slipped * self.direction[1]
-
-    def _slip(self, radius: Tensor, stuck: Tensor, jumped: Tensor) -> Tensor:
-        """Return the slip, mm, of skin at a radius relative to the contact's, for a stick region of relative radius
-        `stuck` and a rim that has jumped by `jumped` mm in total.
-        """
+    def _slip(self, radius: Tensor, progress: Tensor) -> Tensor:
+        stuck = self.stuck_radius(progress)
         crept = self.creep * (_rounded_ramp(radius - stuck) - _rounded_ramp(radius - 1))
-        return crept + jumped * _smoothstep((radius - stuck) / (1 - stuck).clamp(min=1e-6))
+        return crept + self.jumped(progress) * _smoothstep((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
         at = torch.tensor(progress, dtype=torch.float64)
         left = limit - float(self.travelled(at))
         if left <= 0:
             return 0.0
+
         # The displacement grows outwards, but only within the contact: the skin around it moves rigidly.
-        stuck, jumped = self.stuck_radius(at), self.jumped(at)
-
         def beyond(radius: float) -> float:
-            return float(self._slip(torch.tensor(radius, dtype=torch.float64), stuck, jumped)) - left
+            return float(self._slip(torch.tensor(radius, dtype=torch.float64), at)) - left
 
-        return float(brentq(beyond, float(stuck), 1.0, xtol=1e-15)) if beyond(1.0) > 0 else 1.0
+        return float(brentq(beyond, float(self.stuck_radius(at)), 1.0, xtol=1e-15)) if beyond(1.0) > 0 else 1.0
+
+    def tangential_force(self, time: Array) -> Array:
+        progress = self.progress(time)
+        held = self.load_ratio(torch.from_numpy(progress)).numpy()
+        slipping = np.clip((progress - self.full_slip) * self.times[-1] / self.collapse, 0, 1)
+        return np.asarray(self.force * (held + slipping * (self.kinetic_friction - held)))
 
 
 def _smoothstep(share: Tensor) -> Tensor:

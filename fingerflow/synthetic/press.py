@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from torch import Tensor
 
-from fingerflow.synthetic.motion import Bump, Ellipse, PressMotion
+from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 
@@ -14,10 +15,11 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 class Press(SyntheticScene):
     """Synthetic press of a fingertip, with a force that rises as sin² to its maximum and stays there.
 
-    Contact area grows with the square root of the force and skin displacement with the force itself, so
-    late loading spreads skin that touches already. The default settings give a divergence of about 12 % at the
-    centre and a global displacement of a few pixels. Settings that all scenes share are those of `SyntheticScene`;
-    lengths in mm, angles in rad, times in s, forces in N.
+    Contact area grows with the square root of the force and skin displacement with the force itself, so late loading
+    spreads skin that touches already. Progress is the length of the contact as a share of its final length: material =
+    position - progress⁴ (gradient (position - centre) + shift + bumps). The default settings give a divergence of about
+    12 % at the centre and a global displacement of a few pixels. Settings that all scenes share are those of
+    `SyntheticScene`; lengths in mm, angles in rad, times in s, forces in N.
 
     Args:
         force: at the end.
@@ -45,10 +47,33 @@ class Press(SyntheticScene):
     drag: float = 0.03
 
     @cached_property
-    def motion(self) -> PressMotion:
-        x, y = self.contact_centre
-        bumps = tuple(replace(bump, centre=(x + bump.centre[0], y + bump.centre[1])) for bump in self.bumps)
-        return PressMotion(Ellipse((x, y), self.semi_axes, self.tilt), self.gradient, self.shift, bumps)
+    def contact(self) -> Ellipse:
+        """Return the edge of the apparent contact at the end."""
+        return Ellipse(self.contact_centre, self.semi_axes, self.tilt)
+
+    @cached_property
+    def _placed_bumps(self) -> list[Bump]:
+        x, y = self.contact.centre
+        return [replace(bump, centre=(x + bump.centre[0], y + bump.centre[1])) for bump in self.bumps]
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        right, down = x - self.contact.centre[0], y - self.contact.centre[1]
+        (xx, xy), (yx, yy) = self.gradient
+        field_x = (xx * right).add(down, alpha=xy).add(self.shift[0])
+        field_y = (yx * right).add(down, alpha=yy).add(self.shift[1])
+        for bump in self._placed_bumps:
+            bump_x, bump_y = bump(x, y)
+            field_x, field_y = field_x + bump_x, field_y + bump_y
+        return x - progress**4 * field_x, y - progress**4 * field_y
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        return progress - self.contact.radius(x, y)
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        if progress <= 0:
+            return None
+        first, second = self.contact.semi_axes
+        return Ellipse(self.contact.centre, (progress * first, progress * second), self.contact.angle)
 
     def progress(self, time: Array) -> Array:
         return np.sqrt(np.sin(math.pi / 2 * self._share_of_rise(time)))

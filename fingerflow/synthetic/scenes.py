@@ -1,6 +1,13 @@
-"""Base class of all synthetic fingertip scenes in the rig's layout: images, forces and ground truth."""
+"""Base class of all synthetic fingertip scenes in the rig's layout: images, forces and ground truth.
+
+A scene gives motion and contact of the skin in closed form. Only the inverse map is defined, material = phi(position,
+progress), so that an image is an evaluation at its pixels; forward positions and all derivatives follow from it in
+`fingerflow.synthetic.truth`. Time enters only as the progress of the movement from 0 to 1, so results do not depend on
+its speed.
+"""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -12,7 +19,7 @@ from torch import Tensor
 from fingerflow.schema.views import View
 from fingerflow.synthetic import optics
 from fingerflow.synthetic.camera import Camera
-from fingerflow.synthetic.motion import Ellipse, SkinMotion
+from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.skin_interface import Skin
 from fingerflow.synthetic.texture import RidgeTexture
 from fingerflow.synthetic.truth import Truth
@@ -24,7 +31,7 @@ EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class SyntheticScene:
+class SyntheticScene(ABC):
     """Synthetic recording of a finger movement: images, forces and ground truth.
 
     Lengths are in mm, angles in rad, times in s from the trigger, forces in N. A frame has the topography view on its
@@ -79,14 +86,7 @@ class SyntheticScene:
     @cached_property
     def truth(self) -> Truth:
         """Return the ground truth of this scene, to compare with results of a pipeline."""
-        return Truth(
-            motion=self.motion,
-            progress=self.progress(self.times),
-            ridge_margin=self._ridge_margin,
-            mm_per_px=self.mm_per_px,
-            contact_shape=self.views["contact"].shape,
-            topography_to_contact=np.array(self.topography_to_contact, dtype=np.float64),
-        )
+        return Truth(self)
 
     def render(self, frame: int) -> NDArray[np.integer]:
         """Return a frame (H, W) with camera noise; it is deterministic and does not depend on the order of calls."""
@@ -122,24 +122,37 @@ class SyntheticScene:
         normal, tangential = self.normal_force(time) + noise[0], self.tangential_force(time) + noise[1]
         return time, normal, tangential, np.where(time >= 0, 5.0, 0.0)
 
-    @property
-    def motion(self) -> SkinMotion:
-        """Return the motion of the skin: where material points and the contact edge are at a progress of the movement
-        from 0 to 1.
-        """
-        raise NotImplementedError
+    #: Number of intervals of the progress in the search for the onset of contact; each contains one entry at most. A
+    #: contact that grows faster than the skin spreads is entered once, as a point inside it stays inside.
+    entry_steps = 1
 
+    @abstractmethod
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the material coordinates (mm), the positions in undeformed skin, of the skin that lies at positions
+        (x, y) mm on the glass at a progress of the movement.
+        """
+
+    @abstractmethod
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        """Return how deep positions (x, y) mm lie inside the apparent contact at a progress of the movement, as a
+        dimensionless number: positive inside, 0 on the edge, negative outside.
+        """
+
+    @abstractmethod
+    def ellipse(self, progress: float) -> Ellipse | None:
+        """Return the ellipse that bounds the apparent contact at `progress` (0 to 1); None without contact."""
+
+    @abstractmethod
     def progress(self, time: Array) -> Array:
         """Return the progress of the movement, 0 to 1, at times in s."""
-        raise NotImplementedError
 
+    @abstractmethod
     def normal_force(self, time: Array) -> Array:
         """Return the force normal to the glass at times in s, N."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tangential_force(self, time: Array) -> Array:
         """Return the force along the glass at times in s, N."""
-        raise NotImplementedError
 
     @property
     def contact_centre(self) -> tuple[float, float]:
@@ -153,7 +166,10 @@ class SyntheticScene:
         (x, y), (right, down) = self.contact_centre, self.texture.centre
         return replace(self.texture, centre=(x + right, y + down))
 
-    def _ridge_margin(self, x: Tensor, y: Tensor, depth: Tensor) -> Tensor:
+    def ridge_margin(self, x: Tensor, y: Tensor, depth: Tensor) -> Tensor:
+        """Return the margin of the real contact in mm, positive where a ridge touches, at material coordinates (x, y)
+        and at a distance `depth` (mm) from the edge of the apparent contact, positive inside.
+        """
         return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
@@ -168,16 +184,16 @@ class SyntheticScene:
         if progress is None:
             return stray
         outline = Ellipse(self.contact_centre, self.finger)
-        return optics.topography(self.skin, outline, *self.motion.material(x, y, progress), grazing, stray)
+        return optics.topography(self.skin, outline, *self.material(x, y, progress), grazing, stray)
 
     def _contact(self, progress: Tensor | None, x: Tensor, y: Tensor, bright_field: Tensor) -> Tensor:
-        ellipse = None if progress is None else self.motion.ellipse(float(progress))
+        ellipse = None if progress is None else self.ellipse(float(progress))
         if progress is None or ellipse is None:
             return bright_field
         part = self._pixels_around(ellipse)
         x, y, glass = x[part], y[part], bright_field[part]
         depth = ellipse.distance(x, y)
-        ridge_margin = self._ridge_margin(*self.motion.material(x, y, progress), depth)
+        ridge_margin = self.ridge_margin(*self.material(x, y, progress), depth)
         view = bright_field.clone()
         view[part] = optics.contact(ridge_margin, depth, glass)
         return view

@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from fingerflow.synthetic.motion import Ellipse, SlideMotion
+from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 
@@ -15,7 +16,11 @@ from fingerflow.synthetic.scenes import Array, SyntheticScene
 class Slide(SyntheticScene):
     """Synthetic slide: the stick region shrinks from the rim to nothing, then skin and contact travel together.
 
-    The contact exists from the first frame; the pull begins at the trigger. The tangential force is that of
+    The contact exists from the first frame; the pull begins at the trigger. Until full slip the stuck ellipse,
+    `stuck_radius` times the contact, shrinks to nothing while the rim slips by up to `creep` mm. Then contact and skin
+    travel `travel` mm together. With r the relative radius in the contact, material = position - way (creep q
+    (1 - exp(-((r - stuck_radius) / 0.6)²)) + travelled) outside the stuck ellipse and position - way travelled inside
+    it, q = progress / full_slip up to 1. The displacement has a continuous gradient. The tangential force is that of
     Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the current relative stuck area d².
     Settings that all scenes share are those of `SyntheticScene`; lengths in mm, angles in rad, times in s, forces in N.
 
@@ -41,15 +46,70 @@ class Slide(SyntheticScene):
     travel: float = 2.0
     full_slip: float = 0.6
 
+    # Skin can enter and leave the contact. A stay shorter than 1/64 of the movement may be missed.
+    entry_steps = 64
+
     @cached_property
-    def motion(self) -> SlideMotion:
+    def way(self) -> tuple[float, float]:
+        """Return the unit vector (x, y) of the pull."""
+        return math.cos(self.direction), math.sin(self.direction)
+
+    @cached_property
+    def contact(self) -> Ellipse:
+        """Return the edge of the apparent contact in the first frame."""
         # Centre the travel on the middle of the view, where the light is.
-        right, down = math.cos(self.direction), math.sin(self.direction)
-        x, y = self.contact_centre
+        (x, y), (right, down) = self.contact_centre, self.way
         start = x - self.travel / 2 * right, y - self.travel / 2 * down
-        return SlideMotion(
-            Ellipse(start, self.semi_axes, self.tilt), (right, down), self.creep, self.travel, self.full_slip
-        )
+        return Ellipse(start, self.semi_axes, self.tilt)
+
+    def stuck_radius(self, progress: Tensor) -> Tensor:
+        """Return the radius of the ellipse of stuck skin as a fraction of the contact's at a progress of the slide; its
+        square is the stuck area share d².
+        """
+        return 1 - self._slip_progress(progress).square()
+
+    def travelled(self, progress: Tensor) -> Tensor:
+        """Return the distance, mm, over which contact and skin have slid as one body at `progress` (0 to 1)."""
+        return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        travelled = self.travelled(progress)
+        radius = self.contact.radius(x - travelled * self.way[0], y - travelled * self.way[1])
+        slipped = travelled + self._slip(radius, progress)
+        return x - slipped * self.way[0], y - slipped * self.way[1]
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        travelled = self.travelled(progress)
+        return 1 - self.contact.radius(x - travelled * self.way[0], y - travelled * self.way[1])
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        travelled = float(self.travelled(torch.tensor(progress, dtype=torch.float64)))
+        (x, y), (right, down) = self.contact.centre, self.way
+        return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
+
+    def radius_of_displacement(self, progress: float, limit: float) -> float:
+        """Return the radius, relative to that of the contact, within which skin has moved by less than `limit` mm since
+        the start.
+
+        It is 0 if no skin has moved less, and infinite if all has.
+        """
+        at = torch.tensor(progress, dtype=torch.float64)
+        travelled, creep = float(self.travelled(at)), self.creep * float(self._slip_progress(at))
+        if travelled >= limit:
+            return 0.0
+        share = (limit - travelled) / creep if creep > 0 else math.inf
+        if share >= 1:
+            return math.inf
+        return float(self.stuck_radius(at)) + 0.6 * math.sqrt(-math.log1p(-share))
+
+    def _slip(self, radius: Tensor, progress: Tensor) -> Tensor:
+        """Return the slip, mm, of skin at a radius relative to the contact's at a progress of the slide."""
+        beyond = (radius - self.stuck_radius(progress)).clamp(min=0) / 0.6
+        return -self.creep * self._slip_progress(progress) * torch.expm1(-beyond.square())
+
+    def _slip_progress(self, progress: Tensor) -> Tensor:
+        """Return the progress of partial slip at a progress of the whole slide: 0 at the start, 1 from full slip on."""
+        return (progress / self.full_slip).clamp(max=1)
 
     def progress(self, time: Array) -> Array:
         return np.asarray(np.clip(time / self.times[-1], 0, 1))
@@ -72,9 +132,9 @@ class Slide(SyntheticScene):
 
         A camera takes this share for the stick region. The limit of Terekhov & Hayward (2011) is 40 um.
         """
-        radius = self.motion.radius_of_displacement(float(self.progress(self.times[frame])), limit_mm)
+        radius = self.radius_of_displacement(float(self.progress(self.times[frame])), limit_mm)
         return min(radius, 1.0) ** 2
 
     def _stuck_share(self, progress: Array) -> Array:
-        radius = self.motion.stuck_radius(torch.from_numpy(np.asarray(progress, dtype=np.float64)))
+        radius = self.stuck_radius(torch.from_numpy(np.asarray(progress, dtype=np.float64)))
         return radius.square().numpy()

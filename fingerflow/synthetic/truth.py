@@ -1,6 +1,7 @@
 """Ground truth of position, onset of contact and deformation of the skin, in float64.
 
-Everything follows from the inverse map phi(position, progress) of a `SkinMotion`. With F = (d phi / d position)^-1:
+Everything follows from the inverse map phi(position, progress), `SyntheticScene.material`. With F = (d phi / d
+position)^-1:
 
 - a material point moves by d position / d progress = -F d phi / d progress;
 - its onset solves depth(position(progress), progress) = 0. Differentiating that by the material point X gives
@@ -13,15 +14,18 @@ Points are arrays (..., 2) of (x, y); positions and materials are in mm, pixels 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from fingerflow.synthetic.motion import Ellipse, SkinMotion
+from fingerflow.synthetic.motion import Ellipse
+
+if TYPE_CHECKING:
+    from fingerflow.synthetic.scenes import SyntheticScene
 
 Array = NDArray[np.float64]
 
@@ -47,37 +51,37 @@ class Medians:
     displacement_y: float
 
 
-@dataclass(frozen=True, eq=False)
 class Truth:
-    """Exact position, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame."""
+    """Exact position, contact onset, deformation and contact areas of the skin in a synthetic scene, frame by frame.
 
-    motion: SkinMotion
-    progress: Array  # (frames,) progress of the movement, which never decreases
-    # Margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance (mm) from
-    # the edge of the apparent contact, positive inside.
-    ridge_margin: Callable[[Tensor, Tensor, Tensor], Tensor]
-    mm_per_px: float  # scale of the contact view
-    contact_shape: tuple[int, int]  # rows and columns of the contact view
-    topography_to_contact: Array  # (2, 3) map from pixels of the topography view to pixels of the contact view
+    Attributes:
+        progress: (frames,) progress of the movement, which never decreases.
+        mm_per_px: scale of the contact view.
+    """
+
+    def __init__(self, scene: "SyntheticScene") -> None:
+        self._scene, self.mm_per_px = scene, scene.mm_per_px
+        self.progress = scene.progress(scene.times)
+        # Map from pixels of the topography view to pixels of the contact view.
+        self._matrix, self._offset = np.split(np.array(scene.topography_to_contact, dtype=np.float64), [2], axis=1)
 
     # Conversions between views
 
     def topography_pixels(self, positions: ArrayLike) -> Array:
         """Convert positions (..., 2) from mm on the glass to px of the topography view."""
-        matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
-        return (np.asarray(positions, dtype=np.float64) / self.mm_per_px - offset) @ np.linalg.inv(matrix).T
+        contact_px = np.asarray(positions, dtype=np.float64) / self.mm_per_px
+        return (contact_px - self._offset[:, 0]) @ np.linalg.inv(self._matrix).T
 
     def topography_positions(self, pixels: ArrayLike) -> Array:
         """Convert positions (..., 2) from px of the topography view to mm on the glass."""
-        matrix, offset = self.topography_to_contact[:, :2], self.topography_to_contact[:, 2]
-        return (np.asarray(pixels, dtype=np.float64) @ matrix.T + offset) * self.mm_per_px
+        return (np.asarray(pixels, dtype=np.float64) @ self._matrix.T + self._offset[:, 0]) * self.mm_per_px
 
     # Motion of the skin
 
     def material(self, positions: ArrayLike, frame: int) -> Array:
         """Return the material coordinates (mm) of the skin at positions (..., 2) on the glass in a frame."""
         x, y = _points(positions).unbind(-1)
-        return torch.stack(self.motion.material(x, y, self._frame_progress(frame)), dim=-1).numpy()
+        return torch.stack(self._scene.material(x, y, self._frame_progress(frame)), dim=-1).numpy()
 
     def positions(self, material: ArrayLike, frame: int) -> Array:
         """Return the positions (mm) on the glass of material points (..., 2) in a frame."""
@@ -93,13 +97,13 @@ class Truth:
 
     def ellipse(self, frame: int) -> Ellipse | None:
         """Return the edge of the apparent contact in a frame, mm; None before contact."""
-        return self.motion.ellipse(float(self.progress[frame]))
+        return self._scene.ellipse(float(self.progress[frame]))
 
     def gross_mask(self, frame: int) -> NDArray[np.bool_]:
         """Return the mask (H, W) of pixels of the contact view whose centre lies in the apparent contact."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
-            return np.zeros(self.contact_shape, dtype=bool)
+            return np.zeros(self._scene.views["contact"].shape, dtype=bool)
         return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
 
     def contact_mask(self, frame: int) -> NDArray[np.bool_]:
@@ -108,7 +112,7 @@ class Truth:
         """
         ellipse = self.ellipse(frame)
         if ellipse is None:
-            return np.zeros(self.contact_shape, dtype=bool)
+            return np.zeros(self._scene.views["contact"].shape, dtype=bool)
         return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
 
     def gross_contact_area_mm2(self, frame: int) -> float:
@@ -197,12 +201,12 @@ class Truth:
         return torch.tensor(self.progress[frame], dtype=torch.float64)
 
     def _pixel_centres(self) -> tuple[Tensor, Tensor]:
-        y, x = (torch.arange(size, dtype=torch.float64) * self.mm_per_px for size in self.contact_shape)
-        return x.expand(self.contact_shape), y[:, None].expand(self.contact_shape)
+        y, x = (torch.arange(size, dtype=torch.float64) * self.mm_per_px for size in self._scene.views["contact"].shape)
+        return x.expand(self._scene.views["contact"].shape), y[:, None].expand(self._scene.views["contact"].shape)
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
-        depth = ellipse.distance(x, y)
-        return torch.minimum(self.ridge_margin(*self.motion.material(x, y, self._frame_progress(frame)), depth), depth)
+        depth, material = ellipse.distance(x, y), self._scene.material(x, y, self._frame_progress(frame))
+        return torch.minimum(self._scene.ridge_margin(*material, depth), depth)
 
     def _displacement(
         self, points: Tensor, frame: int, onset: Tensor, entry: Tensor, reference: int | None = None
@@ -247,19 +251,19 @@ class Truth:
         """
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
-            material = self.motion.material(positions[..., 0], positions[..., 1], progress)
+            material = self._scene.material(positions[..., 0], positions[..., 1], progress)
             rows = [torch.autograd.grad(part.sum(), (positions, progress), retain_graph=True) for part in material]
         forward = _inverse(torch.stack([row for row, _ in rows], dim=-2))
         by_progress = torch.stack([rate for _, rate in rows], dim=-1)
         return forward, -(forward @ by_progress[..., None])[..., 0]
 
     def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of `SkinMotion.depth`, the dimensionless depth of positions inside the contact, by
+        """Return the derivatives of `SyntheticScene.depth`, the dimensionless depth of positions inside the contact, by
         position (..., 2) and by progress (...).
         """
         with torch.enable_grad():
             positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
-            depth = self.motion.depth(positions[..., 0], positions[..., 1], progress)
+            depth = self._scene.depth(positions[..., 0], positions[..., 1], progress)
             slope, rate = torch.autograd.grad(depth.sum(), (positions, progress))
         return slope, rate
 
@@ -269,7 +273,7 @@ class Truth:
         """
         positions = start
         for _ in range(30):
-            reached = torch.stack(self.motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
+            reached = torch.stack(self._scene.material(positions[..., 0], positions[..., 1], progress), dim=-1)
             missing = material - reached
             if not (missing.abs() > TOLERANCE).any():
                 # Points with NaN progress have a NaN residual, which is propagated.
@@ -287,11 +291,11 @@ class Truth:
 
         Newton's method is confined to the bracket that contains the entry, so it cannot diverge.
         """
-        steps = torch.linspace(0, 1, self.motion.entry_steps + 1, dtype=torch.float64)
+        steps = torch.linspace(0, 1, self._scene.entry_steps + 1, dtype=torch.float64)
         points = material.expand(len(steps), *material.shape)
         at = steps.reshape(-1, *(1,) * (material.ndim - 1)).expand(points.shape[:-1])
         entry = self._forward(points, at, points)
-        inside = self.motion.depth(entry[..., 0], entry[..., 1], at) > 0
+        inside = self._scene.depth(entry[..., 0], entry[..., 1], at) > 0
         last = torch.argmax(inside.to(torch.uint8), dim=0)
         first = (last - 1).clamp(min=0)
         upper = torch.where(inside.any(dim=0), steps[last], math.nan)
@@ -301,7 +305,7 @@ class Truth:
         entry = torch.gather(entry, 0, last[None, ..., None].expand(1, *material.shape))[0]
         for _ in range(60):
             entry = self._forward(material, onset, entry)
-            depth = self.motion.depth(entry[..., 0], entry[..., 1], onset)
+            depth = self._scene.depth(entry[..., 0], entry[..., 1], onset)
             upper = torch.where(depth > 0, onset, upper)
             lower = torch.where(depth > 0, lower, onset)
             slope, rate = self._depth_derivatives(entry, onset)

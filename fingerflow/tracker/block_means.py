@@ -60,7 +60,7 @@ def is_noise(frames: Array, roughness: float) -> Array:
     pixels, right, below = _neighbours(frames)
     limit = (roughness / pixels.shape[1] * np.add.reduce(pixels, 1)) ** 2
     noise: Array = _square(pixels, right) > limit
-    if noise.any():
+    if np.logical_or.reduce(noise):
         least = np.minimum(_square(pixels, right), _square(pixels, below))
         noise = least > np.maximum(limit, _UNCORRELATED * pixels.var(1))
     return noise

@@ -82,7 +82,8 @@ class Deformation:
             is the sum of both and of `bias`.
         """
         moved, reference = since.moved.astype(np.float32), since.reference.astype(np.float32)
-        ellipse = FrameEllipse(*(values.astype(np.float32) for values in ellipse))
+        center, semi_axes, angle = ellipse
+        ellipse = FrameEllipse(center.astype(np.float32), semi_axes.astype(np.float32), angle.astype(np.float32))
         covariance = displacement_covariance(since.variance, since.onset) * since.gain[:, None, None]
         entered = since.entered
         fields = self._engine.fields(reference, moved, ellipse, covariance, entered)
@@ -111,8 +112,8 @@ class Deformation:
             self._of_smoothing = smoothing[-1:]
         # The latest evaluated frame counts; 0 stands for the one before these frames.
         of_fields = smoothing[evaluated.cumsum()] + since.late
-        deviations = {
-            name: np.sqrt(getattr(fields, name) ** 2 + of_fields[:, field])
-            for field, name in enumerate(("divergence_std", "curl_std"))
-        }
-        return fields._replace(**deviations), ranks
+        assert fields.divergence_std is not None
+        assert fields.curl_std is not None
+        divergence_std = np.sqrt(fields.divergence_std**2 + of_fields[:, 0])
+        curl_std = np.sqrt(fields.curl_std**2 + of_fields[:, 1])
+        return FrameFields(*fields[:4], divergence_std, curl_std, *fields[6:]), ranks

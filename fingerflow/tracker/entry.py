@@ -31,7 +31,8 @@ NEAR = 1 / 2
 # than the skin does.
 LEAST_AREA = 0.5
 _VOTERS = 3  # number of neighbours that decide on a point
-_FRAMES = 64  # frames read at a time
+_VALUES = 1 << 16  # positions read at a time, of 64 frames at least
+_EYE = np.eye(2)
 
 
 class FrameValues(Protocol):
@@ -90,8 +91,9 @@ def _entered_by_motion(
     """
     way, inside = np.full((2, len(here)), np.nan)
     then = border.select(onset).inside(reference[:, None])[:, 0]
-    for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
-        frames = slice(first, min(first + _FRAMES, position.shape[0]))
+    together = max(64, _VALUES // max(len(here), 1))
+    for first in range(0, position.shape[0] if len(here) else 0, together):
+        frames = slice(first, min(first + together, position.shape[0]))
         rows = position[frames].take(here, axis=1)
         # Each component separately, as NumPy is slow over an axis of two.
         way_x, way_y = rows[..., 0] - reference[:, 0], rows[..., 1] - reference[:, 1]
@@ -99,9 +101,10 @@ def _entered_by_motion(
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset) & np.isfinite(moved)
         far = before & ((moved >= MOVED * gauge_mm) | (then - depth >= MOVED * gauge_mm))
-        row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
-        decided = (far.any(0) | (before.any(0) & np.isnan(way))).nonzero()[0]
-        way[decided], inside[decided] = moved[row[decided], decided], depth[row[decided], decided]
+        last, is_far = len(far) - 1 - far[::-1].argmax(0), np.logical_or.reduce(far)
+        decided = (is_far | (np.logical_or.reduce(before) & np.isnan(way))).nonzero()[0]
+        row = np.where(is_far, last, before.argmax(0))[decided]
+        way[decided], inside[decided] = moved[row, decided], depth[row, decided]
     return (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
 
 
@@ -112,7 +115,7 @@ def extend_to_neighbours(entered: Array, positions: Array, among: Array, reach_m
     Only neighbours within `reach_mm` count.
     """
     candidates = among.nonzero()[0]
-    if len(candidates) <= _VOTERS or not entered.any():
+    if len(candidates) <= _VOTERS or not np.logical_or.reduce(entered):
         return entered
     away = np.sum((positions[candidates, None] - positions[None, candidates]) ** 2, axis=-1)
     np.fill_diagonal(away, np.inf)
@@ -173,7 +176,7 @@ class EntryGradients:
         noise = variance[:, self._near].astype(np.float64) / 2
         gradient, covariance = self._engine.fit(self._seeded, moved, self._queries, self._gauge, noise)
         assert covariance is not None
-        now = np.eye(2) + gradient
+        now = _EYE + gradient
         course = np.concatenate((self._before, now))
         self._before = course[-self.BEFORE :]
         for k, frame in enumerate(frames):
@@ -182,7 +185,7 @@ class EntryGradients:
             change = now[k, enter] - course[self.BEFORE + k - steps, enter]
             self.late[enter] = np.nan_to_num(change) * (self._deviation[enter] / steps)[:, None, None]
             self._begun[enter], self._begun_covariance[enter] = now[k, enter], covariance[k, enter]
-        return now @ inverse_2x2(self._begun) - np.eye(2), covariance + self._begun_covariance
+        return now @ inverse_2x2(self._begun) - _EYE, covariance + self._begun_covariance
 
 
 class Entries:
@@ -207,6 +210,7 @@ class Entries:
     def __init__(self, engine: Engine, positions: Array) -> None:
         count = len(positions)
         self._engine, self._seeded, self._gauge = engine, positions, engine.settings.gauge_length_mm
+        self._valid = np.isfinite(positions[:, 0] + positions[:, 1]).nonzero()[0]
         self._position, self._variance = np.full((self.KEPT, count, 2), np.nan), np.full((self.KEPT, count), np.nan)
         self._border = FrameEllipse(
             np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
@@ -238,28 +242,28 @@ class Entries:
         for history, new in zip(self._border, border, strict=True):
             history[row] = new[0]
         self.onset[~touching], self.entered[~touching] = -1, False
-        if begins.any():
+        if np.logical_or.reduce(begins):
             self.onset[begins], self._reference[begins] = self._frames, reference[begins]
             self._at_entry[begins], self.of_onset[begins] = np.nan, 0  # forgets the gradient of an earlier touch
             self._mark_advected(begins)
-        elif not self.entered.any():
+        elif not np.logical_or.reduce(self.entered):
             self._frames += 1
             return None
         self._frames += 1
-        queries = ((begins | self.entered) & np.isfinite(position).all(1)).nonzero()[0]
-        valid = np.isfinite(self._seeded).all(1)
-        if not len(queries) or not valid.any():
+        queries = ((begins | self.entered) & np.isfinite(position[:, 0] + position[:, 1])).nonzero()[0]
+        valid = self._valid
+        if not len(queries) or not len(valid):
             return None
         moved, noise = (position - self._seeded)[None, valid], variance[None, valid] / 2
         gradient, spread = self._engine.fit(self._seeded[valid], moved, self._seeded[queries], self._gauge, noise)
         assert spread is not None
-        now, entering = np.eye(2) + gradient[0], begins[queries]
+        now, entering = _EYE + gradient[0], begins[queries]
         new = queries[entering]
         self._at_entry[new], self._covariance[new] = now[entering], spread[0, entering]
-        if not self.entered.any():
+        if not np.logical_or.reduce(self.entered):
             return None
         since, covariance = np.full(self._at_entry.shape, np.nan), np.full(self._covariance.shape, np.nan)
-        since[queries] = now @ inverse_2x2(self._at_entry[queries]) - np.eye(2)
+        since[queries] = now @ inverse_2x2(self._at_entry[queries]) - _EYE
         covariance[queries] = spread[0] + self._covariance[queries]
         since[~self.entered] = covariance[~self.entered] = np.nan
         gradients = (values.astype(np.float32)[None] for values in (since, covariance))
@@ -290,11 +294,11 @@ class Entries:
         """
         first = max(self._frames + 1 - self.KEPT, 0)
         order = np.arange(first, self._frames + 1) % self.KEPT
-        later = self.onset > self.onset[self.onset >= 0].min()
+        later = self.onset > np.minimum.reduce(self.onset[self.onset >= 0])
         rows = (begins & later).nonzero()[0]
         if len(rows):
             past, onset = self._position[:, rows][order], self.onset[rows] - first
             motion = (onset, self._reference[rows], self._gauge, self._border.select(order))
             self.entered[rows] |= _entered_by_motion(past, np.arange(len(rows)), *motion)
-        later &= np.isfinite(self._seeded).all(1)
+        later &= np.isfinite(self._seeded[:, 0] + self._seeded[:, 1])
         self.entered = extend_to_neighbours(self.entered, self._seeded, later, NEAR * self._gauge)

@@ -13,7 +13,10 @@ _ALIKE = 1.25  # ratio of squared distances below which both of two equal frames
 
 def frame_key(blocks: Sequence[NDArray[Any]]) -> bytes:
     """Return a hash of a frame, computed from the block means of all its views; equal frames have equal hashes."""
-    return hashlib.blake2b(b"".join(block.tobytes() for block in blocks), digest_size=16).digest()
+    result = hashlib.blake2b(digest_size=16)
+    for block in blocks:
+        result.update(block.data)
+    return result.digest()
 
 
 def copies(keys: Sequence[bytes], distances: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,63 +25,52 @@ _MOST = 0.1  # largest share of frames with a jump: with more, the finger vibrat
 SquaredDistances = NDArray[Any]
 
 
-class JumpDistances(NamedTuple):
-    """Squared image distances (..., rows) between the frames of a possible jump and the frames around it; a row is a
-    band of lines, the whole view or the brightness.
+# Ordinary values (rows,) in a recording or stream so far, for each row of squared image distances: the noise in a
+# distance, that of frames without motion or of the slowest; and the relative excess over usual distances above which a
+# frame jumps where frames are at rest.
+Ordinary = tuple[SquaredDistances, SquaredDistances]
 
-    Attributes:
-        into: of the first of these frames from the frame before them.
-        out_of: of the frame behind them from the last of them.
-        between: of the frame behind them from the one before them.
-        within: longest step between consecutive ones of them; 0 for one frame.
-        usual: of consecutive frames nearby; it holds the noise that is part of every distance.
+
+def ordinary_values(steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
+    """Estimate noise and excess limit of ordinary frames from the squared distances `steps` (n, rows) between
+    consecutive frames, and from their relative excesses (m, rows) over usual distances (`excess`).
     """
-
-    into: SquaredDistances
-    out_of: SquaredDistances
-    between: SquaredDistances
-    within: SquaredDistances
-    usual: SquaredDistances
+    usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
+    limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
+    return np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32)
 
 
-class Ordinary(NamedTuple):
-    """Ordinary values (rows,) in a recording or stream so far, for each row of squared image distances: the noise in a
-    distance, and the relative excess over usual distances above which a frame jumps.
-
-    Attributes:
-        noise: that of frames without motion, or of the slowest.
-        limit: of an `excess`, where frames are at rest.
-    """
-
-    noise: SquaredDistances
-    limit: SquaredDistances
-
-    @classmethod
-    def estimate(cls, steps: SquaredDistances, excesses: SquaredDistances) -> Ordinary:
-        """Estimate noise and excess limit of ordinary frames from the squared distances `steps` (n, rows) between
-        consecutive frames, and from their relative excesses (m, rows) over usual distances (`excess`).
-        """
-        usual = np.quantile(excesses, _USUAL, axis=0) if len(excesses) else np.zeros(steps.shape[1])
-        limit = np.fmax(_FAR * usual - 1, _LEAST_EXCESS)
-        return cls(np.quantile(steps, _SLOW, axis=0).astype(np.float32), limit.astype(np.float32))
-
-
-def is_jump(ways: JumpDistances, ordinary: Ordinary) -> bool:
-    """Return True if the image jumps away in some frames and returns behind them, in any row of the distances (a band
-    of lines, the whole view or the brightness); `ordinary` says what is ordinary.
+def is_jump(
+    into: SquaredDistances,
+    out_of: SquaredDistances,
+    between: SquaredDistances,
+    within: SquaredDistances,
+    usual: SquaredDistances,
+    ordinary: Ordinary,
+) -> bool:
+    """Return True if the image jumps away in some frames and returns behind them, in any row (a band of lines, the
+    whole view or the brightness) of squared image distances (..., rows).
 
     - The ways into the frames and out of them are longer than ordinary steps: by more where the skin moves, as it may
       jerk, than at rest, where noise alone makes distances. Steps between them are as ordinary, as those of a finger
       that taps are not; or both ways are four times as long as those nearby.
     - The image returns: the way between the frames around them is shorter than the longer way, there or back. What
       moves on, however unevenly, gets further from where it was.
+
+    Args:
+        into: of the first of these frames from the frame before them.
+        out_of: of the frame behind them from the last of them.
+        between: of the frame behind them from the one before them.
+        within: longest step between consecutive ones of them; 0 for one frame.
+        usual: of consecutive frames nearby; it holds the noise that is part of every distance.
+        ordinary: what is ordinary in the whole recording.
     """
-    usual = np.fmax(ways.usual, 1)
-    longer = np.maximum(ways.into, ways.out_of) - usual
-    most = np.maximum(usual, ways.within)
-    far = excess(ways.into, ways.out_of, most) > _excess_limit(most, ordinary)
-    very_far = excess(ways.into, ways.out_of, usual) > np.maximum(ordinary.limit, _FAR - 1)
-    return bool(((far | very_far) & (ways.between - usual < _BACK * longer)).any())
+    usual = np.fmax(usual, 1)
+    longer = np.maximum(into, out_of) - usual
+    most = np.maximum(usual, within)
+    far = excess(into, out_of, most) > _excess_limit(most, ordinary)
+    very_far = excess(into, out_of, usual) > np.maximum(ordinary[1], _FAR - 1)
+    return bool(((far | very_far) & (between - usual < _BACK * longer)).any())
 
 
 def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary | None = None) -> bool:
@@ -93,15 +82,16 @@ def is_far(step: SquaredDistances, usual: SquaredDistances, ordinary: Ordinary |
     """
     usual = np.fmax(usual, 1)
     limit = _LEAST_EXCESS if ordinary is None else _excess_limit(usual, ordinary)
-    return bool((excess(step, step, usual) > limit).any())
+    return bool(np.logical_or.reduce(excess(step, step, usual) > limit))
 
 
 def _excess_limit(usual: SquaredDistances, ordinary: Ordinary) -> SquaredDistances:
     """Return the limits (..., rows) above which the relative `excess` of a squared distance over the `usual` ones
     counts as a jump: higher for moving skin, whose usual distances exceed the noise, as it may jerk.
     """
-    moving = 1 - np.clip(ordinary.noise, 1, usual) / usual
-    return (ordinary.limit + _JERK * moving).astype(np.float32)
+    noise, limit = ordinary
+    moving = 1 - np.clip(noise, 1, usual) / usual
+    return (limit + _JERK * moving).astype(np.float32)
 
 
 def excess(into: SquaredDistances, out_of: SquaredDistances, usual: SquaredDistances) -> SquaredDistances:
@@ -118,7 +108,8 @@ def ordinary_limit(steps: SquaredDistances, axis: int) -> SquaredDistances:
     It is the third largest of them, two of which may be those of a bad frame, times its quotient to their median: one
     for smooth motion, more the more it jerks.
     """
-    ordered = np.sort(steps, axis=axis)
+    ordered = steps.copy()
+    ordered.sort(axis=axis)
     most, middle = np.fmax(ordered.take(-3, axis=axis), 1), np.fmax(ordered.take(NEARBY // 2, axis=axis), 1)
     return most * (most / middle)
 
@@ -146,13 +137,13 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
     jumps = np.zeros(frames, dtype=bool)
     if frames < 2:
         return jumps
-    steps = _steps(distances)
-    ordinary = Ordinary.estimate(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], steps.around))
-    jumps |= _far_at_end(distances, usable, steps.before, ordinary)
-    jumps |= _far_at_end(_reversed(distances), usable[::-1], steps.after[::-1], ordinary)[::-1]
+    before, after, around = _steps(distances)
+    ordinary = ordinary_values(distances[1:, 0], excess(distances[1:-1, 0], distances[2:, 0], around))
+    jumps |= _far_at_end(distances, usable, before, ordinary)
+    jumps |= _far_at_end(_reversed(distances), usable[::-1], after[::-1], ordinary)[::-1]
     # Frames that may begin a jump, judged by their distance from the frame right before them.
     likely = np.zeros(frames, dtype=bool)
-    likely[1:] = (excess(distances[1:, 0], distances[1:, 0], steps.before[:-1]) > _LEAST_EXCESS).any(1)
+    likely[1:] = (excess(distances[1:, 0], distances[1:, 0], before[:-1]) > _LEAST_EXCESS).any(1)
     good = iter((usable & ~jumps).nonzero()[0].tolist())
     last = next(good, frames)
     for frame in good:
@@ -160,29 +151,17 @@ def jumps_and_returns(distances: SquaredDistances, usable: NDArray[np.bool_]) ->
             continue
         length = 0
         if likely[frame] or last != frame - 1:
-            length = _length_of_jump(distances, steps, last, frame, usable, ordinary)
+            length = _length_of_jump(distances, before[last], after, last, frame, usable, ordinary)
             jumps[frame : frame + length] = True
         last = frame + length
     jumps &= usable
     return jumps if jumps.mean() <= _MOST else np.zeros_like(jumps)
 
 
-class _Steps(NamedTuple):
-    """Usual squared distances (F, rows) between consecutive frames near each frame: among those before it, among those
-    after it, and next to it.
-
-    Attributes:
-        around: (F - 2, rows), the longer of the steps nearest to the frames before and behind each frame.
-    """
-
-    before: SquaredDistances
-    after: SquaredDistances
-    around: SquaredDistances
-
-
 def _length_of_jump(
     distances: SquaredDistances,
-    steps: _Steps,
+    before: SquaredDistances,
+    after: SquaredDistances,
     last: int,
     frame: int,
     usable: NDArray[np.bool_],
@@ -190,30 +169,28 @@ def _length_of_jump(
 ) -> int:
     """Return for how many frames the image jumps away, from `frame` on, until the image of `last`, the usable frame
     before, is back; 0 if there is no such jump.
+
+    `before` (rows,) are the usual steps before `last`, `after` (F, rows) those after each frame.
     """
-    latest, within = frame, np.zeros_like(ordinary.noise)  # last frame of the jump; longest step between its frames
+    latest, within = frame, np.zeros_like(before)  # last frame of the jump; longest step between its frames
     for length in range(1, LONGEST + 1):
         back = frame + length
         if back >= len(distances) or back - last > LONGEST + 1:
             break
         if not usable[back]:
             continue
-        ways = JumpDistances(
-            distances[frame, frame - last - 1],
-            distances[back, back - latest - 1],
-            distances[back, back - last - 1],
-            within,
-            np.maximum(steps.before[last], steps.after[back]),
-        )
-        if is_jump(ways, ordinary):
+        into, out_of = distances[frame, frame - last - 1], distances[back, back - latest - 1]
+        usual = np.maximum(before, after[back])
+        if is_jump(into, out_of, distances[back, back - last - 1], within, usual, ordinary):
             return length
-        latest, within = back, np.fmax(within, ways.out_of)
+        latest, within = back, np.fmax(within, out_of)
     return 0
 
 
-def _steps(distances: SquaredDistances) -> _Steps:
+def _steps(distances: SquaredDistances) -> tuple[SquaredDistances, SquaredDistances, SquaredDistances]:
     """Return the usual squared distances between consecutive frames near each of F frames, from the distances (F, gaps,
-    rows) of each frame from those that precede it.
+    rows) of each frame from those that precede it: among the frames before it (F, rows), among those after it (F,
+    rows), and the longer of the steps nearest to the frames before and behind it (F - 2, rows).
 
     A step is the distance of a frame from the closer of two preceding frames, or of two following ones. What is usual
     is the longer of the nearest step and the `ordinary_limit` of the next eight, or the median over the recording where
@@ -228,7 +205,7 @@ def _steps(distances: SquaredDistances) -> _Steps:
     before, after = (np.where(np.isnan(steps), median, steps) for steps in (before, after))
     around = np.maximum(before[:-2], after[2:])
     limits = _ordinary_limits(before), _ordinary_limits(after[::-1])[::-1]
-    return _Steps(np.maximum(before, limits[0]), np.maximum(after, limits[1]), around)
+    return np.maximum(before, limits[0]), np.maximum(after, limits[1]), around
 
 
 def _ordinary_limits(steps: SquaredDistances) -> SquaredDistances:
@@ -257,11 +234,12 @@ def _far_at_end(
     last = usable.nonzero()[0][-LONGEST - 1 :].tolist()
     if len(last) == LONGEST + 1 and last[-1] - last[0] <= LONGEST + 1:
         steps = np.stack([distances[frame, frame - before - 1] for before, frame in pairwise(last)])
-        limit = Ordinary(ordinary.noise, np.fmax(ordinary.limit, _LEAST_AT_END))
+        noise, limit = ordinary
+        ordinary = noise, np.fmax(limit, _LEAST_AT_END)
         for k, step in enumerate(steps):
             # Longest of the later steps: a finger that has begun to move moves on.
             behind = steps[k + 1 :].max(0, initial=0)
-            if is_far(step, np.maximum(usual[last[k]], behind), limit):
+            if is_far(step, np.maximum(usual[last[k]], behind), ordinary):
                 result[last[k + 1] :] = True
                 break
     return result & usable

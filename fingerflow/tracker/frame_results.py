@@ -87,7 +87,7 @@ class FrameResults:
         size = self._size
         variance = points.variance  # by image noise
         curvature = self._curvature.update(points.points)
-        center, semi_axes = (lengths.astype(np.float64) * size for lengths in (contact.center, contact.semi_axes))
+        center, semi_axes = contact.center.astype(np.float64) * size, contact.semi_axes.astype(np.float64) * size
         ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
         residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
         return {
@@ -149,7 +149,7 @@ class FrameResults:
         position, px2 = self._on_glass(points), np.float32(self._per_px**2)
         variance, frame = noise + curvature, np.array([self._frames])
         left = np.isnan(self._inherited) & (covered[0] == 0)
-        if left.any():
+        if np.logical_or.reduce(left):
             self._inherited[left] = 0
             self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
         touch = self._touches.add_frames(frame, covered, position, noise, ellipse)
@@ -163,12 +163,15 @@ class FrameResults:
         moved[0, np.isnan(self._inherited)] = np.nan
         since = Displacement(reference, moved, of_displacement, self._entries.of_onset, self._gain, entered)
         fields, ranks = self._deformation.add(frame, since, ellipse)
+        assert fields.divergence_std is not None
+        assert fields.curl_std is not None
         assert fields.median_std is not None
         median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
-        results: dict[str, Any] = {"point_strain": fields.strain[0], "entered": self._entries.entered.copy()}
-        for name in ("divergence", "divergence_std", "curl", "curl_std"):
-            results[name] = getattr(fields, name)[0]
-        for suffix, values in (("", median), ("_std", median_std)):
-            results |= {f"median_{name}{suffix}": values[field] for field, name in enumerate(("divergence", "curl"))}
-            results[f"median_strain{suffix}"] = values[2:]
-        return results
+        return {
+            **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
+            **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
+            **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
+            **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
+            **{"median_curl": median[1], "median_curl_std": median_std[1]},
+            **{"median_strain": median[2:], "median_strain_std": median_std[2:]},
+        }

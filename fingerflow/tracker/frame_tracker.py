@@ -1,4 +1,34 @@
-"""Tracker of a stream: computes the results of each frame from the images received so far."""
+"""Tracker of a stream: computes the results of each frame from the images received so far.
+
+State that a frame reads and writes:
+
+frame ──> inspect            reads   light of the glass (`FrameCheck`)
+  │       (any thread)       gives   samples, hash of the block means, status by itself
+  v
+step      changes due        reads   `_change`, `_search`, templates that are prepared (`Points._pending`)
+  │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
+  │       prediction         reads   `_motion`, `_motion_frame`
+  │       tracking           reads   templates of the key frame (`Points._templates`)
+  │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
+  │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
+  │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
+  │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
+  │       usable             reads   motion, last positions, templates; `_first_threshold` before one applies
+  │                          writes  `_motion`; every 8th frame, or sooner where skin deforms fast: verification of
+  │                                  windows, plan of new templates
+  │       reseeding          reads   `_requested`: by the user; `_sparse`: contact with few points
+  │                          writes  `_reseeding`: counts of lost and of few points; `_change`: what is due next
+  │       learning           reads   `_unlearnt`: outcomes whose contact is not evaluated yet, 2 frames behind
+  │                          writes  `_search`: contact area, measured threshold; `_sparse`
+  v
+compute_  contact, covered   reads   `threshold` as of the frame
+results   slip               writes  `SlipFlag`: positions at onset, frames in a row that say otherwise
+(another  onset              writes  `Touches`: first frame, position and share of a step of each touch
+thread)   entry              writes  `Entries`: positions, variances and borders of the last 512 frames
+  │       deviations         writes  every 4th frame `Curvature`, every 8th `Deformation` and errors of onset
+  v
+results by name
+"""
 
 from __future__ import annotations
 
@@ -232,12 +262,14 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = []
         if not self._deferred:
             passed += self._make_changes(frame)
-        images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
-        work = FrameOutcome(self._index, frame, images, self._motion, self._guess(frame.number), self.threshold)
-        if self._points is not None and work.guess is not None:
-            work.points = self._points.track(images[TOPOGRAPHY_VIEW], work.guess)
+        work = FrameOutcome(self._index, frame, {}, self._motion, None, self.threshold)
+        for name, view in frame.views.items():
+            work.images[name] = self._engine.images(view[0])
+        if self._points is not None and self._motion is not None:
+            work.guess = self._motion.expect(max(1, frame.number - self._motion_frame))
+            work.points = self._points.track(work.images[TOPOGRAPHY_VIEW], work.guess)
         if self.measures and self._search.wants(self._index):
-            threshold = float(self._engine.contact(images[CONTACT_VIEW], self._light).threshold[0])
+            threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
             # not touch, so a threshold that nearly all pixels exceed is wrong.
             physical = 0 < threshold < 1 and self._touching(frame, threshold) < _EVERYTHING
@@ -247,26 +279,24 @@ class StreamTracker:
             passed.append(self._outcome(work, frame.picture.status, None, 0))
         else:
             decided, status = self._check.update(frame.picture)
-            passed += self._decided(decided)
+            if decided:
+                passed += self._decided(decided)
             if status is None:
                 self._deferred.append(work)
             else:
-                passed.append(self._judged(work, status))
+                passed.append(self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0))
         while self._unlearnt and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
 
-    def _judged(self, work: FrameOutcome, status: int) -> FrameOutcome:
-        """Finish a frame whose `status` is decided, and return its outcome: a usable frame updates points and
-        templates, another is skipped.
-        """
-        if status == USABLE:
-            return self._accepted(work)
-        return self._outcome(work, status, None, 0)
-
     def _decided(self, statuses: list[int]) -> list[FrameOutcome]:
-        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes."""
-        return [self._judged(self._deferred.popleft(), status) for status in statuses]
+        """Finish the first of the deferred frames, whose `statuses` are now decided, and return their outcomes: a
+        usable frame updates points and templates, another is skipped.
+        """
+        return [
+            self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0)
+            for work, status in [(self._deferred.popleft(), status) for status in statuses]
+        ]
 
     def compute_results(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """Compute the results of one frame, by variable name; None for a frame that is not usable.
@@ -288,10 +318,6 @@ class StreamTracker:
     def settle(self) -> list[FrameOutcome]:
         """Finish the frames whose status is still deferred when the stream ends, and return their outcomes."""
         return self._decided(self._check.finish())
-
-    def _guess(self, number: int) -> Array | None:
-        """Predict the positions (N, 2) px of the points in the frame with this number; None before any were seeded."""
-        return None if self._motion is None else self._motion.expect(max(1, number - self._motion_frame))
 
     def _touching(self, frame: Frame, threshold: float) -> float:
         """Return the share of contact-view pixels whose relative intensity loss exceeds the threshold."""
@@ -379,7 +405,7 @@ class StreamTracker:
         ahead = max(1, frame.number - self._motion_frame)
         tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
         self._motion, self._motion_frame = points.motion, frame.number
-        tracked = int((tracked_points.status[0] == TRACKED).sum())
+        tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
             if work.measured is not None and math.isnan(self._first_threshold):
@@ -410,8 +436,8 @@ class StreamTracker:
         if work.motion is self._motion and not points.changes(work.index):
             return work.guess, work.points
         points.update_due(work.index)
-        guess = self._guess(work.frame.number)
-        assert guess is not None
+        assert self._motion is not None
+        guess = self._motion.expect(max(1, work.frame.number - self._motion_frame))
         return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
 
     def _outcome(self, work: FrameOutcome, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
@@ -465,7 +491,7 @@ class StreamTracker:
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]
-        points = int((covered & (tracked_points.status[0] == TRACKED)).sum())
+        points = int(np.add.reduce(covered & (tracked_points.status[0] == TRACKED)))
         # Points are not replaced either where even all of them would be too few.
         if not points * (_SPARSE * gauge) ** 2 < area < self._settings.points * (_SPARSE * gauge) ** 2:
             return None

@@ -112,17 +112,18 @@ class Touches:
         begin = (length == 1) & (np.concatenate((self.length[None, active], length[:-1])) == 0)
         touching[:, active], begins[:, active] = length > 0, begin
         at_border, passed = _border_crossings(before, borders, begins)
-        came = (begin.any(0) & (self.first[active] < 0)).nonzero()[0]
+        came = (np.logical_or.reduce(begin) & (self.first[active] < 0)).nonzero()[0]
         first, points = begin[:, came].argmax(0), active[came]
         self.first[points], self.first_position[points] = frames[first], at_border[first, points]
         began = np.maximum.accumulate(number * begin, axis=0)
         here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
         at = at * self.points + active
         for values, new_values, none in (
-            (_as_complex(start_position), _as_complex(at_border), _NO_PAIR),
+            # As complex numbers, since NumPy takes several times as long over an axis of two.
+            (start_position.view(np.complex128)[..., 0], at_border.view(np.complex128)[..., 0], _NO_PAIR),
             (share, passed, np.float32(np.nan)),
             (spread, variance, np.float32(np.nan)),
-            (earlier, np.nan_to_num(variances[:-1]), np.float32(np.nan)),
+            (earlier, np.where(np.isnan(variances[:-1]), np.float32(0), variances[:-1]), np.float32(np.nan)),
         ):
             part = values[:, active]
             part[new] = new_values.ravel()[at[new]]
@@ -172,20 +173,14 @@ def _border_crossings(position: Array, border: FrameEllipse, begins: Array) -> t
     if not len(frame):
         return position[1:], share
     now, before = position[frame + 1, point], position[frame, point]
-    outside = border.select(frame).inside(before[:, None])[:, 0]
-    inside = border.select(frame + 1).inside(now[:, None])[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        passed = np.where(inside > outside, np.minimum(np.maximum(outside / (outside - inside), 0), 1), 0.5)
-    valid = np.isfinite(before).all(-1)
+    inside = border.select(np.concatenate((frame, frame + 1))).inside(np.concatenate((before, now))[:, None])[:, 0]
+    outside, inside = inside[: len(frame)], inside[len(frame) :]
+    passed = np.empty(len(frame))
+    passed[:] = 0.5
+    np.divide(outside, outside - inside, out=passed, where=inside > outside)
+    passed = np.minimum(np.maximum(passed, 0), 1)
+    valid = np.isfinite(before[:, 0] + before[:, 1])
     share[frame, point] = np.where(valid, passed, 1)
     positions = position[1:].copy()
     positions[frame[valid], point[valid]] += (passed[valid, None] - 1) * (now - before)[valid]
     return positions, share
-
-
-def _as_complex(positions: Array) -> NDArray[np.complex128]:
-    """View positions (..., 2) as complex numbers x + i y, without copying.
-
-    NumPy is several times slower over an axis of two.
-    """
-    return positions.view(np.complex128)[..., 0]

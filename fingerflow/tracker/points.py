@@ -35,6 +35,7 @@ Array = NDArray[Any]
 _UNCERTAIN, _WINDOW_DIFFERS, _DUST_IN_WINDOW = (
     int(status) for status in (TrackStatus.UNCERTAIN, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_IN_WINDOW)
 )
+_NO_POINTS = nothing_found(1)
 _MOST_VARIANCE = 1.0  # px^2, of a position, above which it is not located
 MOST_FRAMES = 8  # longest update interval of templates, for slow skin
 FASTEST_PX = 0.2  # by which the edges of windows may shift within an interval
@@ -134,6 +135,11 @@ class Points:
         return self._every[: len(self)]
 
     @property
+    def spread(self) -> Array:
+        """Return the covariances xx, xy and yy (N, 3) px^2 of the positions for noise of variance 1 in the pixels."""
+        return self._templates.numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
+
+    @property
     def correlation(self) -> Array:
         """Return the correlation coefficient (N,) between the window around each point and its window in the key frame,
         as of the last verification.
@@ -212,11 +218,11 @@ class Points:
         """
         if index is not None:
             self._index = index
-        return self._verified(image, self._accepted(image, guess, tracked, frames, nothing_found(1)))
+        return self._verified(image, self._accepted(image, guess, tracked, frames, _NO_POINTS))
 
     def changes(self, index: int) -> bool:
         """Return whether template updates are due before frame `index`."""
-        return any(pending.due <= index for pending in self._pending)
+        return bool(self._pending) and self._pending[0].due <= index
 
     def update_due(self, index: int) -> None:
         """Carry out the template updates that are due before frame `index`, in the order in which they were planned."""
@@ -244,7 +250,9 @@ class Points:
 
     def _prepare_rows(self, pending: _Pending, rows: int) -> None:
         """Prepare up to `rows` more of the templates that a pending update will replace."""
-        done = sum(len(piece.numbers) for piece in pending.prepared)
+        done = 0
+        for piece in pending.prepared:
+            done += len(piece.numbers)
         part = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[part]]
@@ -331,7 +339,7 @@ class Points:
         patience = self._knowledge.patience
         searchable = self.motion.missing < (np.inf if patience is None else patience)
         lost = lost_points(tracked.status[0]) & searchable
-        if not lost.any():
+        if not np.logical_or.reduce(lost):
             return tracked, None
         expected = self.motion.expect(frames)
         if not np.array_equal(guess, expected, equal_nan=True):
@@ -349,7 +357,7 @@ class Points:
 
     def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
-        return self._corrected(tracked, nothing_found(1)).expected[0]
+        return self._corrected(tracked, _NO_POINTS).expected[0]
 
     def _corrected(self, tracked: TrackedPoints, around: TrackedPoints) -> Corrected:
         """Mark outliers among the tracked points, and correct all positions for the deformation of the skin.
@@ -363,11 +371,14 @@ class Points:
         extra = around.status.shape[1]
         together = join([tracked, around], 1) if extra else tracked
         corrected = self._engine.correct(self._every, together, *self._template_data(extra))
-        seeded = slice(len(self))
-        found = select(corrected.found, slice(None), seeded)
+        if extra:
+            seeded = slice(len(self))
+            found = select(corrected.found, slice(None), seeded)
+            corrected = Corrected(found, *(values[:, seeded] for values in corrected[1:]))
+        found = corrected.found
         # Few neighbours give a deformation so uncertain that it puts the point many px off.
         found = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
-        return Corrected(found, *(values[:, seeded] for values in corrected[1:]))
+        return Corrected(found, *corrected[1:])
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -401,7 +412,7 @@ class Points:
             self._templates = self._engine.prepare(image, points.points[0])
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._plan_template_update(corrected.warp[-1], corrected.shift[-1])
-        return points._replace(estimate=_last_seen(points.points, before))
+        return TrackedPoints(*points[:4], _last_seen(points.points, before))
 
     def _plan_template_update(self, warp: Array, shift: Array) -> None:
         """Plan new templates for the points whose window edges the deformation `warp` (N, 2, 2) has moved by more than
@@ -440,9 +451,9 @@ class Points:
         covariance = points.covariance
         if not self._by_key:
             covariance = self._since_start(points.variance)[..., None, None] * np.eye(2, dtype=np.float32)
-        if verified.variance.any():
+        if np.logical_or.reduce(verified.variance):
             covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
-        points = points._replace(covariance=covariance)
+        points = TrackedPoints(points.points, points.error, covariance, *points[3:])
         tracked = points.status == TRACKED
         points = reject(points, tracked & verified.differs, _WINDOW_DIFFERS)
         return reject(points, tracked & verified.held & ~verified.differs, _DUST_IN_WINDOW)
@@ -482,7 +493,7 @@ def _last_seen(points: Array, before: Array) -> Array:
     positions = points.copy()
     for frame in positions:
         gone = ~is_finite(frame)
-        if gone.any():
+        if np.logical_or.reduce(gone):
             frame[gone] = before[gone]
         before = frame
     return positions

@@ -78,7 +78,7 @@ class SlipFlag:
         finite = np.isfinite(position)
         covered = covered.astype(bool, copy=False)
         begins = covered & finite & np.isnan(touched)
-        if begins.any():
+        if np.logical_or.reduce(begins):
             touched[begins] = position[begins]
         touched[~covered] = np.nan
         used = (finite & np.isfinite(touched) & np.isfinite(std)).nonzero()[0]
@@ -88,9 +88,10 @@ class SlipFlag:
             ahead, spread = rim_motion(touched[used], position[used])
             deviations = std[used].astype(np.float64)
             noise = _RAISED * math.sqrt(float(deviations @ deviations) / len(deviations))
-        self._held &= bool(covered.any())
+        touching = bool(np.logical_or.reduce(covered))
+        self._held &= touching
         # Too few points in contact neither raise nor withdraw the flag: comparisons with NaN are False.
-        unknown = self._held or (math.isnan(residual) and bool(covered.any()))
+        unknown = self._held or (math.isnan(residual) and touching)
         stays = unknown or max(ahead, residual) > noise
         above = stays if self.slipping else ahead > max(noise, _ALL_ROUND * spread)
         self._run = self._run + 1 if above != self.slipping else 0
@@ -109,18 +110,23 @@ def rim_motion(before: Array, after: Array) -> tuple[float, float]:
 
     Points (N,) are x + i y.
     """
-    moved, z = after - before, before - _mean(before)
+    count, moved = len(before), after - before
+    z = before - np.add.reduce(before) / count
     square = z.real**2 + z.imag**2
-    scale = 2 * float(_mean(square))
+    scale = 2 * float(np.add.reduce(square)) / count
     z, square = z / math.sqrt(scale), square / scale
-    basis = np.empty((5, len(z)), complex)
-    basis[0], basis[1], basis[2], basis[3], basis[4] = 1, z, z.conj(), square, square * z
-    normal = basis.conj() @ basis.T
+    basis = np.empty((6, count), complex)
+    basis[0], basis[1], basis[2], basis[3], basis[4], basis[5] = 1, z, z.conj(), square, square * z, moved
+    equations = basis[:5].conj() @ basis.T
     # Regularisation, as points on one line do not determine all coefficients.
-    normal.ravel()[:: len(normal) + 1] += 1e-9 * len(z)
-    _, a, b, e, d = np.linalg.solve(normal, basis.conj() @ moved)
-    mean = complex(_mean(moved))
-    ahead = (complex(e) * mean.conjugate()).real / abs(mean) if mean else 0.0
+    equations.ravel()[::7] += 1e-9 * count
+    for row in range(5):  # the matrix is positive definite; `np.linalg.solve` takes a dozen calls of Python
+        pivot = equations[row] / equations[row, row]
+        equations -= equations[:, row, None] * pivot
+        equations[row] = pivot
+    _, a, b, e, d = equations[:, 5].tolist()
+    mean = complex(np.add.reduce(moved)) / count
+    ahead = (e * mean.conjugate()).real / abs(mean) if mean else 0.0
     return ahead, math.hypot(abs(a + d), abs(b))
 
 
@@ -129,12 +135,7 @@ def rigid_residual_rms(before: Array, after: Array) -> float:
 
     Points (N,) are x + i y.
     """
-    start, end = before - _mean(before), after - _mean(after)
+    start, end = before - np.add.reduce(before) / len(before), after - np.add.reduce(after) / len(after)
     product = start.conj() @ end
     off = end - start * (product / abs(product) if product else 1)
     return math.sqrt(float((off.conj() @ off).real) / (2 * len(off)))
-
-
-def _mean(values: Array) -> Any:
-    """Return the mean of values (N,), in one call of Python where NumPy takes three."""
-    return np.add.reduce(values) / len(values)

@@ -13,7 +13,7 @@ from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHAR
 from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
-from fingerflow.tracker.frame_jumps import NEARBY, JumpDistances, Ordinary, excess, is_far, is_jump, ordinary_limit
+from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
 
 Array = NDArray[Any]
 
@@ -66,8 +66,8 @@ class FrameCheck:
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
-        black = float(_blocks(dark)[0].mean())
-        empty, lines = _blocks(glass)
+        black = float(block_means(dark[None])[0].mean())
+        empty, lines = block_means(glass[None])
         self._roughness = noise_roughness(glass)
         self._lit = lines - black > _LIT * (lines.mean() - black)
         self._least = black + DARK_SHARE * (float(empty.mean()) - black)
@@ -88,19 +88,18 @@ class FrameCheck:
         Any thread may call it.
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
-        (contact, lines), *rest = (_blocks(view[0]) for view in images)
+        blocks, lines = zip(*map(block_means, images), strict=True)
+        means, saturated = blocks[0], blocks[0] > self._top
         status = USABLE
-        if float(contact.mean()) < self._least:
+        if float(np.add.reduce(means, None) / means.size) < self._least:
             status = _DARK
-        elif self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
+        elif self._tells_saturated and np.add.reduce(saturated, None, float) / means.size > SATURATED_SHARE:
             status = _SATURATED
-        elif (self._lit & (lines < self._least)).any():
+        elif np.logical_or.reduce(self._lit & (lines[0] < self._least), None):
             status = _JUMPS
         elif is_noise(images[0], self._roughness)[0]:
             status = _NOISE
-        return Picture(
-            status, PixelSamples.sample(*images), frame_key([contact, *(blocks for blocks, _ in rest)]), number
-        )
+        return Picture(status, PixelSamples.sample(*images), frame_key(blocks), number)
 
     def update(self, picture: Picture) -> tuple[list[int], int | None]:
         """Determine the status of a frame by comparison with earlier frames; return the statuses of deferred frames
@@ -119,7 +118,7 @@ class FrameCheck:
             status = USABLE
         if status == USABLE and self._repeats(picture.key):
             status = _REPEATED
-        return self._judged(picture._replace(status=status))
+        return self._judged(picture if status == picture.status else picture._replace(status=status))
 
     def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
         if frame.status != USABLE:
@@ -210,7 +209,7 @@ class FrameCheck:
         for step_frame in rest:
             within, latest = np.maximum(within, step_frame.squared_distance(latest)), step_frame
         out_of, between = (frame.squared_distance(step_frame) for step_frame in (latest, self._last))
-        return is_jump(JumpDistances(into, out_of, between, within, self._usual()), self._ordinary())
+        return is_jump(into, out_of, between, within, self._usual(), self._ordinary())
 
     def _usual(self) -> Array:
         """Return the squared image distance (rows,) that is usual between consecutive frames at present: the larger of
@@ -222,12 +221,4 @@ class FrameCheck:
 
     def _ordinary(self) -> Ordinary:
         steps = np.stack(self._steps)
-        return Ordinary.estimate(steps, excess(steps[1:-1], steps[2:], steps[:-2]))
-
-
-def _blocks(view: Array) -> tuple[Array, Array]:
-    """Return the means of a view (H, W) over the blocks of a grid (rows, columns), and over sampled lines of pixels
-    (lines,).
-    """
-    blocks, lines = block_means(view[None])
-    return blocks[0], lines[0]
+        return ordinary_values(steps, excess(steps[1:-1], steps[2:], steps[:-2]))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import STEP, TRACKED, Engine, Images, noise_of
-from fingerflow.tracker.window_match import Alike, Sampler, compare, deformed_alike, shifted_alike
+from fingerflow.tracker.window_match import Sampler, compare, deformed_alike, shifted_alike
 
 Array = NDArray[Any]
 
@@ -91,8 +91,8 @@ class Verification:
         def sample(number: Array, positions: Array, warp: Array) -> Array:
             return self._engine.windows(images, number, positions, warp)
 
-        alike = compare(self._first, sample(number, positions, warp))
-        loss = 1 - alike.correlation
+        correlation, *residuals = compare(self._first, sample(number, positions, warp))
+        loss = 1 - correlation
         noise = noise_of(self._engine, images[frames - 1 :])
         with np.errstate(divide="ignore", invalid="ignore"):
             noise_part = noise**2 / self._variance  # infinite or NaN for a blank window, which then never fails
@@ -107,10 +107,10 @@ class Verification:
             better = deformed_alike(
                 self._first[suspect], sample, *present, warp[suspect], self._engine.settings.window_px, STEP
             )
-            again = 1 - compare(self._first[suspect], sample(*present, better)).correlation
+            again = 1 - compare(self._first[suspect], sample(*present, better))[0]
             loss[suspect] = np.where(np.isnan(again), loss[suspect], np.minimum(again, loss[suspect]))
         before, unknown = self.latest, np.isnan(loss)
-        shift, deviations, excluded = self._shifts(sample, number, positions, warp, alike, noise)
+        shift, deviations, excluded = self._shifts(sample, number, positions, warp, residuals, noise)
         away = np.square(shift).sum(1)
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - loss).astype(np.float32)
@@ -120,19 +120,20 @@ class Verification:
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 
     def _shifts(
-        self, sample: Sampler, number: Array, positions: Array, warp: Array, alike: Alike, noise: float
+        self, sample: Sampler, number: Array, positions: Array, warp: Array, residuals: list[Array], noise: float
     ) -> tuple[Array, Array, Array]:
         """Return the shifts (N, 2) px by which windows match those of the key frame best, their lengths (N,) in their
         standard deviations and the shares (N,) of excluded samples, where single residuals stand out, as those of dust
-        do; all are 0 for other windows.
+        do; all are 0 for other windows. `residuals` are their root mean squares (N,) and largest magnitudes (N,).
         """
         shift, (deviations, excluded) = np.zeros((len(number), 2)), np.zeros((2, len(number)))
-        residuals = np.sort(alike.residual[np.isfinite(alike.residual)])
-        if len(residuals):
-            usual = max(float(residuals[(len(residuals) - 1) // 2]), math.sqrt(2) * noise)
-            suspect = (alike.largest > _PEAK * usual).nonzero()[0]
+        square, largest = residuals
+        known = np.sort(square[np.isfinite(square)])
+        if len(known):
+            usual = max(float(known[(len(known) - 1) // 2]), math.sqrt(2) * noise)
+            suspect = (largest > _PEAK * usual).nonzero()[0]
             if len(suspect):
                 present = (number[suspect], positions[suspect], warp[suspect], math.sqrt(2) * noise)
                 fit = shifted_alike(self._first[suspect], sample, *present)
-                shift[suspect], deviations[suspect], excluded[suspect] = fit.shift, fit.deviations, fit.excluded
+                shift[suspect], _, deviations[suspect], excluded[suspect] = fit
         return shift, deviations, excluded

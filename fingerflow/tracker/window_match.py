@@ -6,7 +6,7 @@ An engine samples the windows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,40 +25,17 @@ _FARTHEST = 0.15  # largest change of a component of the deformation in one iter
 _SHIFT_ROUNDS = 2  # samplings of the windows, each followed by fits
 
 
-class Shifts(NamedTuple):
-    """Shifts by which most samples of N windows match those of earlier windows best.
-
-    Attributes:
-        shift: (N, 2) px; 0 for a window with a sample that is NaN or infinite.
-        weight: (N, m) of the samples in the fit; 0 for samples that do not match.
-        deviations: (N,) length of the shift in its own standard deviations, which are large along straight ridges.
-        excluded: (N,) share of the samples that do not match.
-    """
-
-    shift: Array
-    weight: Array
-    deviations: Array
-    excluded: Array
+# Shifts (N, 2) px by which most samples of N windows match those of earlier windows best, 0 for a window with a sample
+# that is NaN or infinite; weights (N, m) of the samples in the fit, 0 for samples that do not match; lengths (N,) of
+# the shifts in their own standard deviations, which are large along straight ridges; shares (N,) of samples that do
+# not match.
+Shifts = tuple[Array, Array, Array, Array]
 
 
-class Alike(NamedTuple):
-    """Similarity of N pairs of windows.
-
-    Attributes:
-        correlation: (N,) normalised cross-correlation; NaN for blank windows.
-        residual: (N,) root mean square of what a linear function of the first window leaves of the second one, in grey
-            levels; NaN where the first window is blank.
-        largest: (N,) largest magnitude of that residual.
-    """
-
-    correlation: Array
-    residual: Array
-    largest: Array
-
-
-def compare(then: Array, now: Array) -> Alike:
-    """Compare N pairs of windows (N, m) of m grey levels, float32: compute their correlation, which is independent of
-    gain and offset, and what a linear function of the first window leaves of the second one.
+def compare(then: Array, now: Array) -> tuple[Array, Array, Array]:
+    """Compare N pairs of windows (N, m) of m grey levels, float32; return their normalised cross-correlation (N,), NaN
+    for blank windows, and the root mean square (N,) and largest magnitude (N,) of the residual, which a linear function
+    of the first window leaves of the second one, in grey levels, NaN where the first window is blank.
     """
     before, after = (windows - windows.mean(1, keepdims=True) for windows in (then, now))
     square, covariance = _mean_product(before, before), _mean_product(before, after)
@@ -67,7 +44,7 @@ def compare(then: Array, now: Array) -> Alike:
         residual = after - (covariance / square)[:, None] * before
     correlation = covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE))
     correlation = np.where(variances > LEAST_VARIANCE, correlation, np.float32(np.nan))
-    return Alike(correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1))
+    return correlation, np.sqrt(_mean_product(residual, residual)), np.abs(residual).max(1)
 
 
 def _mean_product(first: Array, second: Array) -> Array:
@@ -129,10 +106,11 @@ def shifted_alike(first: Array, sample: Sampler, number: Array, positions: Array
     steps = np.array([[_BESIDE, 0.0], [-_BESIDE, 0.0], [0.0, _BESIDE], [0.0, -_BESIDE]], np.float32)
     around = sample(np.tile(number, 4), (positions + steps[:, None]).reshape(-1, 2), np.tile(warp, (4, 1, 1)))
     around = around.reshape(4, count, -1)
-    fit = Shifts(np.zeros((count, 2)), np.ones(first.shape), *np.zeros((2, count)))
+    deviations, excluded = np.zeros((2, count))
+    fit: Shifts = np.zeros((count, 2)), np.ones(first.shape), deviations, excluded
     for _ in range(_SHIFT_ROUNDS):
-        here = sample(number, positions + fit.shift.astype(np.float32), warp)
-        fit = fit_shifts(first, around, here, fit.shift, fit.weight, noise)
+        here = sample(number, positions + fit[0].astype(np.float32), warp)
+        fit = fit_shifts(first, around, here, *fit[:2], noise)
     return fit
 
 
@@ -149,7 +127,7 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
     """
     if is_present():
         windows = {"then": then, "around": around, "now": now, "shift": shift, "weight": weight}
-        return Shifts(*compiled("shift_windows")(**windows, noise=noise))
+        return compiled("shift_windows")(**windows, noise=noise)
     right, left, below, above = around
     unknown = np.stack((right - left, below - above, -then, -np.ones_like(then)), axis=-1).astype(np.float64)
     valid: Array = np.asarray(np.isfinite(unknown).all((1, 2)) & np.isfinite(now).all(1))
@@ -162,7 +140,7 @@ def fit_shifts(then: Array, around: Array, now: Array, shift: Array, weight: Arr
     shift = np.where(valid[:, None], shift + np.clip(solved[:, :2], -1, 1), 0.0)
     square = (shift[:, None] @ np.linalg.solve(inverse[:, :2, :2], shift[..., None]))[:, 0, 0]
     excluded = np.where(valid, (weight < EXCLUDED_WEIGHT).mean(1), 0.0)
-    return Shifts(shift, weight, np.sqrt(square) / spread, excluded)
+    return shift, weight, np.sqrt(square) / spread, excluded
 
 
 def _weighted_fit(unknown: Array, values: Array, weight: Array) -> tuple[Array, Array, Array]:

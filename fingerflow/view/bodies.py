@@ -23,11 +23,15 @@ class EditBody(Body):
 
 
 class CalibrateBody(Body):
-    """Body of a calibration request: image files, and the radius of the hole of the calibration ring."""
+    """Body of a calibration request: image files, the radius of the hole of the calibration ring, and the inner corners
+    in a row and in a column of the chessboard.
+    """
 
     ring: str | None = None
     target: str | None = None
     background: str | None = None
+    chessboard: str | None = None
+    corners: list[int] | None = None
     hole_radius_mm: FiniteFloat | None = None
 
 

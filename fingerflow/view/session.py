@@ -175,26 +175,24 @@ class Session:
     def calibrate(self, request: Mapping[str, Any]) -> Facts:
         """Calibrate from image files with the views of the draft, as `fingerflow calibrate` does, and return `setup()`.
 
-        `request` is `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, with files in the scene's
-        folder; the calibration file written there becomes that of the draft.
+        `request` is a `CalibrateBody` with files in the scene's folder; the calibration file written there becomes that
+        of the draft.
         """
         from fingerflow.calibration import FILE, calibrate_files
 
         with self._lock:
             draft = self._drafted()
             folder, stated = draft.path.parent, draft.table("views")
-            if not request.get("ring"):
+            names = "ring", "target", "background", "chessboard"
+            files: dict[str, Any] = {name: folder / str(request[name]) for name in names if request.get(name)}
+            if "ring" not in files:
                 raise FingerflowError("name the picture of the ring: it gives the scale")
-            ring, target, background = (
-                folder / str(request[name]) if request.get(name) else None for name in ("ring", "target", "background")
-            )
             ranges = {"contact": stated.get("contact", stated.get("camera"))}
-            if target is not None:
-                ranges["topography"] = stated.get("topography")
+            ranges["topography"] = "target" in files and stated.get("topography")
             views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
-            assert ring is not None
+            radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners")
             calibration = calibrate_files(
-                ring, target, background, views, float(request.get("hole_radius_mm") or 2.75), folder / FILE
+                **files, views=views, hole_radius_mm=radius, output=folder / FILE, corners=corners and tuple(corners)
             )
             for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
                 draft.set(("calibration", key), None)

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from fingerflow.calibration import calibrate_files
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
 from fingerflow.recordings.lens import Lens
 from fingerflow.schema.calibration_file import read_calibration
 from fingerflow.schema.views import View
+from fingerflow.view.draft import Draft
+from fingerflow.view.session import Session
 from tests.calibration.drawn_discs import DrawnDisc, camera, draw, moved, similarity
 
 _SHAPE = (360, 800)
@@ -22,6 +25,7 @@ _ON_TOPOGRAPHY = (DrawnDisc(70, 70, 30, 30), DrawnDisc(320, 90, 22, 22), DrawnDi
 _RADIUS_PX, _RADIUS_MM = 75.0, 2.75
 _CORNERS = (13, 11)
 _FOCAL = float(np.hypot(*_SHAPE)) / 2
+_PIXELS = np.stack(np.meshgrid(np.arange(400.0), np.arange(360.0)), -1)  # (x, y) in a view
 
 
 def _lens(k1: float, k2: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Lens:
@@ -33,8 +37,7 @@ def _frames(folder: Path, lens: Lens) -> dict[str, Path]:
     flat = np.full((360, 400), 120.0)
     target = draw(_ON_TOPOGRAPHY, flat.shape), draw(moved(_ON_TOPOGRAPHY, _MATRIX), flat.shape)
     ring = flat, draw((DrawnDisc(300, 240, _RADIUS_PX, _RADIUS_PX),), flat.shape)
-    y, x = np.mgrid[:360, :400].astype(np.float64)
-    turned = np.stack((x, y), -1) @ ((1.0, 0.02), (-0.02, 1.0)) - (40.0, 45.0)
+    turned = _PIXELS @ ((1.0, 0.02), (-0.02, 1.0)) - (40.0, 45.0)
     squares = 120 + 60 * np.tanh(6 * np.sin(np.pi * turned / 24).prod(-1))
     pictures = {"chessboard": (_bounded(squares, turned), _bounded(squares, turned)), "target": target, "ring": ring}
     for name, parts in pictures.items():
@@ -50,8 +53,7 @@ def _bounded(squares: NDArray[np.float64], position: NDArray[np.float64]) -> NDA
 
 
 def _through(lens: Lens, picture: NDArray[np.float64], view: View) -> NDArray[np.float64]:
-    y, x = np.mgrid[:360, :400].astype(np.float64)
-    column, row = np.moveaxis(lens.straighten(np.stack((x, y), -1), view).astype(np.float32), -1, 0)
+    column, row = np.moveaxis(lens.straighten(_PIXELS, view).astype(np.float32), -1, 0)
     return np.asarray(cv2.remap(picture, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
 
 
@@ -71,18 +73,19 @@ def test_scale_transform_and_lens_come_from_frames_through_the_lens(lens: Lens, 
     np.testing.assert_allclose(calibrated.affine.matrix[:, :2], _MATRIX[:, :2], atol=2e-3)
     raw = calibrate_files(files["ring"], files["target"], views=VIEWS, output=output)
     assert abs(raw.mm_per_px * _RADIUS_PX / _RADIUS_MM - 1) > 2e-3
-    (tmp_path / "rig.toml").write_text(calibrated.to_toml(), encoding="utf-8")
-    stored = read_calibration(output).lens
-    assert stored == {"intrinsics": list(calibrated.lens.intrinsics), "distortion": list(calibrated.lens.distortion)}
+    page = Session(Draft.create(open_recording(files["ring"])), None)
+    page.calibrate({"corners": [*_CORNERS]} | {name: file.name for name, file in files.items()})
+    stored, _ = read_calibration(tmp_path / "calibration.toml")
+    assert stored["intrinsics"] == list(calibrated.lens.intrinsics)
+    assert stored["distortion"] == list(calibrated.lens.distortion)
 
 
 def test_a_frame_without_the_chessboard_is_refused(tmp_path: Path) -> None:
     files = _frames(tmp_path, _lens(0.01))
     for changes, message in (
         ({"chessboard": files["ring"], "corners": _CORNERS}, "shows a chessboard with 13 x 11 inner corners"),
-        ({"chessboard": files["chessboard"]}, "chessboard and corners belong together"),
+        ({"chessboard": files["chessboard"], "corners": (0, 0)}, "chessboard and corners belong together"),
         ({"corners": _CORNERS}, "chessboard and corners belong together"),
     ):
         with pytest.raises(FingerflowError, match=message):
-            # The types of the dictionaries' values are known by key alone.
-            calibrate_files(files["ring"], views={"contact": VIEWS["contact"]}, output=tmp_path / "rig.toml", **changes)  # type: ignore[arg-type]
+            calibrate_files(files["ring"], views={"contact": VIEWS["contact"]}, output=tmp_path / "rig.toml", **changes)

@@ -29,6 +29,6 @@ def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path)
     draw_overlay(tmp_path / "overlay.png", found, frames["target"], frames["ring"])
     assert imread(tmp_path / "overlay.png").shape[0] > 300
     (tmp_path / "calibration.toml").write_text(found.to_toml())
-    again = read_calibration(tmp_path / "calibration.toml")
-    assert again.mm_per_px == found.mm_per_px
-    np.testing.assert_array_equal(again.matrix, found.affine.matrix)
+    again, _ = read_calibration(tmp_path / "calibration.toml")
+    assert again["mm_per_px"] == found.mm_per_px
+    np.testing.assert_array_equal(again["topography_to_contact"], found.affine.matrix)

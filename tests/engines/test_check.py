@@ -13,7 +13,7 @@ import torch
 from torch.utils._pytree import tree_map
 
 from fingerflow.engines.bundle import Bundle, load_bundle
-from fingerflow.engines.check import TOLERANCES, BuiltIn, both_numbers_of, built_in, check_engine, check_frames
+from fingerflow.engines.check import TOLERANCES, BuiltIn, built_in, check_engine, expected_of, numbers_of
 from fingerflow.engines.choice import open_onnx
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.graph_engine import GraphEngine
@@ -68,16 +68,18 @@ def changed(function: Callable[..., Any], change: Change) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="module")
-def frame() -> BuiltIn:
-    return built_in(96, 128, 8, 64, SETTINGS.window_px)
+def frames() -> list[BuiltIn]:
+    """Return the built-in frame, and that of the reversed motion."""
+    frame = built_in(96, 128, 8, 64, SETTINGS.window_px)
+    return [frame, frame.reversed()]
 
 
 @pytest.fixture(scope="module")
-def expected(frame: BuiltIn) -> list[dict[str, Array]]:
+def expected() -> dict[str, Any]:
     """Return the results of both motions by torch without compiled kernels."""
     with pytest.MonkeyPatch.context() as patch, torch.inference_mode():
         without_kernels(patch)
-        return both_numbers_of(TorchEngine(SETTINGS, torch.device("cpu")), frame)
+        return expected_of(TorchEngine(SETTINGS, torch.device("cpu")), 96, 128, 8, 64)
 
 
 @pytest.fixture(params=["native", "torch"])
@@ -87,20 +89,19 @@ def engine(request: pytest.FixtureRequest) -> Engine:
     return NativeEngine(SETTINGS) if request.param == "native" else TorchEngine(SETTINGS, torch.device("cpu"))
 
 
-def test_right_numbers_are_accepted(engine: Engine, frame: BuiltIn, expected: list[dict[str, Array]]) -> None:
+def test_right_numbers_are_accepted(engine: Engine, frames: list[BuiltIn], expected: dict[str, Any]) -> None:
     """The compiled library and torch with its kernels give the numbers of torch's portable ops; all of them are
     compared, and known for most points in at least one of both motions.
     """
-    check_frames(engine, frame, expected)
-    assert set(expected[0]) == set(expected[1]) == set(TOLERANCES)
-    assert all(np.isfinite(values).mean() > 0.6 for values in expected[0].values())
+    assert [row["result"] for row in check_engine(engine, expected)] == [*TOLERANCES]
+    numbers = numbers_of(engine, frames[0])
+    assert set(numbers) == set(TOLERANCES)
+    assert all(np.isfinite(values).mean() > 0.6 for values in numbers.values())
     for name in ("off_neighbours", "uncertain"):
-        assert 3 <= expected[0][name].sum() < 0.2 * len(frame.points)
+        assert 3 <= numbers[name].sum() < 0.2 * len(frames[0].points)
 
 
-def test_graphs_of_a_recording_give_the_numbers(
-    frame: BuiltIn, expected: list[dict[str, Array]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_graphs_of_a_recording_give_the_numbers(expected: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """The graphs that `process --engine onnx` exports give all numbers, deviations included; torch runs them here."""
 
     def run_by_torch(graph: ExportedGraph, arrays: dict[str, Array]) -> Any:
@@ -110,12 +111,13 @@ def test_graphs_of_a_recording_give_the_numbers(
 
     monkeypatch.setattr(ExportedGraph, "_exported", run_by_torch)
     with torch.inference_mode():
-        check_frames(RecordingEngine(SETTINGS, 1), frame, expected)
+        check_engine(RecordingEngine(SETTINGS, 1), expected)
 
 
-def test_the_truth_of_both_motions(frame: BuiltIn, expected: list[dict[str, Array]]) -> None:
-    """Expected positions, areas and gradients are those of the synthetic frame."""
-    for numbers, shown, stretch in zip(expected, (frame, frame.reversed()), (0.05, -0.05), strict=True):
+def test_the_truth_of_both_motions(engine: Engine, frames: list[BuiltIn]) -> None:
+    """Positions, areas and gradients are those of the synthetic frame."""
+    results = [numbers_of(engine, frame) for frame in frames]
+    for numbers, shown, stretch in zip(results, frames, (0.05, -0.05), strict=True):
         known = np.isfinite(shown.points[:, 0])
         for name in ("found", "found_updated", "corrected"):
             assert np.sqrt(np.square(numbers[name] - shown.truth)[known].mean()) < 0.05
@@ -124,13 +126,13 @@ def test_the_truth_of_both_motions(frame: BuiltIn, expected: list[dict[str, Arra
         np.testing.assert_allclose(numbers["fit"].mean(0)[0, 0], stretch, rtol=0.02)
         np.testing.assert_allclose(numbers["fit"].mean(0)[1, 1], -stretch / 2, rtol=0.02)
     area = np.pi * 0.36 * 128 * 0.3 * 96
-    np.testing.assert_allclose(expected[0]["gross_area_px"], area, rtol=0.05)
-    assert expected[1]["gross_area_px"] == 0
+    np.testing.assert_allclose(results[0]["gross_area_px"], area, rtol=0.05)
+    assert results[1]["gross_area_px"] == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_wrong_result_of_a_method_is_refused(
-    method: str, frame: BuiltIn, expected: list[dict[str, Array]], monkeypatch: pytest.MonkeyPatch
+    method: str, expected: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not kernels.serve():
         pytest.skip("the compiled kernels were not built or are turned off")
@@ -139,7 +141,7 @@ def test_a_wrong_result_of_a_method_is_refused(
         with monkeypatch.context() as patch:
             patch.setattr(engine, method, changed(getattr(engine, method), change))
             with pytest.raises(FingerflowError, match="are not the expected ones"):
-                check_frames(engine, frame, expected)
+                check_engine(engine, expected)
 
 
 @pytest.fixture(scope="module")

@@ -16,15 +16,14 @@ import onnx
 import pytest
 import torch
 
-from fingerflow.engines import choice, providers, sessions
+from fingerflow.engines import choice, sessions
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.bundle import Bundle, load_bundle
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import noise_of
 from fingerflow.engines.graph_engine import GraphEngine
-from fingerflow.engines.providers import installed_providers
-from fingerflow.engines.sessions import GraphSession
+from fingerflow.engines.sessions import GraphSession, installed_providers
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
@@ -330,7 +329,7 @@ def test_a_provider_with_other_numbers_is_passed_over(
     """
     full = installed_providers()["cpu"]
     monkeypatch.setattr(
-        providers, "installed_providers", lambda: {"broken": "NoExecutionProvider", "odd": full, "cpu": full}
+        sessions, "installed_providers", lambda: {"broken": "NoExecutionProvider", "odd": full, "cpu": full}
     )
     wrong = [True, False, True]
 

@@ -60,8 +60,8 @@ def test_an_environment_variable_turns_kernels_off() -> None:
 def test_absent_kernels_are_reported_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(library, "_path", lambda: None)
     monkeypatch.delenv("FINGERFLOW_KERNELS", raising=False)
-    library._library.cache_clear()
-    library.compiled.cache_clear()
+    for cached in (library._library, library.is_present, library.compiled):
+        cached.cache_clear()
     try:
         with caplog.at_level(logging.INFO, "fingerflow.kernels"):
             assert not kernels.serve(FRAME)
@@ -71,3 +71,4 @@ def test_absent_kernels_are_reported_once(monkeypatch: pytest.MonkeyPatch, caplo
             kernels.limit_instruction_set(-1)
     finally:
         library._library.cache_clear()
+        library.is_present.cache_clear()

@@ -23,7 +23,7 @@ from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
 from fingerflow.ops.fields.displacement_medians import displacement_medians
 from fingerflow.ops.fields.local_fit import local_gradients
-from fingerflow.ops.fields.triangle_strain import SharedErrors, triangle_strain
+from fingerflow.ops.fields.triangle_strain import triangle_strain
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.illumination import normalize_illumination
 from fingerflow.ops.filters.median import median_filter
@@ -409,7 +409,7 @@ def _area_medians(measure: str, *given: Any) -> Any:
 
 
 def moved_contacts() -> Iterator[Call]:
-    """Yield calls with few and many points, some of them at one position, lost, or outside of the ellipse."""
+    """Yield calls with 0 to 700 points, of which some coincide, are lost, or lie outside the ellipse."""
     for points in (0, 1, 40, 700):
         position, center = 12 * random(9, points, 2).double(), 6 + 0.5 * random(9, 2, seed=2).double()
         position[:, ::7] = position[:, :1].clone()
@@ -438,7 +438,7 @@ def strains_of_triangles() -> Iterator[Call]:
         in_contact = random(9, len(triangles), seed=5) < 0.7
         in_contact[0] = False
         pairs = (points * random(50, 2, seed=7)).long()
-        shared = SharedErrors(0.9 * random(len(triangles), 3, seed=6), pairs, 0.9 * random(50, seed=8))
+        shared = 0.9 * random(len(triangles), 3, seed=6), pairs, 0.9 * random(50, seed=8)
         given = reference, triangles, displacement, covariance, in_contact
         yield partial(triangle_strain, measure=measure, **solid), (*given, None if unknown else shared)
 

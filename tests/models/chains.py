@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from scipy.integrate import solve_ivp
 
-from fingerflow.models.skin_forces import Array, Chain, elastic_forces
+from fingerflow.models.skin_forces import Array, Chain, Columns
 from fingerflow.models.skin_implicit import State
 from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import parameter_set
@@ -69,7 +69,7 @@ def runge_kutta(chain: Chain, mu: Array, load: Array, duration: float) -> tuple[
 
     def rates(time: float, state: Array) -> Array:
         nodes, limit, held = unpacked(state)
-        forces = elastic_forces(chain, nodes)
+        forces = Columns(chain, nodes).forces()
         forces[:-1, 0] -= held  # against the motion
         forces[-1] += load
         speed = forces / chain.dampers

@@ -7,7 +7,7 @@ import pytest
 from chains import bent, chain_of, energy, nodes_of
 from scipy.integrate import quad
 
-from fingerflow.models.skin_forces import elastic_forces, tissue_slopes
+from fingerflow.models.skin_forces import Columns
 from fingerflow.models.skin_parameters import PARAMETERS, parameter_set
 
 
@@ -27,10 +27,11 @@ def test_forces_are_minus_the_slopes_of_the_energy(parameters: str, depth: float
         slopes[at] = (energy(chain, nodes + off) - energy(chain, nodes - off)) / (2 * step)
         if at[0] < len(nodes) - 1:
             # The bone feels the tissue alone: neither links nor plate.
-            change = elastic_forces(chain, nodes + off)[-1] - elastic_forces(chain, nodes - off)[-1]
+            change = Columns(chain, nodes + off).forces()[-1] - Columns(chain, nodes - off).forces()[-1]
             stiffness[at[0], at[1]] = change[at[1]] / (2 * step)
-    np.testing.assert_allclose(elastic_forces(chain, nodes), -slopes, rtol=1e-5, atol=1e-6)
-    xx, _, zz = tissue_slopes(chain, nodes)
+    columns = Columns(chain, nodes)
+    np.testing.assert_allclose(columns.forces(), -slopes, rtol=1e-5, atol=1e-6)
+    xx, _, zz = columns.slopes()
     np.testing.assert_allclose(np.stack((xx, zz), 1), stiffness, rtol=1e-5, atol=1e-3)
 
 
@@ -51,14 +52,14 @@ def test_a_column_stiffens_exponentially(compression: float) -> None:
     bulge = grown * compression**2 / 2 * chain.stiffening * (compression > 0)
     links = 2 * chain.membrane * compression
     plate = chain.contact * max(-compression, 0.0)
-    found = elastic_forces(chain, nodes)[5]
+    found = Columns(chain, nodes).forces()[5]
     assert found[1] == pytest.approx(plate - links - column - grown * compression - bulge, rel=1e-12)
     assert abs(found[0]) < 1e-18
 
 
 def test_undeformed_is_at_rest() -> None:
     chain = chain_of()
-    assert np.abs(elastic_forces(chain, nodes_of(chain))).max() < 1e-11
+    assert np.abs(Columns(chain, nodes_of(chain)).forces()).max() < 1e-11
 
 
 def test_parameter_sets_are_those_of_print_and_of_the_lab() -> None:

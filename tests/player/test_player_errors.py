@@ -192,7 +192,7 @@ def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pyt
     said = stream.refused(*stream.recorded(1), "--engine", "native")
     assert "--engine native: the compiled library is not there, is turned off, or is of another version" in said
     assert "onnxruntime cannot load it" in stream.refused(*stream.recorded(1))
-    monkeypatch.setitem(sys.modules, "fingerflow.engines.providers", None)
+    monkeypatch.setitem(sys.modules, "fingerflow.engines.sessions", None)
     said = stream.refused(*stream.recorded(1))
     assert "no engine serves here: native does not (the compiled library is not there" in said
     assert "pip install onnxruntime" in said

@@ -17,7 +17,7 @@ def test_pictures_are_played_in_the_order_of_their_numbers(stream: Stream) -> No
     (folder / "notes.txt").write_text("not a picture")
     (stream.folder / "empty").mkdir()
     said = stream.refused("--source", str(stream.folder / "empty"))
-    assert "empty: has no picture; of its files those that end in .bmp" in said
+    assert "empty: the folder has no images (.png, .jpg" in said
     ended = stream.run("--source", str(folder))
     np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(12) / 4)
     np.testing.assert_array_equal(ended.results.records["frame"], np.arange(12))

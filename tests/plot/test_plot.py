@@ -119,8 +119,8 @@ def test_what_varies_is_the_axis() -> None:
         (0.3 * noise, "time"),
         (np.full(200, np.nan), "time"),
     ):
-        assert plot.abscissa(of_time(force)).name == expected
-    assert plot.abscissa(of_time(returns), "normal_force").label == "normal force (N)"
+        assert plot.abscissa(of_time(force))[0] == expected
+    assert plot.abscissa(of_time(returns), "normal_force")[2] == "normal force (N)"
     with pytest.raises(FingerflowError, match=r"'torque'.*normal_force"):
         plot.abscissa(of_time(rises), "torque")
 

@@ -71,19 +71,19 @@ def test_the_page_is_one_file_without_none(page: Path) -> None:
 def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None:
     _, result = trial
     frames = key_frames(result)
-    assert [one.why for one in frames] == ["1 N", "2 N", "3 N", "largest force"]
+    assert [why for _, why in frames] == ["1 N", "2 N", "3 N", "largest force"]
     assert frames == sorted(frames)
     force = result["normal_force"].values
-    for one, level in zip(frames, (1, 2, 3), strict=False):
-        assert force[one.frame] >= level > force[one.frame - 1]
-    assert frames[-1].frame == np.nanargmax(force)
+    for (frame, _), level in zip(frames, (1, 2, 3), strict=False):
+        assert force[frame] >= level > force[frame - 1]
+    assert frames[-1][0] == np.nanargmax(force)
     lines = {name: values for name, _, values in key_numbers(result, frames)}
-    for k, one in enumerate(frames):
-        value, spread = (1000 * float(result[f"median_divergence{of}"][one.frame]) for of in ("", "_std"))
+    for k, (frame, _) in enumerate(frames):
+        value, spread = (1000 * float(result[f"median_divergence{of}"][frame]) for of in ("", "_std"))
         assert lines["median divergence"][k] == format_uncertainty(value, spread)
         assert lines["median divergence"][k] in told(page)
     for name in ("gross contact area", "real contact area", "contact area ratio"):
-        area, spread = (float(result[name.replace(" ", "_") + of][frames[-1].frame]) for of in ("", "_std"))
+        area, spread = (float(result[name.replace(" ", "_") + of][frames[-1][0]]) for of in ("", "_std"))
         assert lines[name][-1] == format_uncertainty(area, spread)
 
 
@@ -93,16 +93,16 @@ def test_frames_are_chosen_by_what_happens() -> None:
     normal = np.full(100, 2.0)
     ratio = np.where(time < 0.4, time / 0.4, 0.6)
     slide = of_frames(100, gross_contact_area=area, normal_force=normal, load_ratio=ratio)
-    found = {one.why: one.frame for one in key_frames(slide)}
+    found = {why: frame for frame, why in key_frames(slide)}
     assert found["largest T/N"] == np.argmax(ratio)
     assert found["half of the largest T/N"] == np.argmax(ratio >= ratio.max() / 2)
     assert found["last frame"] == 99
     grown = 40 * np.sin(np.pi * time)
-    found = {one.why: one.frame for one in key_frames(of_frames(100, gross_contact_area=grown))}
+    found = {why: frame for frame, why in key_frames(of_frames(100, gross_contact_area=grown))}
     assert found["half of the largest contact"] == np.argmax(grown >= grown.max() / 2)
     assert found["largest contact"] == np.argmax(grown)
     weak = of_frames(100, gross_contact_area=area, normal_force=0.5 * time)
-    assert [one.why for one in key_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
+    assert [why for _, why in key_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
     nothing = of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)
     assert key_frames(nothing) == []
 

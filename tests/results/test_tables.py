@@ -17,7 +17,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.dictionary import dictionary
 from fingerflow.pipeline.plan import VARIABLES
 from fingerflow.results.tables import export_map, export_table
-from fingerflow.results.tables.grid_maps import interpolate_maps
+from fingerflow.results.tables.grid_maps import described, interpolate_maps
 from fingerflow.schema.variable_record import IN_PERCENT
 
 FRAMES, POINTS, FIRST = 3, 200, 10
@@ -115,7 +115,7 @@ def test_one_switch_shows_deformation_in_percent(
     assert names[4:] == ["divergence (%)", "displacement_x (µm)", "displacement_y (µm)"]
     np.testing.assert_allclose(rows[rows[:, 0] == 5, 4], 100 * result["divergence"][:, 5], rtol=1e-8)
     maps = interpolate_maps(result, "divergence", 0.2)
-    assert "divergence in %" in maps.about
+    assert "divergence in %" in described(maps)
     assert VARIABLES["median_divergence_rate"].axis_label == "median divergence rate (%/s)"
     assert VARIABLES["divergence"].shown()["percent"] is None
     monkeypatch.delenv(IN_PERCENT)
@@ -145,7 +145,7 @@ def test_matlab_counts_from_one_and_has_the_settings(result: xr.Dataset, tmp_pat
 def test_a_linear_field_is_mapped_exactly(result: xr.Dataset) -> None:
     """A linear field is mapped exactly, to the rounding of float32, as interpolation is linear."""
     maps = interpolate_maps(result, "displacement", 0.2)
-    assert maps.components == ("x", "y")
+    assert [*maps.component.values] == ["displacement_x", "displacement_y"]
     x, y = np.meshgrid(maps.x, maps.y)
     truth = np.stack([x, y], -1) @ GRADIENT.T
     for frame in range(FRAMES):

@@ -61,7 +61,8 @@ def judged(some: Iterator[tuple[str, SyntheticScene]]) -> Iterator[Case]:
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "recording"
             write_quietly(recording, scene)
-            of_scene = {f"{kind}: {name}": one for name, one in of_process(recording, scene).items()}
+            recorded = compared(process(recording / "scene.toml"), scene)
+            of_scene = {f"{kind}: {name}": one for name, one in recorded.items()}
             if is_present():
                 of_scene |= {f"{kind}, live: {name}": one for name, one in of_stream(recording, scene).items()}
         for name, one in of_scene.items():
@@ -86,17 +87,10 @@ def case_of(name: str, error: Array, stated: Array) -> Case:
     return Case(name, number, "z 1, 68%, 95%", sizes, "holds" if holds else "too small" if spread > 1 else "too large")
 
 
-def of_process(recording: Path, scene: SyntheticScene) -> Errors:
-    """Return errors and stated deviations of the results of `process`, by quantity."""
-    result = process(recording / "scene.toml")
-    return compared(result, scene)
-
-
 def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
     """Return errors and stated deviations of a result, by quantity."""
     frames = np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int))
-    material = material_of(result["position_px"].values, scene)
-    skin = _Skin(result, scene, material)
+    skin = _Skin(result, scene, material_of(result["position_px"].values, scene))
     found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
     for frame in frames.tolist():
         for name, one in (skin.at(frame) | _of_contact(result, scene, frame)).items():
@@ -105,6 +99,10 @@ def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
         onset, true = result["onset_frame"].values, scene.truth.onset_frame(skin.material)
         error = np.where(skin.known & (onset > 0) & (true > 0), onset - true, np.nan)
         found["onset_frame"].append((error, result["onset_frame_std"].values))
+    return _joined(found)
+
+
+def _joined(found: dict[str, list[tuple[Array, Array]]]) -> Errors:
     return {
         name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
         for name, each in found.items()
@@ -250,8 +248,7 @@ def of_stream(recording: Path, scene: SyntheticScene) -> Errors:
 def compared_live(records: Array, scene: SyntheticScene) -> Errors:
     """Return errors and stated deviations of records, by quantity."""
     truth, found = scene.truth, defaultdict(list)
-    last = records["restart"][-1]
-    frames = np.flatnonzero(records["restart"] == last)
+    frames = np.flatnonzero(records["restart"] == records["restart"][-1])
     position = records["position_px"]
     material = material_of(position[frames], scene) if frames[0] == 0 else None
     for frame in np.unique(np.linspace(1, scene.n_frames - 1, _FRAMES).astype(int)).tolist():
@@ -263,7 +260,4 @@ def compared_live(records: Array, scene: SyntheticScene) -> Errors:
         if truth.gross_contact_area_mm2(frame) > _LEAST_MM2:
             error = records["median_divergence"][frame] - medians_of(_of_contact_skin(scene, frame))["divergence"]
             found["median_divergence"].append((np.array([error]), records["median_divergence_std"][frame][None]))
-    return {
-        name: tuple(np.concatenate([np.ravel(part) for part in parts]) for parts in zip(*each, strict=True))
-        for name, each in found.items()
-    }  # type: ignore[misc]  # the rows of zip are pairs, of which mypy does not know the length
+    return _joined(found)

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.synthetic import ChainPress, PartialSlip, Press, SyntheticScene
-from fingerflow.synthetic.motion import Ellipse, PressMotion
+from fingerflow.synthetic import Bump, ChainPress, PartialSlip, Press, SyntheticScene
+from fingerflow.synthetic.motion import Ellipse
 from fingerflow.tracker.slip_flag import SlipFlag
 from tests.silent.case import Case
 from tests.silent.case import records_of as played
@@ -31,53 +31,42 @@ _PRESSED = 0.3  # share of a roll after which the press ends and the rolling beg
 SIZE: dict[str, Any] = {"frame_shape": (HEIGHT, 2 * WIDTH), "finger": (3.2, 2.7)}
 
 
-@dataclass(frozen=True)
-class RollMotion:
-    """Motion of a finger that is pressed on the glass and then rolled: the contact moves by `way` (mm), while skin that
-    touches stays where it touched, but for `shear` (mm), by which the whole finger shifts meanwhile.
-    """
-
-    press: PressMotion
-    way: tuple[float, float]
-    shear: tuple[float, float]
-
-    entry_steps = 64
-
-    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
-        pressed, rolled = (progress / _PRESSED).clamp(max=1), _rolled(progress)
-        return self.press.material(x - rolled * self.shear[0], y - rolled * self.shear[1], pressed)
-
-    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
-        pressed, rolled = (progress / _PRESSED).clamp(max=1), _rolled(progress)
-        return self.press.depth(x - rolled * self.way[0], y - rolled * self.way[1], pressed)
-
-    def ellipse(self, progress: float) -> Ellipse | None:
-        pressed, rolled = self.press.ellipse(min(progress / _PRESSED, 1)), float(_rolled(torch.tensor(progress)))
-        if pressed is None:
-            return None
-        x, y = pressed.centre
-        return Ellipse((x + rolled * self.way[0], y + rolled * self.way[1]), pressed.semi_axes, pressed.angle)
-
-
 def _rolled(progress: Tensor) -> Tensor:
-    """Return the share of the way that has been rolled at a progress of the movement, with a soft start and end."""
+    """Return the fraction of the rolling distance covered at `progress` (0 to 1), with a smooth start and end."""
     return 0.5 - 0.5 * torch.cos(math.pi * ((progress - _PRESSED) / (1 - _PRESSED)).clamp(0, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Roll(Press):
-    """Synthetic roll of a fingertip: a press, after which the contact moves by `way` mm over skin that does not slip;
-    meanwhile the finger shifts by `shear` mm.
+    """Synthetic roll of a fingertip: a press, after which the contact moves by `way` mm, while skin that touches stays
+    where it touched, but for `shear` mm, by which the whole finger shifts meanwhile.
     """
 
     way: tuple[float, float] = (2.2, 0.5)
     shear: tuple[float, float] = (0.0, 0.0)
+    bumps: tuple[Bump, ...] = ()
+
+    entry_steps = 64
 
     @cached_property
-    def motion(self) -> RollMotion:  # type: ignore[override]  # a press and what follows
-        (x, y), contact = self.contact_centre, super().motion.contact
-        start = Ellipse((x - self.way[0] / 2, y - self.way[1] / 2), contact.semi_axes, contact.angle)
-        return RollMotion(PressMotion(start, self.gradient, self.shift, ()), self.way, self.shear)
+    def contact(self) -> Ellipse:
+        (x, y), contact = self.contact_centre, super().contact
+        return Ellipse((x - self.way[0] / 2, y - self.way[1] / 2), contact.semi_axes, contact.angle)
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        pressed, rolled = (progress / _PRESSED).clamp(max=1), _rolled(progress)
+        return super().material(x - rolled * self.shear[0], y - rolled * self.shear[1], pressed)
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        pressed, rolled = (progress / _PRESSED).clamp(max=1), _rolled(progress)
+        return super().depth(x - rolled * self.way[0], y - rolled * self.way[1], pressed)
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        pressed, rolled = super().ellipse(min(progress / _PRESSED, 1)), float(_rolled(torch.tensor(progress)))
+        if pressed is None:
+            return None
+        x, y = pressed.centre
+        return Ellipse((x + rolled * self.way[0], y + rolled * self.way[1]), pressed.semi_axes, pressed.angle)
 
     def progress(self, time: Any) -> Any:
         return np.clip(time / self.times[-1], 0, 1)

@@ -31,7 +31,7 @@ _PROVENANCE = {"created", "stage_seconds"}
 def _run(study: Manifest, scheduler: str, **options: Any) -> dict[str, str]:
     summary = run_study(study, scheduler, progress=False, **options)
     assert not summary.interrupted
-    return {one.name: one.status for one in summary.outcomes}
+    return {name: one.status for name, one in summary.outcomes.items()}
 
 
 @pytest.mark.long
@@ -42,7 +42,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     before = table_of(study)
     edit(lab / "study.toml", ("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"))
     changed = load_manifest(lab)
-    assert {one.redo for one in plan_run(changed)} == {"changed"}
+    assert {redo for _, redo, _ in plan_run(changed)} == {"changed"}
     _run(changed, scheduler)
     made = read_row(changed.results / "01_0_1")
     assert made is not None
@@ -57,9 +57,9 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     frames = np.load(lab / "p02/0um/trial1/frames.npy")
     frames[3] //= 2
     np.save(lab / "p02/0um/trial1/frames.npy", frames)
-    (planned,) = plan_run(changed)
-    assert (planned.entry.name, planned.redo) == ("02_0_1", "everything")
-    assert "recording.frames changed" in planned.why
+    ((entry, redo, why),) = plan_run(changed)
+    assert (entry.name, redo) == ("02_0_1", "everything")
+    assert "recording.frames changed" in why
 
 
 def test_a_row_has_where_it_comes_from_and_reads_what_it_needs(study: Manifest, scheduler: str) -> None:
@@ -93,7 +93,7 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
     assert "does not exist" in reasons[1]
     # They are run again only on request, or if the file has changed.
     assert plan_run(study) == []
-    assert {one.entry.name for one in plan_run(study, retry_failed=True)} == failed
+    assert {entry.name for entry, *_ in plan_run(study, retry_failed=True)} == failed
     for path, content in zip(broken, whole, strict=True):
         path.write_bytes(content)
     assert _run(study, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
@@ -133,7 +133,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
     with monkeypatch.context() as patched:
         patched.setattr(worker, "process_to_file", full)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
-    assert {one.entry.name for one in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
+    assert {entry.name for entry, *_ in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 
     def no_room(path: Path, write: Any) -> None:
         def fails(part: Path) -> None:
@@ -168,12 +168,12 @@ def test_a_worker_of_another_version_is_refused(
 
 def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     """A run planned before another run finished leaves the rows of the other run unchanged."""
-    late = [one.entry for one in plan_run(study, only="01_0_*")]
+    late = [entry for entry, *_ in plan_run(study, only="01_0_*")]
     _run(study, scheduler, only="01_0_*")
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
     codes = worker.all_codes()
     for entry in late:
-        outcome = worker.run_trial((replace(study, trials=(entry,)), "everything"), codes, 1)
+        _, outcome = worker.run_trial((replace(study, trials=(entry,)), "everything"), codes, 1)
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 
@@ -203,7 +203,7 @@ def test_processes_that_are_killed_lose_nothing(
     finally:
         end(started)
     summary = run_study(study, scheduler, progress=False)
-    assert not [one for one in summary.outcomes if one.status == FAILED]
+    assert not [one for one in summary.outcomes.values() if one.status == FAILED]
     pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)
     for entry in study.trials:
         one, other = (next((where.results / entry.name).glob("*.h5")) for where in (study, undisturbed))
@@ -233,7 +233,7 @@ def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, scheduler: st
         other.kill()
         summary = running.result(timeout=300)
     assert "scheduler was lost" in summary.interrupted
-    done = {one.name for one in summary.outcomes}
+    done = {*summary.outcomes}
     assert len(done) < len(study.trials)
     again = _run(study, scheduler)
     assert set(again.values()) == {MEASURED}

@@ -51,6 +51,6 @@ def test_jumps_carry_contact_and_skin_together() -> None:
         assert ellipse is not None
         assert plain is not None
         gone = np.subtract(ellipse.centre, plain.centre)
-        np.testing.assert_allclose(gone, number * 0.1625 * np.array(jumping.motion.direction), atol=1e-9)
+        np.testing.assert_allclose(gone, number * 0.1625 * np.array(jumping.way), atol=1e-9)
         skin = jumping.truth.material(np.array(ellipse.centre), frame)
         np.testing.assert_allclose(skin, ABRUPT.truth.material(np.array(plain.centre), frame), atol=1e-9)

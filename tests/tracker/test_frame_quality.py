@@ -2,12 +2,15 @@
 frames.
 """
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from fingerflow.schema.variables import FRAME_STATUS
+from fingerflow.tracker import frame_tracker
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.stream_frame_quality import FrameCheck
 
@@ -114,3 +117,13 @@ def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> 
     found = [k for k, one in enumerate(status) if FRAME_STATUS[one] == "repeated"]
     assert found == (repeats if told else [])
     assert len(repeats) == told or not told
+
+
+def test_the_figure_of_the_state_names_every_deque() -> None:
+    """The figure is the same in the docstring of the tracker and in the documentation."""
+    figure = (frame_tracker.__doc__ or "").partition("writes:\n\n")[2]
+    root = Path(__file__).parents[2]
+    assert figure in (root / "docs" / "methods" / "tracking.md").read_text(encoding="utf-8")
+    for file in (root / "fingerflow" / "tracker").glob("*.py"):
+        for name in re.findall(r"self\.(\w+)[^=\n]* = deque\(", file.read_text(encoding="utf-8")):
+            assert f"`{name}`" in figure, f"{file.name}: {name}"

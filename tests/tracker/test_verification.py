@@ -99,14 +99,14 @@ def test_the_shift_of_most_samples_is_found_where_others_do_not_move() -> None:
     around[1, 4, 7] = np.nan
     shift_so_far, weight = np.zeros((20, 2)), np.ones(then.shape)
     for _ in range(3):
-        found = fit_shifts(then, around, window(shift_so_far[:, None]), shift_so_far, weight, 0.15)
-        shift_so_far, weight = found.shift, found.weight
-    assert not found.shift[4].any()
-    assert found.excluded[4] == 0
+        fit = fit_shifts(then, around, window(shift_so_far[:, None]), shift_so_far, weight, 0.15)
+        shift_so_far, weight, deviations, excluded = fit
+    assert not shift_so_far[4].any()
+    assert excluded[4] == 0
     right = np.arange(20) != 4
-    assert np.abs((found.shift - shift[:, 0])[right]).max() < 0.015
-    np.testing.assert_allclose(found.excluded[right], 9 / 81, atol=2.1 / 81)
-    assert (found.deviations > np.linalg.norm(found.shift, axis=1) / 0.01)[right].all()
+    assert np.abs((shift_so_far - shift[:, 0])[right]).max() < 0.015
+    np.testing.assert_allclose(excluded[right], 9 / 81, atol=2.1 / 81)
+    assert (deviations > np.linalg.norm(shift_so_far, axis=1) / 0.01)[right].all()
 
 
 @pytest.mark.parametrize(("least", "most", "share"), [(2.0, 4.0, 0.7), (4.0, 16.0, 0.97)])

@@ -13,16 +13,9 @@ BIN = 0.05  # bin width of the normalised metric
 _STEP = 0.001  # step between tested criteria, in the normalised metric
 
 
-@dataclass(frozen=True)
-class Gaussian:
-    """Gaussian fitted to a histogram: `amplitude` in trials per bin, `mean` and `deviation`; NaN if the fit failed."""
-
-    amplitude: float
-    mean: float
-    deviation: float
-
-
-NO_GAUSSIAN = Gaussian(math.nan, math.nan, math.nan)
+# Gaussian fitted to a histogram: amplitude in trials per bin, mean and standard deviation; NaN if the fit failed.
+Gaussian = tuple[float, float, float]
+NO_GAUSSIAN: Gaussian = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -86,8 +79,9 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     bins = BIN * np.arange(math.floor(pooled.min() / BIN), math.floor(pooled.max() / BIN) + 2)
     counts = [np.histogram(group, bins)[0].astype(np.float64) for group in (first, second)]
     gaussians = [_fit_gaussian(bins, count) for count in counts]
-    variance = (gaussians[0].deviation ** 2 + gaussians[1].deviation ** 2) / 2
-    sensitivity = (gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
+    (_, mean, deviation), (_, other_mean, other_deviation) = gaussians
+    variance = (deviation**2 + other_deviation**2) / 2
+    sensitivity = (mean - other_mean) / math.sqrt(variance) if variance > 0 else math.nan
     criteria = np.arange(min(pooled.min(), 0) - _STEP, max(pooled.max(), 1) + 2 * _STEP, _STEP)
     above = [1 - np.searchsorted(np.sort(group), criteria, side="right") / group.size for group in (first, second)]
     reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
@@ -111,4 +105,4 @@ def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
         fitted, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
     except RuntimeError:  # the fit did not converge
         return NO_GAUSSIAN
-    return Gaussian(float(fitted[0]), float(fitted[1]), abs(float(fitted[2])))
+    return float(fitted[0]), float(fitted[1]), abs(float(fitted[2]))

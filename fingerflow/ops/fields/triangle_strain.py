@@ -11,13 +11,9 @@ from fingerflow.kernels.strain_formulas import strain_parts
 from fingerflow.ops.fields.strain import energy_form, stiffness, stress_parts
 from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
-
-class SharedErrors(NamedTuple):
-    """Correlation between the position errors of neighbouring points."""
-
-    corners: Tensor  # (M, 3) correlation of the errors of corners 0 and 1, 1 and 2, 2 and 0 of each triangle
-    pairs: Tensor  # (K, 2) int64, indices of all pairs of points with correlated errors, each pair once
-    correlation: Tensor  # (K,) correlation of the errors of each pair
+# Correlation between the position errors of neighbouring points: (M, 3) of corners 0 and 1, 1 and 2, 2 and 0 of each
+# triangle; indices (K, 2) int64 of all pairs of points with correlated errors, each pair once; (K,) of each pair.
+SharedErrors = tuple[Tensor, ...]
 
 
 class TriangleStrain(NamedTuple):
@@ -65,7 +61,7 @@ def triangle_strain(
     # sum_ij x_i x_j C_ij with C_ij = r_ij (C_i + C_j) / 2 is a sum over corners, sum_i x_i (x_i + sum_j r_ij x_j) C_i.
     joint = slopes
     if shared is not None:
-        after = shared.corners.to(slopes.dtype)[..., None]  # correlation with the next corner
+        after = shared[0].to(slopes.dtype)[..., None]  # correlation with the next corner
         joint = slopes + (slopes.roll(-1, 1) * after + slopes.roll(1, 1) * after.roll(1, 1))
     xx, yy = (slopes * joint).unbind(-1)
     xy = (slopes * joint.flip(-1)).mean(-1)
@@ -144,10 +140,10 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, alone: Tensor, s
     linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
     if shared is not None:
         forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
-        correlation = shared.correlation.to(x.dtype)
+        _, pairs, correlation = shared
         # `device` is given, as torch would otherwise use the default device and not that of the tensors.
         neighbours = torch.sparse_coo_tensor(
-            shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
+            pairs.T, correlation.to(x.dtype), (len(x), len(x)), device=x.device, check_invariants=True
         )
         of_others = torch.stack([torch.sparse.mm(neighbours, force) for force in forces])
         linear = linear + 2 * (forces * of_others).sum((0, 1), dtype=torch.float64)

@@ -33,7 +33,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.flow import FlowResidual
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.kernels.tensors.twins import Twin, twin
 from fingerflow.ops.filters.halving import halved_image
@@ -52,7 +51,14 @@ from fingerflow.ops.flow.flow_cells import (
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from fingerflow.ops.flow.flow_covariance import flow_covariance
 from fingerflow.ops.flow.flow_multigrid import Level, descended, edges, halved_edges, pyramid
-from fingerflow.ops.flow.flow_penalty import FlowModel, Penalty, data_weights, mean_edge_weight, weighted_levels
+from fingerflow.ops.flow.flow_penalty import (
+    FlowModel,
+    FlowResidual,
+    Penalty,
+    data_weights,
+    mean_edge_weight,
+    weighted_levels,
+)
 from fingerflow.ops.tensors import finite
 
 _CYCLES = 3  # multigrid cycles after the last warp
@@ -60,7 +66,7 @@ _MARGIN = 2  # px at the border of an image, where its spline would need pixels 
 _SMALLEST_SIDE = 32  # px, smallest side of a halved image
 _TINY = 1e-12
 _compiled_fields: Twin[tuple[Tensor, ...]] = twin("flow_template")
-_compiled_residual: Twin[tuple[Tensor, ...]] = twin("flow_left")
+_compiled_residual: Twin[FlowResidual] = twin("flow_left")
 # Window side (px), roughness and number of warps for scenes with motion boundaries: photographs, discs that move one
 # after the other, a jump.
 _EDGE_BOX, _EDGE_ROUGHNESS, _EDGE_WARPS = 5, 0.15, 5
@@ -374,7 +380,7 @@ def find_flow(
     return _to_pixels(template, flow, left, covariance)
 
 
-def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor], covariance: Tensor) -> Flow:
+def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual, covariance: Tensor) -> Flow:
     """Interpolate the flow, its covariance and the image residual from cells of 2 x 2 px to the pixels of the first
     image; return them as a `Flow`.
 
@@ -384,8 +390,9 @@ def _to_pixels(template: FlowTemplate, flow: Tensor, left: FlowResidual[Tensor],
     valid = template.levels[0].inside
     # Half of the covariance is due to noise of the first image, half to the current one, whose part grows with falling
     # gain.
-    covariance = covariance * ((1 + 1 / (left.gain * left.gain)) / 2)
-    squares, seen = (integrated(field, template.weights) for field in (left.squares, left.seen))
+    _, *fields, gain = left
+    covariance = covariance * ((1 + 1 / (gain * gain)) / 2)
+    squares, seen = (integrated(field, template.weights) for field in fields)
     residual = (squares / seen.clamp_min(_TINY)).sqrt()
     deviations = torch.cat((covariance, residual), dim=1)
     displacement = to_pixels(flow, valid, *size)
@@ -410,7 +417,7 @@ def _initial_flow(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
-) -> tuple[Tensor, FlowResidual[Tensor], Level]:
+) -> tuple[Tensor, FlowResidual, Level]:
     """Refine a flow on cells by `warps` rounds: each warps the current image by the flow, and solves a linear system
     for the flow that reduces the remaining image difference.
 
@@ -419,7 +426,8 @@ def _refined(
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
         left = _residual(template, coefficients, flow)
-        valid, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
+        data, _, seen, _ = left
+        valid, levels = (seen > 0).to(flow.dtype), template.levels
         if penalty == "charbonnier":
             of_data = data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
             tensor = integrated(of_data * template.products, template.weights)
@@ -431,7 +439,7 @@ def _refined(
     return flow, left, levels[0]
 
 
-def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual[Tensor]:
+def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> FlowResidual:
     """Compute the residual of a flow on cells of 2 x 2 px: what displacement and a change of illumination gain and
     offset do not explain of the difference between the two images.
 
@@ -444,17 +452,13 @@ def _residual(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Flo
         valid, inside, flow = (tensor.repeat(count, 1, 1, 1) for tensor in (valid, inside, flow))
     data, squares, seen, gain = _channel_residuals(coefficients, template.value, template.gradient, inside, flow, valid)
     # The slopes are those of the first image. In the current one they scale with the gain, and J with its square.
-    return FlowResidual(
-        _sum(data / gain, count),
-        _sum(squares, count),
-        _channel_minimum(seen, count),
-        gain if count == 1 else _sum(gain, count) / count,
-    )
+    mean_gain = gain if count == 1 else _sum(gain, count) / count
+    return _sum(data / gain, count), _sum(squares, count), _channel_minimum(seen, count), mean_gain
 
 
 def _channel_residuals(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
-) -> FlowResidual[Tensor]:
+) -> FlowResidual:
     """Compute the image difference that a flow leaves (see `_residual`) separately for each channel: the grey levels
     and, if these are assumed constant too, the components of their gradient.
 
@@ -462,7 +466,7 @@ def _channel_residuals(
     """
     images = coefficients, value, gradient, inside, flow, known
     if _compiled_residual.serves(*images):
-        return FlowResidual(*_compiled_residual(*images, _MARGIN, limits.MOST_GAIN))
+        return _compiled_residual(*images, _MARGIN, limits.MOST_GAIN)
     displacement = to_pixels(flow, known, *coefficients.shape[-2:])
     warped = _sampled(coefficients, displacement)
     usable = finite(warped)
@@ -473,7 +477,7 @@ def _channel_residuals(
     gain, offset = _fit_gain_and_offset(value, warped, seen)
     left = seen * (warped - offset - gain * value)
     means = halved(torch.cat((gradient * left, left * left, seen), dim=1))
-    return FlowResidual(means[:, :2], means[:, 2:3], means[:, 3:], gain)
+    return means[:, :2], means[:, 2:3], means[:, 3:], gain
 
 
 def _slopes(coefficients: Tensor) -> Tensor:

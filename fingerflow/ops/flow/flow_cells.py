@@ -10,7 +10,6 @@ cells. The trend of the flow, the departure from which the smoothness term penal
 """
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,18 +20,14 @@ _NARROW = 0.01  # least determinant of the second moments in a plane fit, relati
 _TINY = 1e-12
 
 
-class Planes(NamedTuple):
-    """Planes fitted to the two components of a flow: the value at (x, y) is height + x slope_x + y slope_y.
+# Planes fitted to the two components of a flow, each (B, 2, ., .): height at the origin, slope along x, slope along y.
+Planes = tuple[Tensor, Tensor, Tensor]
 
-    Each attribute is (B, 2, ., .).
-    """
 
-    height: Tensor
-    slope_x: Tensor
-    slope_y: Tensor
-
-    def evaluate(self, x: Tensor, y: Tensor) -> Tensor:
-        return self.height + self.slope_x * x + self.slope_y * y
+def evaluated(plane: Planes, x: Tensor, y: Tensor) -> Tensor:
+    """Return the values of planes at positions (x, y)."""
+    height, slope_x, slope_y = plane
+    return height + slope_x * x + slope_y * y
 
 
 def halved(fields: Tensor) -> Tensor:
@@ -86,8 +81,8 @@ def to_pixels(cells: Tensor, valid: Tensor, height: int, width: int) -> Tensor:
     `valid` (B, 1, h, w) is 1 for known cells, else 0.
     """
     plane = fit_plane(cells, valid)
-    departure = spread(cells - plane.evaluate(*positions(cells)), valid, height, width)
-    return plane.evaluate(*positions(cells, height, width)) + departure
+    departure = spread(cells - evaluated(plane, *positions(cells)), valid, height, width)
+    return evaluated(plane, *positions(cells, height, width)) + departure
 
 
 def fit_plane(cells: Tensor, valid: Tensor) -> Planes:
@@ -132,7 +127,7 @@ def planes(moments: Tensor) -> Planes:
     spanned = (determinant > _NARROW * (xx + yy).square()) & (determinant > _TINY)
     determinant = torch.where(spanned, determinant, torch.inf)
     slope_x, slope_y = (by_x * yy - by_y * xy) / determinant, (by_y * xx - by_x * xy) / determinant
-    return Planes(mean - slope_x * mean_x - slope_y * mean_y, slope_x, slope_y)
+    return mean - slope_x * mean_x - slope_y * mean_y, slope_x, slope_y
 
 
 def window(side: float) -> list[float]:
@@ -177,8 +172,8 @@ def trend(flow: Tensor, valid: Tensor) -> Tensor:
     `valid` (B, 1, h, w) is 1 for cells that contribute, else 0. The trend is the best-fitting plane, plus planes fitted
     to the remainder around every position, in two successive boxes of 36 px.
     """
-    whole = fit_plane(flow, valid).evaluate(*positions(flow))
+    whole = evaluated(fit_plane(flow, valid), *positions(flow))
     share = halved(valid)
     x, y = positions(share)
     around = planes(integrated(moments(share, halved(valid * (flow - whole)), x, y), COURSE_WINDOW))
-    return whole + magnified(around.evaluate(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]
+    return whole + magnified(evaluated(around, x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]

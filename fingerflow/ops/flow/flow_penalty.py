@@ -20,7 +20,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from fingerflow.kernels.flow import FlowResidual
 from fingerflow.ops.flow.flow_cells import CELL, trend
 from fingerflow.ops.flow.flow_multigrid import Level, degrees, pyramid
 
@@ -36,14 +35,21 @@ _EDGE_SCALE = 0.1
 _TINY = 1e-12
 
 
-def data_weights(left: FlowResidual[Tensor], by_noise: Tensor) -> Tensor:
+# Residual of a flow: means, over cells of 2 x 2 px, of the part of the image difference that displacement and
+# illumination do not explain: of its products with the slopes (B, 2, h, w), of its squares (B, 1, h, w) and of the
+# share of the pixels with a residual (B, 1, h, w); and the illumination gain (B, 1, 1, 1).
+FlowResidual = tuple[Tensor, Tensor, Tensor, Tensor]
+
+
+def data_weights(left: FlowResidual, by_noise: Tensor) -> Tensor:
     """Return the weights (B, 1, h, w) of cells in the data term of dense flow: 1 where the residual of the latest flow
     (`left`) has the mean square that noise causes, lower where it is larger.
 
     `by_noise` (B,) is the mean square that noise leaves.
     """
-    expected = by_noise[:, None, None, None] * (1 + left.gain * left.gain) / 2
-    ratio = left.squares / (left.seen.clamp_min(_TINY) * expected)
+    _, squares, seen, gain = left
+    expected = by_noise[:, None, None, None] * (1 + gain * gain) / 2
+    ratio = squares / (seen.clamp_min(_TINY) * expected)
     return ((_DATA_SCALE**2 + 1) / (_DATA_SCALE**2 + ratio)).sqrt()
 
 

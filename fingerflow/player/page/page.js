@@ -234,7 +234,7 @@ function truth(live) {
     const { label, unit, factor, decimals: digits } = live.shown[name in AXES ? "ellipse_semi_axes" : name];
     const said = capital(AXES[name] || label), found = measured[name];
     const known = found != null && Number.isFinite(found);
-    const share = name == "median_divergence" ? "" : ` (${signed(100 * (found / value - 1), 1)} %)`;
+    const share = ` (${signed(100 * (found / value - 1), 1)} %)`;
     const cells = [known ? text(factor * found, digits) : "\u2013", text(factor * value, digits),
       known ? signed(factor * (found - value), digits) + share : "\u2013"];
     return `<tr><th>${said}, ${unit}</th>${cells.map(cell => `<td>${cell}</td>`).join("")}</tr>`;

@@ -3,7 +3,6 @@
 import importlib
 import logging
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.player.sources.source import RecordedFrames, Source
 from fingerflow.recordings.frames.open_recording import open_recording
 from fingerflow.recordings.frames.recording import Recording
-from fingerflow.recordings.guard.claimed_sizes import impossible_picture
 
 #: Kinds of files and folders, for messages.
 KINDS = (
@@ -23,7 +21,6 @@ KINDS = (
     "file"
 )
 _RECORDINGS = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
-_PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 log = logging.getLogger("fingerflow.player")
 
 
@@ -35,11 +32,9 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
     """
     suffix = path.suffix.lower()
     try:
-        if path.is_dir():
-            return RecordedFrames(_pictures(path, first))
-        if not path.is_file():
+        if not (path.is_dir() or path.is_file()):
             raise PlayerError(f"{path}: is no file; give {KINDS}, or `synthetic`")
-        if suffix in _RECORDINGS:
+        if path.is_dir() or suffix in _RECORDINGS:
             return _open_recorded(path, first)
         if suffix in (".raw", ".bin") or shape is not None:
             return RecordedFrames(iter(_raw(path, shape, dtype)[first:]))
@@ -51,7 +46,7 @@ def open_source(path: Path, shape: tuple[int, int] | None, dtype: str, first: in
 
 
 def _open_recorded(path: Path, first: int) -> Source:
-    """Open a recording in one of those formats of `fingerflow.recordings` that need only NumPy or tifffile."""
+    """Open a recording in one of those formats of `fingerflow.recordings` that need no video library."""
     try:
         recording = open_recording(path)
     except ImportError as error:
@@ -77,37 +72,6 @@ def _recorded(recording: Recording, first: int) -> Iterator[Array]:
         yield frame
 
 
-def _pictures(folder: Path, first: int) -> Iterator[Array]:
-    """Return the pictures (H, W) in a folder, 8 or 16 bits, in the order of the numbers in their names from number
-    `first` on; colours are converted to grey.
-    """
-    cv2 = _opencv(f"{folder}: pictures")
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in _PICTURES and path.is_file()]
-    if not paths:
-        raise PlayerError(f"{folder}: has no picture; of its files those that end in {', '.join(_PICTURES)} count")
-    return (_picture(cv2, path) for path in sorted(paths, key=_number_key)[first:])
-
-
-def _picture(cv2: Any, path: Path) -> Array:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise PlayerError(f"{path}: cannot be read ({error.strerror}); take it out of the folder") from None
-    wrong = impossible_picture(data)
-    if wrong:
-        raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
-    # OpenCV raises an error for an empty array, so it is not called.
-    picture: Array | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if picture is None:
-        raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
-    return _grey(cv2, picture)
-
-
-def _number_key(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key that orders file names by the numbers in them: frame2 before frame10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
-
-
 def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
     """Return the memory map of the complete frames (N, H, W) in a raw file: pixels without a header, frame after
     frame.
@@ -125,7 +89,12 @@ def _raw(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
 
 
 def _open_video(path: Path, first: int) -> Source:
-    cv2 = _opencv(f"{path}: videos")
+    try:
+        cv2 = importlib.import_module("cv2")
+    except ImportError:
+        raise PlayerError(
+            f"{path}: videos need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
+        ) from None
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
@@ -139,18 +108,6 @@ def _video_frames(cv2: Any, capture: Any, path: Path, number: int) -> Iterator[A
     stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     while (read := capture.read())[0]:
         number += 1
-        yield _grey(cv2, read[1])
+        yield cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY) if read[1].ndim == 3 else read[1]
     if number < stated - 1:  # some containers state only a duration, from which OpenCV rounds the number of frames
         log.warning("%s: ends after %d of %d frames, as it is damaged or cut; copy it again", path, number, stated)
-
-
-def _grey(cv2: Any, picture: Array) -> Array:
-    grey: Array = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
-    return grey
-
-
-def _opencv(what: str) -> Any:
-    try:
-        return importlib.import_module("cv2")
-    except ImportError:
-        raise PlayerError(f"{what} need OpenCV: `pip install opencv-python-headless`, or give frames as .npy") from None

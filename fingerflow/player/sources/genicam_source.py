@@ -37,7 +37,12 @@ class GenICamCamera:
             self._camera = self._harvester.create({"serial_number": serial or serials[0]})
             nodes = self._camera.remote_device.node_map
             for name, value in features.items():
-                _set(nodes, name, value)
+                if not hasattr(nodes, name):
+                    raise PlayerError(f"the camera has no feature {name!r}")
+                try:
+                    getattr(nodes, name).from_string(value)
+                except Exception as error:
+                    raise PlayerError(f"the camera does not take {name}={value} ({error})") from None
             self._camera.start()
         except BaseException:
             self.close()
@@ -76,16 +81,3 @@ def open_address(address: str) -> Source:
     pairs = dict(setting.partition("=")[::2] for setting in settings)
     serial = pairs.pop("serial", None)
     return GenICamCamera(producer, serial, pairs)
-
-
-def _set(nodes: Any, name: str, value: str) -> None:
-    """Set the feature `name` of a camera, in its node map, to a value given as text; raise PlayerError if the camera
-    has no such feature or does not take the value.
-    """
-    node = getattr(nodes, name, None)
-    if node is None:
-        raise PlayerError(f"the camera has no feature {name!r}")
-    try:
-        node.from_string(value)
-    except Exception as error:
-        raise PlayerError(f"the camera does not take {name}={value} ({error})") from None

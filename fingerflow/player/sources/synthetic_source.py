@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import Array
-from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 from fingerflow.player.stream_scene import find_topography
 from fingerflow.schema.scene import Scene, scene_from
 
@@ -45,11 +44,8 @@ class Synthetic:
     live, stamp = False, math.nan
     half_period = 60  # frames
 
-    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
-        """Draw and store the frames of half a press period, from least to most contact, with the views of a scene.
-
-        `gauge_mm` is the gauge length of the expected divergence, None for no expected value.
-        """
+    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int) -> None:
+        """Draw and store the frames of half a press period, from least to most contact, with the views of a scene."""
         self._next = 0
         topography, contact = views = find_topography(scene), scene.views.contact
         scale = scene.calibration.mm_per_px
@@ -60,9 +56,6 @@ class Synthetic:
         # Negative values wrap around, as the sum does.
         self._noise = np.round(noise).clip(-4 * gain, 4 * gain).astype(np.int64).astype(dtype)
         self._expected: list[dict[str, float]] = []
-        # Expected divergence in the first half period, in which the contact grows; `_grown` holds the following ones.
-        self._growing: list[float] = []
-        self._grown: list[float] = []
         for number, frame in enumerate(self._ring):
             progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
             skin, _ = _draw_finger(topography.shape, progress)
@@ -71,10 +64,6 @@ class Synthetic:
             contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
             touching = int((lost > 0.5).sum())
             self._expected.append(expected(progress, contact.shape, scale, touching))
-            if gauge_mm is not None:
-                gauge, seen = gauge_mm / scale, topography.shape
-                self._growing.append(median_divergence(progress, progress, seen, gauge))
-                self._grown.append(median_divergence(progress, 1, seen, gauge))
         self.background = np.full(shape, 200 * gain, dtype)
 
     def frames_from(self, number: int) -> Synthetic:
@@ -90,17 +79,9 @@ class Synthetic:
         self._next += 1
         return frame
 
-    def expected_values(self, number: int, restart: int) -> dict[str, float]:
-        """Return the true contact areas in mm², ellipse semi-axes in mm and median divergence in frame `number`, by
-        name; `restart` counts the seedings of points up to this frame, as divergence is relative to the last one.
-
-        The divergence is included only for points seeded at the first restart, in frame 0.
-        """
-        index = self._buffer_index(number)
-        medians = self._growing if number < self.half_period else self._grown
-        if restart != 1 or not medians or math.isnan(medians[index]):
-            return self._expected[index]
-        return self._expected[index] | {"median_divergence": medians[index]}
+    def expected_values(self, number: int) -> dict[str, float]:
+        """Return the true contact areas in mm² and ellipse semi-axes in mm in frame `number`, by name."""
+        return self._expected[self._buffer_index(number)]
 
     def _buffer_index(self, number: int) -> int:
         """Return the index among the stored frames of half a period at which frame `number` is found, as they are
@@ -113,6 +94,29 @@ class Synthetic:
         """Do nothing, as no file is open."""
 
 
+def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
+    """Return the true contact areas in mm² and ellipse semi-axes in mm, by name, at a progress 0 to 1 of the press in
+    views of (height, width) px.
+
+    The border of the visible contact, which has lost half of its light, is that of an ellipse whose shorter semi-axis
+    is half a pixel less.
+
+    Args:
+        touching_px: number of pixels that have lost more than half of the light that contact can take.
+    """
+    semi_axes = _semi_axes(progress, shape)
+    seen = (1 - 0.5 / min(semi_axes)) * mm_per_px
+    minor, major = sorted(seen * semi_axis for semi_axis in semi_axes)
+    areas = {"real_contact_area": touching_px * mm_per_px**2, "gross_contact_area": math.pi * major * minor}
+    return areas | {"ellipse_major": major, "ellipse_minor": minor}
+
+
+def _semi_axes(progress: float, shape: tuple[int, int]) -> tuple[float, float]:
+    """Return the semi-axes (x, y) px of the simulated contact in a view of (height, width) px."""
+    height, width = shape
+    return (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
+
+
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
     """Draw a finger in a view of (height, width) px at a progress 0 to 1 of the press; return the brightness of its
     skin, about -1 to 1, and the share of light lost to contact.
@@ -120,8 +124,7 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     Both are (H, W) float32.
     """
     height, width = shape
-    pose = Pose.reached(progress, shape)
-    (shift_x, shift_y), turn, spread = pose.shift, float(pose.turn), pose.spread
+    shift_x, shift_y, turn, spread = 4 * progress, -2 * progress, 0.01 * progress, 1 + 0.04 * progress
     y, x = np.meshgrid(
         np.arange(height, dtype=np.float32) - height / 2,
         np.arange(width, dtype=np.float32) - width / 2,
@@ -134,6 +137,6 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
     v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
     ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))
     pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
-    semi_x, semi_y = pose.semi
+    semi_x, semi_y = _semi_axes(progress, shape)
     inside = np.clip((1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y), 0, 1)
     return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside

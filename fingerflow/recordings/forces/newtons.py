@@ -1,7 +1,7 @@
 """Conversion of force sensor readings to newtons by unit, zero, sensitivity and sign."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,22 +12,11 @@ _CORRECTION = 2.0  # largest plausible gain for a force that is in N already, wh
 _CHANGES = 0.1  # N, change of a force within the tare above which a warning is given
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """Calibration of a force sensor: force in N = sign x gain x (reading - zero), where zero is the reading without a
-    load.
-
-    Attributes:
-        gain: N per unit of the reading, which is V for a channel in V, else N.
-        sign: -1 if the reading falls as the force grows.
-        offset: reading without a load, in the channel's unit in the file; None for 0, or if `tare` is given.
-        tare: interval in s from the trigger without contact, whose mean reading is the zero.
-    """
-
-    gain: float | None = None
-    sign: float = 1.0
-    offset: float | None = None
-    tare: tuple[float, float] | None = None
+# Calibration of a force sensor, force in N = sign x gain x (reading - zero), where zero is the reading without a load:
+# gain in N per unit of the reading, which is V for a channel in V, else N; sign, -1 if the reading falls as the force
+# grows; offset, the reading without load in the channel's unit in the file, None for 0 or with a tare; and tare, an
+# interval in s from the trigger without contact, whose mean reading is the zero.
+Sensor = tuple[float | None, float, float | None, tuple[float, float] | None]
 
 
 def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
@@ -42,23 +31,23 @@ def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[s
     """
     values, units = dict(forces.channels), dict(forces.units)
     warnings = list(forces.warnings)
-    for name, sensor in sensors.items():
-        if units[name] != "N" and sensor.gain is None:
+    for name, (gain, sign, offset, tare) in sensors.items():
+        if units[name] != "N" and gain is None:
             raise FingerflowError(
                 f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in {units[name]}, not in "
                 f"N; give the sensor's sensitivity in the scene, [forces] gain = 2.5 in N/{units[name]}, and [forces] "
                 f'units = "N" if the heading is wrong'
             )
-        if units[name] == "N" and sensor.gain and not 1 / _CORRECTION <= abs(sensor.gain) <= _CORRECTION:
+        if units[name] == "N" and gain and not 1 / _CORRECTION <= abs(gain) <= _CORRECTION:
             warnings.append(
                 f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in N already, and "
-                f'[forces] gain = {sensor.gain:g} multiplies it: leave gain out, or give units = "V"'
+                f'[forces] gain = {gain:g} multiplies it: leave gain out, or give units = "V"'
             )
-        factor = sensor.sign * (1.0 if sensor.gain is None else sensor.gain)
+        factor = sign * (1.0 if gain is None else gain)
         readings = forces.channels[name]
-        zero = 0.0 if sensor.offset is None else sensor.offset * forces.scales.get(name, 1.0)
-        if sensor.tare is not None:
-            first, last = sensor.tare
+        zero = 0.0 if offset is None else offset * forces.scales.get(name, 1.0)
+        if tare is not None:
+            first, last = tare
             resting = readings[(forces.times >= first) & (forces.times <= last)]
             resting = resting[np.isfinite(resting)]
             if not resting.size:

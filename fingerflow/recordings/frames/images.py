@@ -5,9 +5,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from decimal import Decimal
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError, first_line
@@ -110,6 +110,10 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
     wrong = impossible_picture(data.data)
     if wrong:
         raise DamagedFrame(f"{path}: {wrong}; copy it again")
+    try:
+        cv2 = import_module("cv2")  # which a lab PC may lack
+    except ImportError:
+        raise FingerflowError(f"{path}: pictures need OpenCV: `pip install opencv-python-headless`") from None
     try:
         image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:

@@ -4,10 +4,8 @@ Source: the headers that Photron FASTCAM Viewer writes; keys are quoted as they 
 """
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -51,13 +49,15 @@ def open_frames(path: Path) -> FileRecording:
             f"{header_path}: has {header_path.stat().st_size} bytes, more than a Photron header; is it one?"
         )
     header = _Header(header_path)
-    layout = _layout(header)
+    shape, bits, sensor_bits, shift = _layout(header)
+    frame_bytes = packed_bytes(math.prod(shape), bits)
+    dtype = np.dtype(np.uint8 if bits == 8 else np.uint16)
     count = header.integer("Total Frame")
-    whole = min(count, pixels.stat().st_size // layout.frame_bytes)
+    whole = min(count, pixels.stat().st_size // frame_bytes)
     if whole == 0:
         raise FingerflowError(
             f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; by {header_path.name} a frame has "
-            f"{layout.frame_bytes} bytes and there are {count}"
+            f"{frame_bytes} bytes and there are {count}"
         )
     # Only one in "Save Step" recorded frames was saved, so the rate of the saved frames is "Record Rate" / "Save Step".
     if not header.text("Save Step", " ").strip():
@@ -75,53 +75,40 @@ def open_frames(path: Path) -> FileRecording:
         path=path,
         count=whole,
         stated_count=count,
-        frame_shape=layout.shape,
-        dtype=layout.dtype,
-        bit_depth=layout.bit_depth,
+        frame_shape=shape,
+        dtype=dtype,
+        bit_depth=min(sensor_bits, bits),
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
         warnings=(
             *header.warnings,
-            *surplus(pixels.stat().st_size - count * layout.frame_bytes, layout.frame_bytes, count),
+            *surplus(pixels.stat().st_size - count * frame_bytes, frame_bytes, count),
         ),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,
             "save_step": step,
-            "sensor_bits": layout.sensor_bits,
+            "sensor_bits": sensor_bits,
             **({"exposure_s": exposure} if exposure else {}),
         },
     )
-    stored = np.memmap(pixels, np.uint8, "r", 0, (whole, layout.frame_bytes))
-    if layout.stored_bits == 12 or layout.shift:
-        return FileRecording(description, partial(_decoded, stored, layout))
-    frames = stored.view(layout.dtype.newbyteorder("<")).reshape(whole, *layout.shape)
+    stored = np.memmap(pixels, np.uint8, "r", 0, (whole, frame_bytes))
+    if bits == 12 or shift:
+        return FileRecording(description, partial(_decoded, stored, bits, shift, shape))
+    frames = stored.view(dtype.newbyteorder("<")).reshape(whole, *shape)
     return FileRecording(description, frames)
 
 
-@dataclass(frozen=True)
-class _MrawLayout:
-    """Pixel layout of frames in an `.mraw` file, which determines how bytes are converted to grey values."""
-
-    shape: tuple[int, int]
-    dtype: np.dtype[Any]
-    stored_bits: int
-    bit_depth: int
-    sensor_bits: int
-    shift: int
-    frame_bytes: int
-
-
-def _decoded(stored: NDArray[np.uint8], layout: _MrawLayout, index: int) -> Frames:
-    """Return frame `index` as grey values (H, W), from the stored bytes (N, frame_bytes) of N frames whose pixels are
-    packed or bit-shifted.
+def _decoded(stored: NDArray[np.uint8], bits: int, shift: int, shape: tuple[int, int], index: int) -> Frames:
+    """Return frame `index` as grey values (H, W), from the stored bytes of N frames (N, bytes) whose pixels are packed
+    or bit-shifted.
     """
     data = np.asarray(stored[index])
-    if layout.stored_bits == 12:
-        return unpack(data, 12, layout.shape)
-    pixels: Frames = data.view(layout.dtype.newbyteorder("<")) >> layout.dtype.type(layout.shift)
-    return pixels.reshape(layout.shape)
+    if bits == 12:
+        return unpack(data, 12, shape)
+    pixels: Frames = data.view("<u2") >> np.uint16(shift)
+    return pixels.reshape(shape)
 
 
 class _Header:
@@ -193,7 +180,10 @@ def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
     return {name: root.findtext(location, "").strip() for name, location in XML_PLACES.items()}
 
 
-def _layout(header: _Header) -> _MrawLayout:
+def _layout(header: _Header) -> tuple[tuple[int, int], int, int, int]:
+    """Return height and width of frames, stored bits of a pixel, bits of the sensor, and by how many bits the values
+    are stored too high.
+    """
     path = header.path
     colour = header.text("Color Type", "Mono")
     bits = header.integer("Color Bit")
@@ -225,15 +215,7 @@ def _layout(header: _Header) -> _MrawLayout:
     # With side "Higher", the sensor's 12 bits are stored times 16 and are shifted down here. An 8-bit file of a 12-bit
     # sensor has lost the other four bits already.
     shift = bits - depth if side == "higher" and bits == 16 else 0
-    return _MrawLayout(
-        shape=(height, width),
-        dtype=np.dtype(np.uint8 if bits == 8 else np.uint16),
-        stored_bits=bits,
-        bit_depth=depth,
-        sensor_bits=sensor_bits,
-        shift=shift,
-        frame_bytes=packed_bytes(width * height, bits),
-    )
+    return (height, width), bits, sensor_bits, shift
 
 
 def _find_partner(path: Path, suffixes: tuple[str, ...], what: str) -> Path:

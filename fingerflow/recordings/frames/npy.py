@@ -39,7 +39,7 @@ def open_frames(path: Path) -> FileRecording:
         raise FingerflowError(f"{path}: {path.stat().st_size} bytes are too few for its {count} frames; copy it again")
     whole = min(count, available)
     order: Literal["F", "C"] = "F" if by_columns else "C"  # (H, W) and (1, H, W) have the same bytes in either order
-    frames = np.memmap(path, dtype, "r", start, (whole, height, width), order)
+    frames = np.asarray(np.memmap(path, dtype, "r", start, (whole, height, width), order))
     description = Description(
         path=path,
         count=whole,

@@ -1,7 +1,6 @@
 """Maps of a variable, interpolated from points or triangles of skin to a regular grid on the glass."""
 
 import json
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -15,50 +14,32 @@ from fingerflow.schema.variable_record import LABELS, ShownUnit
 from fingerflow.schema.variables import VARIABLES, shown_unit
 
 ORIGIN = "the first pixel is at"  # phrase that identifies a file of maps
+_COORDINATES = ("frame", "time", "x", "y")
 _MOST_CELLS = 4_000_000  # largest number of grid positions per frame; with more, the step is probably a mistake
 
 
-class Maps(NamedTuple):
-    """Maps (F, C, H, W) of a variable on a regular grid on the glass, for F frames, C components and H x W grid
-    positions; NaN where unknown.
-
-    Attributes:
-        name: of the variable; `unit` its shown unit; `components` the names of its components, () for a scalar.
-        frames, times: (F,) number and s.
-        step_mm: spacing of the grid.
-    """
-
-    name: str
-    unit: ShownUnit
-    components: tuple[str, ...]
-    values: NDArray[np.float32]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    frames: NDArray[np.integer]
-    times: NDArray[np.float64]
-    step_mm: float
-
-    @property
-    def about(self) -> str:
-        """Return a text with unit, origin and spacing of the maps, for file formats that cannot store these."""
-        return (
-            f"{self.name} in {self.unit.name or 1}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
-            f"glass, pixels are {self.step_mm:g} mm apart, the first frame is {self.frames[0]} at {self.times[0]:.6g} s"
-        )
-
-    def table(self) -> Table:
-        """Return a table with one row for each grid position and frame where the variable is known."""
-        frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
-        coordinates = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
-        named = [f"_{component}" for component in self.components] or [""]
-        headings = (self.unit.heading(f"{self.name}{component}") for component in named)
-        columns = *coordinates, *self.values[frame, :, row, column].T
-        return dict(zip(("frame", "time (s)", "x (mm)", "y (mm)", *headings), columns, strict=True))
+def described(maps: xr.DataArray) -> str:
+    """Return a text with unit, origin and spacing of maps, for file formats that cannot store these."""
+    frame, time, x, y = (maps[name].values[0] for name in _COORDINATES)
+    return (
+        f"{maps.name} in {maps.attrs['units'] or 1}; {ORIGIN} x = {x:.6g} mm, y = {y:.6g} mm of the glass, pixels are "
+        f"{maps.attrs['step_mm']:g} mm apart, the first frame is {frame} at {time:.6g} s"
+    )
 
 
-def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
+def map_table(maps: xr.DataArray) -> Table:
+    """Return a table with one row for each grid position and frame where the variable of maps is known."""
+    frame, row, column = np.nonzero(np.isfinite(maps.values).any(1))
+    coordinates = (maps[name].values[at] for name, at in zip(_COORDINATES, (frame, frame, column, row), strict=True))
+    headings = (ShownUnit(maps.attrs["units"]).heading(name) for name in maps["component"].values)
+    columns = *coordinates, *maps.values[frame, :, row, column].T
+    return dict(zip(("frame", "time (s)", "x (mm)", "y (mm)", *headings), columns, strict=True))
+
+
+def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> xr.DataArray:
     """Interpolate a variable of skin points or triangles, at their positions in each frame, to a regular grid on the
-    glass with a spacing of `step_mm`.
+    glass with a spacing of `step_mm`; return maps (frame, component, y, x) in the shown unit, NaN where unknown. The
+    only component of a scalar has its name.
 
     A variable of points is interpolated linearly in the Delaunay triangles of their positions in the frame (Barber et
     al. 1996). It is known within half a gauge length of a point that has a value; farther away no gradient is fitted
@@ -91,8 +72,8 @@ def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
         )
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     reach = float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"]) / 2
-    components = tuple(map(str, result[parts[0]].values)) if parts else ()
-    values = np.full((len(position), max(1, len(components)), len(y), len(x)), np.nan, np.float32)
+    components = [f"{variable}_{component}" for component in result[parts[0]].values] if parts else [variable]
+    values = np.full((len(position), len(components), len(y), len(x)), np.nan, np.float32)
     corners = result["triangles"].values if "triangle" in dims else None
     for frame, points in enumerate(position):
         of_frame = data[frame].values
@@ -103,8 +84,10 @@ def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
             values[frame] = _values_of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
     unit = shown_unit(variable, str(data.attrs["units"]))
     values *= np.float32(unit.factor)
-    frames, times = result["frame"].values, result["time"].values
-    return Maps(variable, unit, components, values, x, y, frames, times, step_mm)
+    coordinates = {"frame": result["frame"].values, "time": ("frame", result["time"].values), "y": y, "x": x}
+    attributes = {"units": unit.name, "step_mm": step_mm}
+    coordinates["component"] = components
+    return xr.DataArray(values, coordinates, ("frame", "component", "y", "x"), variable, attributes)
 
 
 def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from fingerflow.results.atomic_write import keep_others, write_atomically
 from fingerflow.results.tables.archives import is_nwb_result, is_zarr_result, save_nwb, save_zarr
 from fingerflow.results.tables.columns import Table, frame_table, point_table, track_table
 from fingerflow.results.tables.grid_maps import ORIGIN as _ORIGIN
-from fingerflow.results.tables.grid_maps import Maps, interpolate_maps
+from fingerflow.results.tables.grid_maps import described, interpolate_maps, map_table
 from fingerflow.results.tables.matlab import save_matlab
 
 ROWS = {"frame": frame_table, "point": point_table, "track": track_table}
@@ -82,7 +82,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
         maps = interpolate_maps(result, variable, step_mm)
         write_atomically(path, lambda part: _write_tiff(part, maps))
     elif path.suffix == ".csv":
-        table = interpolate_maps(result, variable, step_mm).table()
+        table = map_table(interpolate_maps(result, variable, step_mm))
         write_atomically(path, lambda part: _write_csv(part, table))
     else:
         raise FingerflowError(f"{path}: a map is written as .tif or .csv, not {_suffix(path)}")
@@ -109,19 +109,20 @@ def _write_csv(part: Path, table: Table) -> None:
     np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=",".join(table), comments="", encoding="utf-8")
 
 
-def _write_tiff(part: Path, maps: Maps) -> None:
-    names: dict[str, str | list[str]] = {"Info": maps.about}
-    if maps.components:
-        names["Labels"] = [f"{maps.name}_{component}" for _ in maps.times for component in maps.components]
-    steps = np.diff(maps.times)
+def _write_tiff(part: Path, maps: xr.DataArray) -> None:
+    names: dict[str, str | list[str]] = {"Info": described(maps)}
+    several = maps["component"].values.tolist() != [maps.name]
+    if several:
+        names["Labels"] = maps["component"].values.tolist() * len(maps)
+    steps = np.diff(maps["time"])
     interval = {"finterval": float(np.median(steps)), "tunit": "s"} if len(steps) else {}
     with part.open("wb") as file:
         tifffile.imwrite(
             file,
-            maps.values if maps.components else maps.values[:, 0],
+            maps.values if several else maps.values[:, 0],
             imagej=True,
-            resolution=(1 / maps.step_mm, 1 / maps.step_mm),
-            metadata={"axes": "TCYX" if maps.components else "TYX", "unit": "mm", **interval, **names},
+            resolution=(1 / maps.attrs["step_mm"], 1 / maps.attrs["step_mm"]),
+            metadata={"axes": "TCYX" if several else "TYX", "unit": "mm", **interval, **names},
         )
 
 

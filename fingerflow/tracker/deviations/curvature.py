@@ -69,7 +69,7 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
         points: (n, N, 2) px, positions in the n frames; NaN for lost points.
     """
     window = engine.settings.window_px
-    valid = np.flatnonzero(np.isfinite(start).all(-1))
+    valid = np.isfinite(start[:, 0] + start[:, 1]).nonzero()[0]
     result = np.zeros(points.shape[:2], np.float32)
     if not len(valid):
         return result
@@ -80,6 +80,8 @@ def curvature_variance(engine: Engine, start: Array, points: Array) -> NDArray[n
 
     slopes = gradient(points[:, valid] - positions)
     # Each component by itself, as the graph of a bundle fits two values.
-    squares = sum([np.square(gradient(slopes[:, :, component])).sum((-2, -1)) for component in range(2)])
-    result[:, valid] = np.nan_to_num((_SHARE * (window**2 - 1) / 24) ** 2 * squares)
+    squares = np.add.reduce(np.square(gradient(slopes[:, :, 0])), (-2, -1))
+    squares += np.add.reduce(np.square(gradient(slopes[:, :, 1])), (-2, -1))
+    squares[np.isnan(squares)] = 0
+    result[:, valid] = (_SHARE * (window**2 - 1) / 24) ** 2 * squares
     return result

@@ -27,6 +27,7 @@ def noise_variance(now: Array, touch: Touching, adds_up: bool = False) -> Array:
     rest = np.square(1 - touch.share)  # squared weight of the frame before the touch
     if adds_up:
         return abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
-    then, earlier = [np.where(variance > 0, variance, now) for variance in (touch.variance, touch.earlier)]
+    then = np.where(touch.variance > 0, touch.variance, now)
+    earlier = np.where(touch.earlier > 0, touch.earlier, now)
     since = now + np.square(touch.share) * then
     return (np.where(touch.begins, rest * now, since) + rest * earlier) / 2

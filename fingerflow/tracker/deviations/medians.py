@@ -68,27 +68,29 @@ def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[
     It is 0 in frames where nothing is known and there are no medians. `entered` (n, N) marks the advected points.
     """
     share, result = fields.known_share.astype(np.float64), np.zeros((len(fields.known_share), 5))
-    came = np.zeros(len(share)) if entered is None else (entered & np.isfinite(fields.divergence)).sum(1).astype(float)
+    came = (
+        np.zeros(len(share))
+        if entered is None
+        else np.add.reduce(entered & np.isfinite(fields.divergence), 1).astype(float)
+    )
     # In the other frames both ranks are the same.
     rows = ((share > 0) & ((share < 1) | (came > 0))).nonzero()[0]
     if not len(rows):
         return result
     values = _stack_components(fields)[rows]
-    whole = np.isfinite(values.sum(1, keepdims=True))
+    whole = np.isfinite(np.add.reduce(values, 1, keepdims=True))
     # Count ranks from the median of the area: points are denser where skin has texture, so their own median differs.
     ordered = np.where(whole, values, np.float32(np.nan))
     ordered.sort(axis=2)  # NaN last
-    count, frame, field = whole.sum(2), np.arange(len(rows))[:, None], np.arange(5)
-    ranks, last = (ordered < fields.median[rows, :, None]).sum(2), np.maximum(count - 1, 0)
+    count, frame, field = np.add.reduce(whole, 2), np.arange(len(rows))[:, None], np.arange(5)
+    ranks, last = np.add.reduce(ordered < fields.median[rows, :, None], 2), np.maximum(count - 1, 0)
 
     def squared_half_range(reach: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the squared half difference (k, 5) between the values `reach` (k, 1) ranks above and below the median,
         for five deformation fields in k frames.
         """
-        low, high = (
-            ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + step), 0), last).astype(int)]
-            for step in (-reach, reach)
-        )
+        low = ordered[frame, field, np.minimum(np.maximum(np.rint(ranks - reach), 0), last).astype(int)]
+        high = ordered[frame, field, np.minimum(np.maximum(np.rint(ranks + reach), 0), last).astype(int)]
         return np.where(count > 0, ((high - low) / 2).astype(np.float64) ** 2, 0.0)
 
     share = share[rows, None]

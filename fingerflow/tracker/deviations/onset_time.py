@@ -16,6 +16,7 @@ Array = NDArray[Any]
 
 #: mm, standard deviation of the fitted ellipse of the border; measured on presses at 40 to 300 frames/s.
 ELLIPSE_MM = 0.035
+_ALIKE = np.eye(2, dtype=np.float32)  # shape of errors that are the same in all directions
 _LONGEST = 8  # largest number of frames on either side over which the speed at onset is measured
 
 
@@ -55,19 +56,19 @@ def onset_errors(
     first, last = frames
     counts = onset > first
     frames_per_mm = np.zeros(len(onset))
-    fitted = (counts & np.isfinite(reference).all(1)).nonzero()[0]
+    fitted = (counts & np.isfinite(reference[:, 0] + reference[:, 1])).nonzero()[0]
     if len(fitted):
         # The graph of a bundle fits two quantities.
         times = np.stack((onset[fitted], np.zeros(len(fitted))), axis=-1)[None]
         touched, gauge = reference[fitted], engine.settings.gauge_length_mm
         slope = engine.fit(touched, times, touched, gauge)[0][0, :, 0]
         frames_per_mm[fitted] = np.where(advected[fitted], 0.0, np.nan_to_num(np.hypot(slope[:, 0], slope[:, 1])))
-    reach = np.clip(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2, _LONGEST).astype(int)
+    reach = np.minimum(np.maximum(np.sqrt(_crossing_variance(frames_per_mm)).round(), 2), _LONGEST).astype(int)
     reach[advected] = _LONGEST
-    pair = np.clip(np.stack((onset - reach, onset + reach)), 0, last)
+    pair = np.minimum(np.maximum(np.array((onset - reach, onset + reach)), 0), last)
     position, deviation = positions(pair)
-    unknown = ~np.isfinite(position).all(-1)
-    if unknown.any():
+    unknown = ~np.isfinite(position[..., 0] + position[..., 1])
+    if np.logical_or.reduce(unknown, None):
         pair = np.where(unknown, np.maximum(onset, 0), pair)
         position, deviation = positions(pair)
     before, after = pair
@@ -90,11 +91,11 @@ def onset_errors(
     return variance, variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
 
 
-def displacement_covariance(variance: Array, of_onset: Array) -> NDArray[np.float32]:
-    """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N) by errors that are the same in both
-    directions, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
+def displacement_covariance(variance: Array, of_onset: Array, shape: Array = _ALIKE) -> NDArray[np.float32]:
+    """Return the covariance (n, N, 2, 2) of displacements: their `variance` (n, N), the mean over directions, times the
+    `shape` (N, 2, 2) of its ellipse, and the covariance `of_onset` (N, 2, 2) by the error of the time of onset.
     """
-    result: NDArray[np.float32] = variance[..., None, None] * np.eye(2, dtype=np.float32)
+    result: NDArray[np.float32] = variance[..., None, None] * shape
     result += of_onset.astype(np.float32)
     return result
 

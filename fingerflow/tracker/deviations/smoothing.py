@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,8 @@ class SmoothingErrors:
     """
 
     def __init__(self, gauge_mm: float, positions: Array) -> None:
-        self._gauge, self._weights = gauge_mm, _weights(positions, gauge_mm)
-        self._fitted, self._around = positions[:0], self._weights  # positions of the last fits, and their weights
+        self._gauge, self._neighbours = gauge_mm, _Neighbours.within(gauge_mm, positions)
+        self._fitted, self._around = positions[:0], self._neighbours  # positions of the last fits, and their neighbours
 
     def variance(self, reference: Array, displacement: Array, fields: FrameFields, wide: FrameFields) -> Array:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
@@ -52,7 +52,7 @@ class SmoothingErrors:
         if fitted.any():
             near, moved = reference[fitted], displacement[:, fitted]
             if not np.array_equal(near, self._fitted):  # in a recording they stay
-                self._fitted, self._around = near, _weights(near, self._gauge)
+                self._fitted, self._around = near, _Neighbours.within(self._gauge, near)
             offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._around)
         square = np.stack(
             [
@@ -66,32 +66,42 @@ class SmoothingErrors:
         square *= share**2
         square[..., ~fitted] = np.nan
         finite = np.isfinite(square)
-        total, weight = _weighed(self._weights, np.where(finite, square, 0.0), finite)
+        total, weight = self._neighbours.sums(np.where(finite, square, 0.0), finite)
         return np.maximum(total, 0) / np.maximum(weight, 1e-12)
 
 
-def _weights(positions: Array, gauge_mm: float) -> NDArray[np.float32]:
-    """Return the weights (N, N) of a fit over the gauge length around N positions (N, 2) of the same N points."""
-    x, y = positions.T.astype(np.float32)
-    distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / np.float32(gauge_mm / 2) ** 2
-    return np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
-
-
-def _weighed(weights: Array, *values: Array) -> NDArray[np.float64]:
-    """Return the sums of several arrays of values (..., N) of points, stacked, each with the weights (N, N).
-
-    It is one product of matrices, as each reads all weights, and in float32: the variance of a variance is larger.
+class _Neighbours(NamedTuple):
+    """Weights of a fit over the gauge length around each of N points: numbers of the neighbours (M,), which the point
+    itself is among, their weights (M,), and where those of each point start (N,).
     """
-    rows = np.stack([part.astype(np.float32) for part in values])
-    return (rows.reshape(-1, len(weights)) @ weights).reshape(rows.shape).astype(np.float64)
+
+    number: NDArray[np.intp]
+    weight: NDArray[np.float32]
+    start: NDArray[np.intp]
+
+    @classmethod
+    def within(cls, gauge_mm: float, positions: Array) -> _Neighbours:
+        """Find the neighbours of points at `positions` (N, 2); points at NaN have no weight."""
+        x, y = positions.T.astype(np.float32)
+        distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / np.float32(gauge_mm / 2) ** 2
+        weight = np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
+        point, number = ((weight > 0) | np.eye(len(x), dtype=bool)).nonzero()
+        return cls(number, weight[point, number], np.searchsorted(point, np.arange(len(x))))
+
+    def sums(self, *values: Array) -> NDArray[np.float64]:
+        """Return the weighted sums over the neighbours of several arrays of values (..., N), stacked.
+
+        They are float32, as the variance of a variance is larger. A product with a matrix of all weights would be
+        shared by threads of BLAS, which then wait for the next one at full load.
+        """
+        rows = np.stack([part.astype(np.float32) for part in values])
+        return np.add.reduceat(rows.take(self.number, axis=-1) * self.weight, self.start, axis=-1).astype(np.float64)
 
 
-def _centroid_offsets(positions: Array, valid: Array, weights: Array) -> NDArray[np.float64]:
-    """Return the distance (n, P) of P positions (P, 2) from the centroid of those that are `valid` (n, P), with
-    `weights` (P, P).
-    """
+def _centroid_offsets(positions: Array, valid: Array, neighbours: _Neighbours) -> NDArray[np.float64]:
+    """Return the distances (n, P) of P positions (P, 2) from the centroid of the neighbours that are `valid` (n, P)."""
     centred = (positions - positions.mean(0)).T
-    mass, x, y = _weighed(weights, valid, *(valid * values for values in centred))
+    mass, x, y = neighbours.sums(valid, *(valid * values for values in centred))
     along, across = (sums / np.maximum(mass, 1e-12) - values for sums, values in zip((x, y), centred, strict=True))
     return np.sqrt(along * along + across * across)
 

@@ -1,10 +1,10 @@
-// Scale and transform from pictures of a ring and of a target, and the picture of what was found in them.
+// Scale, transform and lens from pictures of a ring, a target and a chessboard, and the picture of what was found in them.
 import { pictureUrl, say } from "./net.js";
 import { browseButton } from "./browser.js";
 import { digits, make } from "./elements.js";
 
 const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
-  ["background", "empty glass", "optional"]];
+  ["background", "empty glass", "optional"], ["chessboard", "chessboard for the lens", "optional"]];
 
 // `ask(files)` gives the scene, of which the new calibration is a part; `found(facts)` is called with it.
 export class CalibrationCard {
@@ -17,8 +17,9 @@ export class CalibrationCard {
       return make("div", { className: "field" }, make("span", {}, label), make("span", { className: "row" }, this.inputs[name], chosen));
     };
     const rows = FILES.map(([name, label, placeholder]) => row(name, label, { type: "text", placeholder, list: "files" }));
+    rows.push(row("corners", "its inner corners, a row and a column", { type: "text", placeholder: "such as 9 6" }));
     rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));
-    this.button = make("button", { id: "calibrate", onclick: () => this.run(ask, found) }, "Find scale and transform");
+    this.button = make("button", { id: "calibrate", onclick: () => this.run(ask, found) }, "Find scale, transform and lens");
     this.said = make("div");
     this.image = make("img", { id: "calibration-picture", alt: "Calibration pictures with the detected outlines" });
     this.link = make("a", { target: "_blank", rel: "noopener", title: "Open at full size", hidden: true }, this.image);
@@ -27,7 +28,9 @@ export class CalibrationCard {
       rows, make("div", { className: "bar" }, this.button), this.said, this.link);
   }
   async run(ask, found) {
-    const asked = Object.fromEntries(Object.entries(this.inputs).map(([name, box]) => [name, name === "hole_radius_mm" ? +box.value : box.value]));
+    const asked = Object.fromEntries(Object.entries(this.inputs).map(([name, box]) => [name, box.value]));
+    asked.hole_radius_mm = +asked.hole_radius_mm;
+    asked.corners = (asked.corners.match(/\d+/g) || []).map(Number);
     this.button.disabled = true;
     say("");
     try {

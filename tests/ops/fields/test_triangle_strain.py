@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.ops.fields.triangle_strain import SharedErrors, area_shares, triangle_strain
+from fingerflow.ops.fields.triangle_strain import area_shares, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients
 
 # Two squares of 2 mm side by side, and a flat triangle.
@@ -67,7 +67,7 @@ def test_deviations_are_those_of_many_copies(together: float) -> None:
     own, common = (torch.randn(copies, count, 2, generator=draw, dtype=torch.float64) for count in (7, 1))
     errors = ((1 - together) ** 0.5 * own + together**0.5 * common)[..., None, :] @ root.mT
     pairs = torch.combinations(torch.arange(7))
-    shared = SharedErrors(torch.full((5, 3), together), pairs, torch.full((len(pairs),), together))
+    shared = torch.full((5, 3), together), pairs, torch.full((len(pairs),), together)
     in_contact = torch.ones(1, 5, dtype=torch.bool)
     exact = moved(1)
     stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, in_contact, shared, measure="infinitesimal")

@@ -1,38 +1,39 @@
 """Synthetic presses whose contact stops growing, or shrinks, while the skin in it goes on moving."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.synthetic import Press
-from fingerflow.synthetic.motion import Ellipse, PressMotion
+from fingerflow.synthetic.motion import Ellipse
+
+_ONE = Tensor([1.0]).double()[0]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CourseMotion(PressMotion):
-    """Motion of a press whose contact grows up to the progress `grown`, and shrinks by the share `released` of its
-    length from the progress `lifts` on, while the skin moves up to the progress `held`.
+class CourseOfPress(Press):
+    """Press at a constant rate of its progress from the trigger on, whose contact grows up to the progress `grown`, and
+    shrinks by the share `released` of its length from the progress `lifts` on, while the skin moves up to `held`.
 
     With m = min(progress / held, 1)^2: material = position - m^2 (gradient (position - centre) + shift + bumps) - d,
-    where d is the vector `drag` times the share of the time between `grown` and `held` that has passed.
+    where d is the vector `dragged` times the share of the time between `grown` and `held` that has passed.
     """
 
     grown: float = 0.6
     held: float = 0.85
     lifts: float = 1.0
     released: float = 0.0
-    drag: tuple[float, float] = (0.0, 0.0)
+    dragged: tuple[float, float] = (0.0, 0.0)
 
     entry_steps = 64  # skin may leave the contact, and skin that is dragged may enter it
 
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         moved = (progress / self.held).clamp(max=1.0)
         x_still, y_still = super().material(x, y, moved)
-        dragged = ((progress - self.grown) / (self.held - self.grown)).clamp(0.0, 1.0)
-        return x_still - dragged * self.drag[0], y_still - dragged * self.drag[1]
+        share = ((progress - self.grown) / (self.held - self.grown)).clamp(0.0, 1.0)
+        return x_still - share * self.dragged[0], y_still - share * self.dragged[1]
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
         return self._size(progress) - self.contact.radius(x, y)
@@ -47,28 +48,6 @@ class CourseMotion(PressMotion):
     def _size(self, progress: Tensor) -> Tensor:
         lifted = ((progress - self.lifts) / max(1 - self.lifts, 1e-9)).clamp(min=0.0)
         return (progress / self.grown).clamp(max=1.0) * (1 - self.released * lifted)
-
-
-_ONE = Tensor([1.0]).double()[0]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CourseOfPress(Press):
-    """Press of `CourseMotion` from the trigger on, at a constant rate of its progress."""
-
-    grown: float = 0.6
-    held: float = 0.85
-    lifts: float = 1.0
-    released: float = 0.0
-    dragged: tuple[float, float] = (0.0, 0.0)
-
-    @cached_property
-    def motion(self) -> CourseMotion:
-        press = super().motion
-        return CourseMotion(
-            press.contact, press.gradient, press.shift, press.bumps,
-            grown=self.grown, held=self.held, lifts=self.lifts, released=self.released, drag=self.dragged,
-        )  # fmt: skip
 
     def progress(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._share_of_rise(time)

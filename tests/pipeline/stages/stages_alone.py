@@ -65,8 +65,8 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     if "position" in given and "status" not in given:  # known points are tracked and were seeded in the first frame
         lost = np.isnan(given["position"]).any(-1)
         given["status"] = np.where(lost, int(TrackStatus.NOT_CONVERGED), int(TrackStatus.TRACKED)).astype(np.uint8)
-    if "position_std_px" in given:
-        given.setdefault("position_noise_px", given["position_std_px"])
+    if (deviation := given.get("position_std_px")) is not None:
+        given = {"position_noise_px": deviation, "position_anisotropy": np.zeros((deviation.shape[1], 2))} | given
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})

@@ -1,5 +1,6 @@
 """Tests of points seeded where skin enters at a sixth of a window per frame, in all results that use them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,13 @@ def test_fast_skin_is_known(result: xr.Dataset) -> None:
     assert (entry == ENTRY.index("entered")).sum() > 40
     assert np.isnan(result["displacement"].values[:, entry == ENTRY.index("seeded_inside")]).all()
     assert_displacement_since_onset(result, 0)
+
+
+@pytest.mark.parametrize(("frames", "travel"), [(14, 2.2), (9, 1.6), (16, 2.2)])
+def test_skin_that_enters_within_a_batch_is_known(tmp_path: Path, frames: int, travel: float) -> None:
+    """Points on skin that moves by a window in three to four frames are seeded before it touches, with known onset."""
+    fast = write_rolling(tmp_path / "fast", replace(ROLLING, n_frames=frames, frame_rate=3.0 * frames, travel=travel))
+    assert process(fast / "scene.toml", ["field_coverage"])["field_coverage"].values.min() > 0.95
 
 
 def test_stated_deviation_holds_what_is_not_known(result: xr.Dataset) -> None:

@@ -301,9 +301,7 @@ def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.D
     assert slipping.sum() > 40
     np.testing.assert_allclose(result["slip_direction"].values[slipping], trial.direction, atol=0.05)
     late = slice(106, 116)
-    ways = [
-        trial.motion.travelled(torch.from_numpy(trial.progress(trial.times + late_s))) for late_s in (1 / 60, -1 / 60)
-    ]
+    ways = [trial.travelled(torch.from_numpy(trial.progress(trial.times + late_s))) for late_s in (1 / 60, -1 / 60)]
     speed = (ways[0] - ways[1]).numpy() * 30
     np.testing.assert_allclose(result["slip_speed"].values[late], speed[late], rtol=0.02)
     np.testing.assert_allclose(result["slip_annulus_area"] + result["stuck_area"], result["gross_contact_area"])

@@ -15,20 +15,20 @@ FRAMES, POINTS, PX = 90, 120, 0.03  # PX: mm
 SHAKEN = 0.3 * PX * np.stack((np.sin(np.arange(FRAMES) * np.pi / 3), np.cos(np.arange(FRAMES) * np.pi / 3)), axis=1)
 
 
-@pytest.mark.parametrize(
-    "which", ["camera", "camera, a frame lost", "finger", "skin in contact", "slip", "jump", "none"]
-)
+@pytest.mark.parametrize("which", ["camera", "camera, lost", "finger", "inside", "slip", "jump", "drag", "none"])
 def test_only_motion_that_all_skin_has_in_common_is_vibration(which: str) -> None:
     """A camera's vibration is found to a tenth while the skin beside the contact moves inwards and the contact grows; a
-    finger that trembles, and a jerk of the skin in contact, are no vibration.
+    finger that trembles or is dragged, and a jerk of the skin in contact, are no vibration.
     """
     draw, time = np.random.default_rng(0), np.arange(FRAMES)
     inside = np.sort(draw.uniform(0, 1, POINTS))[None] < time[:, None] / FRAMES
     inwards = 2e-5 * np.square(time)[:, None] * ~inside
     position = draw.uniform(0, 5, (POINTS, 2)) + inwards[..., None] + draw.normal(0, 0.01 * PX, (FRAMES, POINTS, 2))
-    moves = {"finger": ~inside, "skin in contact": inside, "none": inside & ~inside}.get(which, inside | ~inside)
+    moves = {"finger": ~inside, "inside": inside, "none": inside & ~inside}.get(which, inside | ~inside)
     if which in ("slip", "jump"):
         position[50:] += 0.5 * (inside | (which == "jump"))[50:, :, None]
+    elif which == "drag":  # both ends of it are kinks in the path
+        position += 5 * PX * np.clip(time - 30, 0, 30)[:, None, None]
     else:
         position += SHAKEN[:, None] * moves[..., None]
     frames = np.delete(time, [40] if "lost" in which else [])

@@ -189,14 +189,14 @@ class ContactStage(Stage):
         largest, first = self._largest, self._gross_region(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
-    def touched(self) -> Tensor:
-        """Return the union (1, 1, h, w) of the gross contact masks in frames sampled from the whole recording."""
-        regions = [self._gross_region(int(frame)) for frame in self._sampled_frames()]
-        return torch.stack(regions).any(0)
+    def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
+        """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
+        regions = [self._gross_region(int(frame)) for frame in self._sampled_frames(frames)]
+        return torch.stack(regions).any(0)[0, 0].cpu().numpy()
 
-    def _sampled_frames(self) -> NDArray[np.intp]:
+    def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
         usable = np.flatnonzero(self._usable)
-        looks = np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int)
+        looks = np.linspace(0, len(usable) - 1, min(len(usable), frames)).round().astype(int)
         return usable[np.unique(looks)]
 
     def first_and_largest(self, margin_px: int) -> Tensor:

@@ -12,9 +12,9 @@ from fingerflow.results.store import Values
 _WINDOW = 12  # frames, the period of which a smooth path has half
 _COMPARED = 150  # least number of points of which steps are taken, if there are as many; at most twice as many
 _FEWEST = 12  # least number of points in contact, and of points beside it, of whose steps the medians are compared
-# Least root mean square of a component, in px, in each quarter of the frames, and largest share of it by which
-# skin in contact and beside it differ.
-_LEAST_PX, _DIFFERS = 0.02, 0.5
+# Least root mean square of a component, in px, in each quarter of the frames, largest share of it by which skin in
+# contact and beside it differ, and least share of the largest quarter in every quarter: a jerk of the finger has less.
+_LEAST_PX, _DIFFERS, _STEADY = 0.02, 0.5, 0.25
 
 
 def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm_per_px: float) -> NDArray[np.float64]:
@@ -50,7 +50,8 @@ def vibration(position: Values, in_contact: Values, frames: NDArray[np.intp], mm
     fast = _fast(np.nan_to_num(steps))[both, 1:]
     quarters = [np.square(part).mean(0).max() for part in np.array_split(fast[:, 1], 4)]
     size, differs = np.sqrt(min(quarters)), np.sqrt(np.square(fast[:, 1] - fast[:, 0]).mean(0).max())
-    if size > _LEAST_PX * mm_per_px and differs < _DIFFERS * size:
+    steady = size > _STEADY * np.sqrt(max(quarters))
+    if size > _LEAST_PX * mm_per_px and differs < _DIFFERS * size and steady:
         result[frames] = _fast(np.nan_to_num(steps[:, 0]).cumsum(0))
     return result
 

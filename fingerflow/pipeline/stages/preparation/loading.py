@@ -146,7 +146,7 @@ def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sens
         return setting[number] if isinstance(setting, tuple) else setting
 
     return {
-        name: Sensor(pick(settings.gain, k), pick(settings.sign, k) or 1.0, pick(settings.offset, k), settings.tare)
+        name: (pick(settings.gain, k), pick(settings.sign, k) or 1.0, pick(settings.offset, k), settings.tare)
         for k, name in enumerate(forces)
     }
 

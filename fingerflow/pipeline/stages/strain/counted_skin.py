@@ -9,13 +9,9 @@ from fingerflow.pipeline.stages.displacement.displacement_stage import Displacem
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Store, Values
-from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.entry import LEAST_AREA
 
 Points = NDArray[np.float64]
-# Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
-# large errors distort count from one frame. Measured on presses of real prints.
-_KEPT = 0.5
 
 
 class CountedSkin:
@@ -36,6 +32,7 @@ class CountedSkin:
         positions_px: (P, 2) the same, px of the topographic view.
         noise: (P,) mm^2, as `DisplacementStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
+        shape: (P, 2, 2) of the ellipse of a position's errors: its covariance over its mean variance.
         by_onsets: as there.
     """
 
@@ -77,6 +74,9 @@ class CountedSkin:
         self.positions_px = np.concatenate([reference_px, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
+        along, across = results["position_anisotropy"][:].T
+        shape = np.stack((1 + along, across, across, 1 - along), axis=1).reshape(-1, 2, 2)
+        self.shape = np.concatenate([shape, shape[self._points]])
 
     def _advected(self, points: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the triangles (M, 3) of touching `points` (N,) with a corner that was advected into the contact."""
@@ -109,14 +109,12 @@ class CountedSkin:
         return result
 
     def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
-        """Return displacements (n, P, 2) mm, covariances (n, P, 2, 2) mm^2 by image noise and times of onset, and
-        variances (n, P) mm^2 by curvature, in n frames of the tracked points, followed by copies of points that are
-        corners of triangles with another reference frame.
+        """Return displacements (n, P, 2) mm, and variances (n, P) mm^2 by image noise and by curvature, in n frames of
+        the tracked points, followed by copies of points that are corners of triangles with another reference frame.
         """
         stage, points = self._stage, self._points
-        covariance = displacement_covariance(moved.variance, _KEPT * stage.of_onset)
         if not len(points):
-            return moved.displacement, covariance, moved.curvature
+            return moved.displacement, moved.variance, moved.curvature
         counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
         separate = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
         # Half of a position's variance is noise of its template, the same in every frame, as for all points.
@@ -125,10 +123,9 @@ class CountedSkin:
             0,
             (stage.tracked_variance(frames, "position_noise_px")[:, points] + self._variance) / 2,
         )
-        added = (noise[..., None, None] * np.eye(2)).astype(np.float32)
         return (
             np.concatenate([moved.displacement, separate], axis=1),
-            np.concatenate([covariance, added], axis=1),
+            np.concatenate([moved.variance, noise.astype(np.float32)], axis=1),
             np.concatenate([moved.curvature, moved.curvature[:, points]], axis=1),
         )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.strain import principal_strains, strain_energy_density_std
-from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
+from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
@@ -23,6 +23,7 @@ from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
 # Share of the strain energy that the triangles lack, beside a field which resolves the border, that lies inside them:
@@ -33,6 +34,10 @@ _SMOOTHED = 2.5
 # Energy that windows have taken, as a share of what smoothing again takes: RMS over four slides of other seeds and ways
 # than those of the table in `docs/accuracy.md`.
 _TAKEN = 0.7
+
+# Share of the variance by errors of onset that is left in triangles: neighbours share the rest, and triangles that
+# large errors distort count from one frame. Measured on presses of real prints.
+_KEPT = 0.5
 
 Array = NDArray[np.floating]
 
@@ -95,7 +100,7 @@ class StrainStage(Stage):
         pairs = errors.pairs()
         sides = [errors.between(skin.corners[:, k], skin.corners[:, (k + 1) % 3]) for k in range(3)]
         shared = np.stack(sides, axis=1), pairs, errors.between(*pairs.T)
-        self._shared = SharedErrors(*(torch.from_numpy(values).to(device) for values in shared))
+        self._shared = tuple(torch.from_numpy(values).to(device) for values in shared)
         self._missing = MissingEnergy(self._areas)
         elastic = self._settings.young_modulus_mpa, self._settings.poisson_ratio
         contact = self.trial.stage(ContactStage)
@@ -114,12 +119,14 @@ class StrainStage(Stage):
         self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
-        moved, covariance, curvature = self._skin.moved(batch.result(DisplacementStage), batch.indices)
+        moved, noise, curvature = self._skin.moved(batch.result(DisplacementStage), batch.indices)
         touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= (batch.indices[:, None] >= self._skin.begins) & (batch.indices[:, None] < self._skin.ends)
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
         # counts in the deviations.
-        whole = covariance + curvature[..., None, None] * np.eye(2, dtype=np.float32)
+        of_onset = _KEPT * self._skin.of_onset
+        covariance = displacement_covariance(noise, of_onset)
+        whole = displacement_covariance(noise + curvature, of_onset, self._skin.shape)
         displacement = self.inputs.tensor(moved)
         corrected = self._triangle_strain(displacement, covariance, touching)
         stated = self._triangle_strain(displacement, whole, touching)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Images, TrackedPoints, noise_of, nothing_found, select
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.kernels.field_limits import LEAST_SHARE
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
@@ -22,7 +23,7 @@ from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frame
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.pipeline.stages.tracking.new_skin import NewSkin, SeededPoints
+from fingerflow.pipeline.stages.tracking.new_skin import LEFT, NewSkin, SeededPoints
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
 from fingerflow.tracker.point_prediction import PointMotion
@@ -32,6 +33,7 @@ _SHARPEN_PX = 1.0  # px, radius of the unsharp mask; that of the lab's code
 # Least difference of an impulse from its surroundings, as a share of the range and in standard deviations of noise.
 _IMPULSE, _BEYOND_NOISE = 0.2, 8.0
 _FEWEST = 3  # least number of points for a gradient
+_FEW = 5  # frames in which a contact that moves is noticed
 _CORRECTION = "deformation_correction_px"
 MOST_SEEDED = 3  # largest number of points seeded in a recording, as a multiple of `tracking.points`
 
@@ -138,6 +140,7 @@ class TrackingStage(Stage):
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> None:
         groups: list[TrackedPoints] = []
         curved: list[NDArray[np.float32]] = []
+        motion = _motion(self._seeded) if self._seeded else None
         if not self._seeded:
             first = self._seed(images[:1], margin[:1])
             for skipped in self._skipped:
@@ -151,11 +154,13 @@ class TrackingStage(Stage):
                 groups.append(points.follow(images, around))
                 curved.append(points.curvature_variance(groups[-1], around))
         tracked_points = join(groups, 1)
-        before, last = tracked_points.status.shape[1], len(images) - 1
-        new = self._seed_new(images[last:], margin[last], select(tracked_points, slice(last, None)))
+        before = tracked_points.status.shape[1]
+        new = self._seed_new(images, margin, tracked_points, motion)
         if new is not None:
+            around = select(tracked_points, slice(None), self._around[-1])
+            straight = np.zeros((len(images), new.status.shape[1]), np.float32)
+            curved.append(self._seeded[-1].curvature_variance(new, around) if len(new.status) > 1 else straight)
             tracked_points = join([tracked_points, _extend_to_batch(len(images), new)], 1)
-            curved.append(np.zeros(new.status.shape, np.float32).repeat(len(images), axis=0))
         pixels, error, status = tracked_points.points, tracked_points.error, tracked_points.status
         covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
@@ -187,6 +192,15 @@ class TrackingStage(Stage):
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
+        if self._seeded:  # templates of the previous frame are not there for points that are lost in the end
+            by_key = self._settings.template == "keyframe"
+            self.results["position_anisotropy"][:] = self._anisotropy() if by_key else 0.0
+
+    def _anisotropy(self) -> NDArray[np.floating]:
+        """Return xx - yy and 2 xy (N, 2) of the covariances of the positions on the glass, divided by xx + yy."""
+        spread, onto = np.concatenate([points.spread for points in self._seeded]), self._matrix[:, :2]
+        (xx, xy), (_, yy) = np.moveaxis(onto @ spread[:, (0, 1, 1, 2)].reshape(-1, 2, 2) @ onto.T, 0, -1)
+        return np.nan_to_num(np.stack((xx - yy, 2 * xy), axis=1) / np.maximum(xx + yy, 1e-30)[:, None])
 
     def _corrections(self, frames: int) -> NDArray[np.float32]:
         """Return the corrections (n, N, 2) px of all points in the last `frames` frames; 0 in frames up to the one in
@@ -209,12 +223,12 @@ class TrackingStage(Stage):
         """Seed the first points in `image`, the first usable frame, and return their tracking results (1, N); `margin`
         is a grid of cells, positive in the gross contact.
         """
-        where, requested = self._seeding_region(), self._settings.points
+        where, requested = self._seeding_region(margin[0, 0]), self._settings.points
         points = self._engine.detect(self._view_for_seeding(image), where, requested)
         if len(points) < _FEWEST:
             # The frame with the largest contact may be later, and show it elsewhere than this frame.
-            self._region = self.trial.stage(ContactStage).touched()[0, 0].cpu().numpy()
-            where = self._seeding_region()
+            self._region = self.trial.stage(ContactStage).touched()
+            where = self._seeding_region(margin[0, 0])
             points = self._engine.detect(self._view_for_seeding(image), where, requested)
         if len(points) < _FEWEST:
             raise FingerflowError(
@@ -259,35 +273,48 @@ class TrackingStage(Stage):
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
     def _seed_new(
-        self, image: Images, margin: NDArray[np.floating], tracked_points: TrackedPoints
+        self, images: Images, margin: NDArray[np.floating], tracked_points: TrackedPoints, motion: PointMotion | None
     ) -> TrackedPoints | None:
-        """Seed points in skin that has none yet, and return their tracking results (1, K); None without such skin.
+        """Seed points in skin that has none yet, and return their tracking results (n or 1, K); None without such skin.
 
-        `tracked_points` (1, N) are the tracking results of the earlier points.
+        They are seeded in the last of the n images, or in the first where most of the skin has touched since.
+        `tracked_points` (n, N) are the tracking results of the earlier points, `motion` is theirs before the first
+        image.
         """
         if self._full:
             return None
         assert self._new_skin is not None
         position = np.concatenate([group.expect(0) for group in self._seeded])
         start = np.concatenate([group.start for group in self._seeded])
-        total, tracked = len(position), tracked_points.status[0] == TrackStatus.TRACKED
+        total, tracked = len(position), tracked_points.status[-1] == TrackStatus.TRACKED
         seeding = np.repeat(np.arange(len(self._seeded)), [len(group) for group in self._seeded])
-        region = self._new_skin.region(margin[0], SeededPoints(position, start, tracked, seeding))
+        region = self._new_skin.region(margin[-1, 0], SeededPoints(position, start, tracked, seeding))
         if region is None:
             return None
+        moved = np.nan_to_num(nanmedian((tracked_points.points[-1] - tracked_points.points[0]).T))
+        touching = region & self._touching(margin[-1, 0])
+        came = (touching & ~_shifted(self._touching(margin[0, 0]), moved)).sum()
+        if tracked.mean() >= LEFT and came > max(touching.sum() / 2, self._settings.window_px**2):
+            begin, region, motion = 0, _shifted(region, -moved), motion or PointMotion.at_rest(start)
+        else:
+            begin, motion = len(images) - 1, _motion(self._seeded)
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
             region &= drawn
         count = min(round(self._density * float(region.sum())), MOST_SEEDED * self._settings.points - total)
         if count < 1:
             return None
-        points = self._engine.detect(self._view_for_seeding(image), region, count)
+        points = self._engine.detect(self._view_for_seeding(images[begin : begin + 1]), region, count)
         if not len(points) or not self._make_room(total, len(points)):
             return None
-        distance, _ = cKDTree(points).query(position)
-        near = np.flatnonzero(tracked & (distance <= WARP_GAUGE_PX))
+        around = tracked_points.points[begin]
+        distance, _ = cKDTree(points).query(np.where(np.isfinite(around), around, position))
+        near = np.flatnonzero(tracked & np.isfinite(around).all(1) & (distance <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        motion = PointMotion(*map(np.concatenate, zip(*(group.motion for group in self._seeded), strict=True)))
-        return self._start_tracking(image, points, near, tracked_points.points[0, near], motion.seeded(points))
+        more = around[near], motion.seeded(points)
+        seeded = [self._start_tracking(images[begin : begin + 1], points, near, *more)]
+        if begin < len(images) - 1:
+            seeded.append(self._seeded[-1].follow(images[1:], select(tracked_points, slice(1, None), near)))
+        return join(seeded, 0)
 
     def _make_room(self, points: int, more: int) -> bool:
         """Extend the result arrays of `points` points by `more` points; return False, with a warning, if there is no
@@ -322,11 +349,12 @@ class TrackingStage(Stage):
         enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
         return self._engine.images(enhanced[:, 0].cpu().numpy())
 
-    def _seeding_region(self) -> NDArray[np.bool_]:
+    def _seeding_region(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return the mask (h, w) of the topographic view in which the first points are seeded.
 
         That is the region which the scene defines in the topographic view. Otherwise, for forward tracking, it is
-        `stream.region`, so that a stream seeds the same points. Otherwise it is the contact region found by `begin`.
+        `stream.region`, so that a stream seeds the same points. Otherwise it is the contact region found by `begin`, or
+        where a contact that begins later, by the cells `margin`, and moves comes to lie.
         """
         drawn = region_mask(self.inputs.scene, "topography")
         if drawn is not None:
@@ -336,6 +364,11 @@ class TrackingStage(Stage):
             mask = np.zeros(self._view.shape, dtype=bool)
             stated.crop(mask)[...] = True
             return mask
+        contact = self.trial.stage(ContactStage)
+        # Medians are NaN where less than `LEAST_SHARE` is known.
+        most = (1 - LEAST_SHARE) * self._region.sum()
+        if not (margin > 0).any() and (contact.touched(_FEW) & ~self._region).sum() > most:
+            self._region = contact.touched()
         return self._on_topography(self._region)
 
     def _on_topography(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -343,19 +376,39 @@ class TrackingStage(Stage):
         size, flags = self._view.shape[::-1], cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         return cv2.warpAffine(region.astype(np.uint8), self.inputs.topography_to_contact, size, flags=flags) > 0
 
+    def _touching(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Return the mask (h, w) of the topographic view of the cells that are positive in `margin`."""
+        (rows, columns), cell = self._region.shape, self._engine.cell_px
+        return self._on_topography((margin > 0).repeat(cell, 0).repeat(cell, 1)[:rows, :columns])
+
     def _outside(self, seeded: NDArray[np.bool_], margin: NDArray[np.floating]) -> float:
         """Return the share of the contact further than two windows from the region `seeded` (h, w): of the contact in
         the first frame, by the cells `margin` that are positive there, or of the largest if there is none yet.
         """
-        began, cell, reach = margin > 0, self._engine.cell_px, 4 * self._settings.window_px + 1
-        rows, columns = self._region.shape
-        whole = began.repeat(cell, 0).repeat(cell, 1)[:rows, :columns] if began.any() else self._region
-        contact, near = self._on_topography(whole), cv2.dilate(seeded.astype(np.uint8), np.ones((reach, reach)))
+        reach = 4 * self._settings.window_px + 1
+        contact = self._touching(margin) if (margin > 0).any() else self._on_topography(self._region)
+        near = cv2.dilate(seeded.astype(np.uint8), np.ones((reach, reach)))
         return float((contact & (near == 0)).sum() / max(contact.sum(), 1))
 
 
+def _motion(groups: Sequence[Points]) -> PointMotion:
+    """Return the motion of the points of all groups."""
+    return PointMotion(*map(np.concatenate, zip(*(group.motion for group in groups), strict=True)))
+
+
+def _shifted(mask: NDArray[np.bool_], way: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return a mask (h, w) shifted by (x, y) px."""
+    matrix = np.column_stack((np.eye(2), way))
+    return cv2.warpAffine(mask.astype(np.uint8), matrix, mask.shape[::-1], flags=cv2.INTER_NEAREST) > 0
+
+
 def _extend_to_batch(frames: int, seeded: TrackedPoints) -> TrackedPoints:
-    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames."""
+    """Extend results (1, N) of points seeded in the last frame of a batch to the whole batch; NaN in earlier frames.
+
+    Results in all of its frames are returned as they are.
+    """
+    if len(seeded.status) == frames:
+        return seeded
     before = TrackedPoints(*(np.repeat(values, frames, axis=0) for values in seeded))
     for values in before[:3]:
         values[:-1] = np.nan
