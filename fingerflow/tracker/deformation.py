@@ -63,7 +63,7 @@ class Deformation:
     """
 
     def __init__(self, engine: Engine, positions: Array) -> None:
-        self._engine, self._smoothing = engine, SmoothingErrors(engine, positions)
+        self._engine, self._smoothing = engine, SmoothingErrors(engine.settings.gauge_length_mm, positions)
         self._of_smoothing = np.zeros((1, 2, len(positions)))  # variance of divergence and curl in the evaluated frame
         self.bias: list[tuple[int, NDArray[np.float64]]] = []
         self.latest = np.full(5, np.nan)
@@ -97,7 +97,7 @@ class Deformation:
             )
             around = FrameEllipse(*(values[rows] for values in ellipse))
             excluded = None if entered is None else EnteredPoints(entered.among[rows], entered.gradient[rows], None)
-            bias = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
+            bias, wide = bias_variance(self._engine, reference, moved[rows], around, part, excluded)
             if (since.onset[np.isfinite(moved[rows[-1]]).all(1), 0, 0] > 0).mean() > 1 / 2:  # displacements since onset
                 gauge = self._engine.settings.gauge_length_mm
                 bias += np.square(_COMMON / gauge) * np.nanmedian(since.variance[rows], axis=1, keepdims=True)
@@ -107,11 +107,7 @@ class Deformation:
             plain = reference
             if excluded is not None:
                 plain = np.where(excluded.among.any(0)[:, None], np.float32(np.nan), reference)
-            values, deviation = (
-                np.stack([getattr(part, f"{name}{suffix}") for name in ("divergence", "curl")], axis=1)
-                for suffix in ("", "_std")
-            )
-            smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], values, deviation)))
+            smoothing = np.concatenate((smoothing, self._smoothing.variance(plain, moved[rows], part, wide)))
             self._of_smoothing = smoothing[-1:]
         # The latest evaluated frame counts; 0 stands for the one before these frames.
         of_fields = smoothing[evaluated.cumsum()] + since.late

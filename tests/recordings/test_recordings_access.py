@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
@@ -43,6 +44,15 @@ def test_no_frame_is_read_before_it_is_asked_for(path, reads):
     assert reads == [6]
     part.read()
     assert reads == [6, 0, 1, 2, 3]
+
+
+def test_frames_that_fit_into_memory_are_decoded_once(tmp_path, reads):
+    tifffile.imwrite(tmp_path / "frames.tif", FRAMES, compression="zlib")
+    recording = open_recording(tmp_path / "frames.tif")
+    recording.kept_bytes = 3 * FRAMES[0].nbytes
+    for _ in range(2):
+        np.testing.assert_array_equal(recording[:5].read(), FRAMES[:5])
+    assert reads == [0, 1, 2, 3, 4, 3, 4]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.engine import Engine, EngineSettings, FrameEllipse
 from fingerflow.tracker.deviations.smoothing import SmoothingErrors
 
 GAUGE = 1.6
@@ -21,12 +21,16 @@ def _stated_over_true(make_engine: MakeEngine, length: float, inside: bool) -> f
     moved = 0.1 * np.stack((np.sin(number * places[:, 0]), np.cos(number * places[:, 1])), -1)[None]
     true = 0.1 * number * (np.cos(number * places[:, 0]) - np.sin(number * places[:, 1]))
     engine = make_engine(EngineSettings(gauge_length_mm=GAUGE))
-    gradient = engine.fit(places, moved, places, GAUGE)[0][0]
-    fields = np.stack((gradient[:, 0, 0] + gradient[:, 1, 1], gradient[:, 1, 0] - gradient[:, 0, 1]))[None]
-    stated = SmoothingErrors(engine, places).variance(places, moved, fields, np.zeros_like(fields))[0, 0]
+    ellipse = FrameEllipse(*(np.array(values, np.float32) for values in ([[0, 0]], [[3, 3]], [0])))
+    exact = np.zeros((1, len(places), 2, 2), np.float32)
+    fields, wide = (
+        engine.fields(*(values.astype(np.float32) / scale for values in (places, moved)), ellipse, exact)
+        for scale in (1, 2)
+    )
+    stated = SmoothingErrors(GAUGE, places).variance(places, moved, fields, wide)[0, 0]
     depth = 4 - np.abs(places).max(1)
     some = depth > GAUGE if inside else depth < 0.2
-    error = fields[0, 0] - true
+    error = fields.divergence[0] - true
     return float(np.sqrt(stated[some].mean() / np.square(error[some]).mean()))
 
 

@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import FileRecording, Recording, possible_rate
+from fingerflow.recordings.frames.recording import FileRecording, possible_rate
 from fingerflow.recordings.guard.file_checks import reading
 from fingerflow.schema.text_file import check_file
 
@@ -23,7 +23,7 @@ READERS = {
 _READER_OF = {suffix: reader for reader, suffixes in READERS.items() for suffix in suffixes}
 
 
-def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> Recording:
+def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> FileRecording:
     """Open a recording of any supported format without reading frames.
 
     path: a Phantom `.cine`, either file of a Photron `.mraw` / `.cih` pair, a TIFF stack, a video, an HDF5 file

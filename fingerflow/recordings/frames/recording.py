@@ -190,6 +190,10 @@ class FileRecording(Recording):
 
     `frames` is a memory map (N, H, W), or a function that reads frame `index` as a new array (H, W), or raises why it
     cannot. `close_file` closes the file.
+
+    Attributes:
+        kept_bytes: size of the decoded frames, the first ones that are read, that stay in memory for a caller that
+            needs them again and does not change them; 0 by default.
     """
 
     def __init__(
@@ -218,6 +222,8 @@ class FileRecording(Recording):
             self.warnings += (lossy_codec(description.lossy),)
         self._unreadable = dict(description.unreadable)
         self._doubtful: dict[int, str] = {}
+        self._kept: dict[int, Frames] = {}  # decoded frames by number, as far as they fit in `kept_bytes`
+        self.kept_bytes = 0
         self._count, self._first_number = description.count, description.first_number
         self._frames, self._close_file = frames, close_file
         self.times = description.time_stamps
@@ -271,10 +277,16 @@ class FileRecording(Recording):
 
     def _read_frame(self, index: int) -> Frames:
         if index not in self._unreadable:
+            if index in self._kept:
+                return self._kept[index]
             try:
-                return self._decode(index)
+                frame = self._decode(index)
             except DamagedFrame as error:
                 self._unreadable[index] = str(error)
+            else:
+                if (len(self._kept) + 1) * frame.nbytes <= self.kept_bytes and not isinstance(self._frames, np.ndarray):
+                    self._kept[index] = frame
+                return frame
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
@@ -285,6 +297,7 @@ class FileRecording(Recording):
 
     def close(self) -> None:
         self._frames = None
+        self._kept.clear()
         self._close_file()
 
 

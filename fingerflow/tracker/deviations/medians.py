@@ -25,9 +25,9 @@ def bias_variance(
     ellipse: FrameEllipse,
     fields: FrameFields,
     entered: EnteredPoints | None = None,
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], FrameFields]:
     """Return the variance (n, 5) of the medians of divergence, curl, exx, eyy and exy in n frames by the gauge length
-    and by the border; NaN where a contact is too small for twice the gauge length.
+    and by the border, NaN where a contact is too small for twice the gauge length; and the fields with that length.
 
     The error by the gauge length is that of `smoothing_variance`, from the difference to medians with twice the length.
     The error by the border is the difference to medians over an ellipse that is smaller by the uncertainty of the
@@ -47,11 +47,10 @@ def bias_variance(
     # In a space of half the size the gauge length counts twice.
     half = ellipse._replace(center=ellipse.center / 2, semi_axes=ellipse.semi_axes / 2)
     smaller = ellipse._replace(semi_axes=ellipse.semi_axes - np.float32(BORDER_MM))
-    wide = engine.fields(reference / 2, displacement / 2, half, None, entered).median - fields.median
+    wide = engine.fields(reference / 2, displacement / 2, half, None, entered)
     inner = engine.fields(reference, displacement, smaller, None, entered).median - fields.median
-    by_gauge = smoothing_variance(wide, of_points, _fit_deviations(fields), components)
-    result: Array = by_gauge + np.maximum(np.square(inner) - of_points, 0)
-    return result
+    by_gauge = smoothing_variance(wide.median - fields.median, of_points, _fit_deviations(fields), components)
+    return by_gauge + np.maximum(np.square(inner) - of_points, 0), wide
 
 
 def rank_variance(fields: FrameFields, entered: Array | None = None) -> NDArray[np.float64]:
@@ -112,7 +111,10 @@ def _fit_deviations(fields: FrameFields) -> NDArray[np.float64]:
 
 def _nanmedian(values: Array) -> NDArray[np.float64]:
     """Return the medians (n,) of values (n, N) without NaN; NaN where no value is finite."""
-    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
+    ordered, finite = np.sort(values, axis=1), np.isfinite(values).sum(1)  # NaN last
+    ranks = np.maximum(np.stack(((finite - 1) // 2, finite // 2), axis=1), 0)
+    middle: NDArray[np.float64] = np.take_along_axis(ordered, ranks, axis=1).sum(1).astype(np.float64) / 2
+    return np.where(finite > 0, middle, np.nan)
 
 
 def _stack_components(fields: FrameFields) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine
+from fingerflow.engines.engine import FrameFields
 
 Array = NDArray[Any]
 
@@ -29,59 +29,71 @@ class SmoothingErrors:
     variance of the field by the errors of points.
 
     Args:
-        engine: computes the fits, and gives the gauge length.
+        gauge_mm: gauge length.
         positions: (N, 2) mm, positions by which points are neighbours; NaN for points without one.
     """
 
-    def __init__(self, engine: Engine, positions: Array) -> None:
-        self._engine, self._gauge = engine, engine.settings.gauge_length_mm
-        self._weights = _weights(positions, self._gauge)
+    def __init__(self, gauge_mm: float, positions: Array) -> None:
+        self._gauge, self._weights = gauge_mm, _weights(positions, gauge_mm)
         self._fitted, self._around = positions[:0], self._weights  # positions of the last fits, and their weights
 
-    def variance(self, reference: Array, displacement: Array, fields: Array, deviation: Array) -> NDArray[np.float64]:
+    def variance(self, reference: Array, displacement: Array, fields: FrameFields, wide: FrameFields) -> Array:
         """Return the variance (n, 2, N) of divergence and curl by smoothing at N points in n frames; 0 where no
         neighbour is fitted.
 
         Args:
             reference: (N, 2) mm, positions from which displacement counts; NaN for points that are not fitted.
             displacement: (n, N, 2) mm.
-            fields: (n, 2, N) divergence and curl.
-            deviation: (n, 2, N) their standard deviations by the errors of points.
+            fields: divergence and curl with their standard deviations by the errors of points.
+            wide: the same with twice the gauge length.
         """
         fitted = np.isfinite(reference).all(1)
-        difference, offset = np.full(fields.shape, np.nan), np.full(displacement.shape[:2], np.nan)
+        offset = np.full(displacement.shape[:2], np.nan)
         if fitted.any():
             near, moved = reference[fitted], displacement[:, fitted]
-            slopes, _ = self._engine.fit(near, moved, near, 2 * self._gauge)
-            wide = np.stack((slopes[..., 0, 0] + slopes[..., 1, 1], slopes[..., 1, 0] - slopes[..., 0, 1]), axis=1)
-            difference[..., fitted] = fields[..., fitted] - wide
             if not np.array_equal(near, self._fitted):  # in a recording they stay
                 self._fitted, self._around = near, _weights(near, self._gauge)
             offset[:, fitted] = _centroid_offsets(near, np.isfinite(moved[..., 0] + moved[..., 1]), self._around)
+        square = np.stack(
+            [
+                np.square(getattr(fields, name) - getattr(wide, name), dtype=np.float64)
+                - np.square(getattr(fields, f"{name}_std"), dtype=np.float64)
+                for name in ("divergence", "curl")
+            ],
+            axis=1,
+        )
         share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
-        square = share**2 * (difference**2 - deviation.astype(np.float64) ** 2)
+        square *= share**2
+        square[..., ~fitted] = np.nan
         finite = np.isfinite(square)
-        # One product of matrices; with an axis of frames NumPy computes one a frame, each of which reads all weights.
-        rows = np.concatenate((np.where(finite, square, 0.0), finite)).reshape(-1, square.shape[2])
-        total, weight = (rows @ self._weights).reshape(2, *square.shape)
+        total, weight = _weighed(self._weights, np.where(finite, square, 0.0), finite)
         return np.maximum(total, 0) / np.maximum(weight, 1e-12)
 
 
-def _weights(positions: Array, gauge_mm: float) -> NDArray[np.float64]:
+def _weights(positions: Array, gauge_mm: float) -> NDArray[np.float32]:
     """Return the weights (N, N) of a fit over the gauge length around N positions (N, 2) of the same N points."""
-    x, y = positions.T.astype(np.float64)
-    distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / (gauge_mm / 2) ** 2
+    x, y = positions.T.astype(np.float32)
+    distance = (np.square(x[:, None] - x) + np.square(y[:, None] - y)) / np.float32(gauge_mm / 2) ** 2
     return np.nan_to_num(np.square(np.maximum(1 - distance, 0)))
+
+
+def _weighed(weights: Array, *values: Array) -> NDArray[np.float64]:
+    """Return the sums of several arrays of values (..., N) of points, stacked, each with the weights (N, N).
+
+    It is one product of matrices, as each reads all weights, and in float32: the variance of a variance is larger.
+    """
+    rows = np.stack([part.astype(np.float32) for part in values])
+    return (rows.reshape(-1, len(weights)) @ weights).reshape(rows.shape).astype(np.float64)
 
 
 def _centroid_offsets(positions: Array, valid: Array, weights: Array) -> NDArray[np.float64]:
     """Return the distance (n, P) of P positions (P, 2) from the centroid of those that are `valid` (n, P), with
     `weights` (P, P).
     """
-    among = valid.astype(np.float64)
-    mass = np.maximum(among @ weights, 1e-12)
-    x, y = ((among * values) @ weights / mass - values for values in positions.T)
-    return np.sqrt(x * x + y * y)
+    centred = (positions - positions.mean(0)).T
+    mass, x, y = _weighed(weights, valid, *(valid * values for values in centred))
+    along, across = (sums / np.maximum(mass, 1e-12) - values for sums, values in zip((x, y), centred, strict=True))
+    return np.sqrt(along * along + across * across)
 
 
 def smoothing_variance(difference: Any, of_points: Any, single: Any, values: Array) -> Array:

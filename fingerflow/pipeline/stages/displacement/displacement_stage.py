@@ -3,12 +3,13 @@
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.ops.fields.displacement_medians import displacement_medians
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.area_median import median_over_area
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.displacement.vibration import vibration
 from fingerflow.pipeline.stages.preparation import plausibility
@@ -191,9 +192,15 @@ class DisplacementStage(Stage):
         square[:, self._doubtful] += self._entered_unseen(moved, batch.indices)
         self.results["displacement_std"][batch.indices] = np.sqrt(square)
         border, reach = self.border.select(batch.indices), self.inputs.scene.fields.gauge_length_mm / 2
-        self._vector[batch.indices], self._vector_std[batch.indices] = median_over_area(
-            moved.position, moved.displacement, square, border, reach
+        medians = displacement_medians(
+            torch.from_numpy(moved.position),
+            torch.from_numpy(moved.displacement),
+            torch.from_numpy(square.astype(np.float64)),
+            FrameEllipse(*map(torch.from_numpy, border)),
+            reach=reach,
+            border_std=BORDER_MM,
         )
+        self._vector[batch.indices], self._vector_std[batch.indices] = (values.numpy() for values in medians)
         if "printed_global_displacement" in self.trial.requested:
             # Component by component (the lab's script takes the x median twice).
             self._printed[batch.indices] = np.linalg.norm(nanmedian(moved.displacement), axis=1)

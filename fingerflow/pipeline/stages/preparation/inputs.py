@@ -24,6 +24,9 @@ from fingerflow.tracker.points import RECORDING, Knowledge
 
 # Largest number of background frames averaged: the noise of 64 is an eighth of that of one frame.
 _REFERENCE_FRAMES = 64
+# Size of decoded frames that stay in memory: frames are checked before they are tracked, and decoding may take as long
+# as both.
+_KEPT_BYTES = 512 * 2**20
 #: Keys of the scale of the contact view.
 SCALE_KEYS = ("calibration.mm_per_px", "calibration.intrinsics", "calibration.distortion")
 _GRID = 17  # positions along each side of a view, at which maps are averaged
@@ -214,6 +217,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
     chosen = _device("cpu" if engine == "onnx" else device)
     settings = scene.recording
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
+    recording.kept_bytes = _KEPT_BYTES
     if not len(recording):
         raise FingerflowError(f"{settings.frames} has no frame; copy it again, or name another recording")
     for name in ("first_frame", "trigger_frame"):
@@ -238,18 +242,18 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
         times = times - times[settings.trigger_frame]
     times = times[settings.first_frame : end]
     requested_frame(scene, times)  # raises for a wrong reference before anything is computed
-    recording = recording[settings.first_frame : end]
+    selected = recording[settings.first_frame : end]
     for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:
             try:
-                view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
+                view.crop(np.empty(selected.frame_shape, dtype=np.uint8))
                 if (lens := Lens.of(scene.calibration)) is not None:
                     lens.check(view)
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
-    warnings += plausibility.check_frames(len(recording))
-    return Inputs(scene, recording, times, chosen, warnings, _engine(engine, scene, chosen))
+    warnings += plausibility.check_frames(len(selected))
+    return Inputs(scene, selected, times, chosen, warnings, _engine(engine, scene, chosen))
 
 
 def _engine(name: str, scene: Scene, device: torch.device) -> Engine:
