@@ -33,7 +33,7 @@ def _picture(slides: Slides) -> Drawn:
     one = slides.of(ABRUPT)[0]
     result = one.trial.result
     frame = max(one.trial.verdict.collapse_frame, 1)
-    figure = new_figure(1.0)
+    figure = new_figure(1.06)
     axes = plot.picture(result, one.scene, frame, figure.subplots(), "contact")
     matrix = matrix_of_view(result, "contact")
     position = np.asarray(result["position"])
