@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 
 class Law(NamedTuple):
@@ -19,7 +19,7 @@ class Law(NamedTuple):
 _NONE = Law(np.nan, np.nan, np.nan)
 
 
-def power_law(x: ArrayLike, y: ArrayLike, group: NDArray[np.generic]) -> Law:
+def power_law(x: NDArray[np.float64], y: NDArray[np.float64], group: NDArray[np.generic]) -> Law:
     """Fit y = k x^n to positive values (N,) by least squares of the logarithms; others are left out.
 
     The area of a fingertip grows with 0.3 to 0.7 of the force (Dzidek et al. 2017), and friction is k N^(n - 1) (Adams
@@ -43,7 +43,7 @@ def power_law(x: ArrayLike, y: ArrayLike, group: NDArray[np.generic]) -> Law:
     return Law(float(np.exp((up - exponent * across).mean())), exponent, deviation)
 
 
-def relaxation(time: ArrayLike, values: ArrayLike) -> Law:
+def relaxation(time: NDArray[np.float64], values: NDArray[np.float64]) -> Law:
     """Fit a + b exp(-t / tau) to values (N,) at times (N,) s, with errors that are independent from time to time; the
     factor is b.
 
