@@ -110,7 +110,7 @@ def overlap(first: Bbox, second: Bbox) -> float:
     return min(wide, min(first.y1, second.y1) - max(first.y0, second.y0))
 
 
-@pytest.mark.parametrize(("name", "width"), [*((name, 85) for name in FIGURES), ("S5", 180), ("S12", 180)])
+@pytest.mark.parametrize(("name", "width"), [*((name, 85) for name in FIGURES), ("S5", 170), ("S12", 170)])
 def test_labels_are_whole_and_apart(name: str, width: int, trials: Trials) -> None:
     figure = supplement_sheet(name, trials).figure(width)
     settle(figure)

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import FORCED_CHOICE, YES_NO
 from fingerflow.report.supplement import supplement_sheet
 from fingerflow.schema.trial_columns import DIFFERENCES
-from fingerflow.study.figures import write_figures
+from fingerflow.study.figures import draw_friction_law, write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
@@ -149,3 +150,11 @@ def test_curves_are_averaged_over_participants() -> None:
     assert rows[0]["mean"] == pytest.approx(2.0)
     assert rows[0]["high"] - rows[0]["mean"] == pytest.approx(12.7062, rel=1e-4)
     assert (rows[0]["participants"], rows[0]["trials"], rows[0]["without"]) == (2, 4, 0)
+
+
+def test_friction_falls_with_force_within_participants() -> None:
+    """Participants with more friction press harder: pooled, friction would rise with force."""
+    who, force = np.repeat(np.arange(6), 8), np.tile(np.linspace(0.5, 2, 8), 6)
+    force = force * (1 + who)
+    slid = pd.DataFrame({"participant": who, "friction_force": force, "friction": (1 + who) * force**-0.3})
+    assert draw_friction_law(Figure().subplots(), slid).get_title().startswith("n - 1 = -0.300")
