@@ -1,7 +1,6 @@
 """Tests that the statistics of a simulated study agree with its design."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from fingerflow.study.figures import draw_friction_law, write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
-from fingerflow.study.statistics import holm, read_sample, study_statistics
+from fingerflow.study.statistics import read_sample, study_statistics
 from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
 from tests.study.simulated_table import TableDesign, simulate_table
@@ -49,13 +48,6 @@ def test_one_study_whole() -> None:
     assert criterion["unit"] == "µm/mm"
     assert criterion["value"] == pytest.approx(1e3 * np.quantile(truth, 0.25))
     json.dumps(found, allow_nan=False)
-
-
-def test_holm_by_hand() -> None:
-    found = holm({"a": 0.01, "b": math.nan, "c": 0.04, "d": 0.03})
-    assert found == pytest.approx({"a": 0.03, "b": math.nan, "c": 0.06, "d": 0.06}, nan_ok=True)
-    assert holm({"a": 0.8, "b": 0.9}) == {"a": 1.0, "b": 1.0}
-    assert holm({}) == {}
 
 
 def test_what_is_left_out_is_counted() -> None:
