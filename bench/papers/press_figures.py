@@ -15,13 +15,7 @@ from bench.papers.chain import draw_fastest_point, draw_largest_displacement
 from bench.papers.chain_movie import movie_pictures
 from bench.papers.decomposition import decompose, draw_decomposition
 from bench.papers.drawn import Drawn, Picture, PrintedFigure
-from bench.papers.press_stages import (
-    contact_mask,
-    contact_stages,
-    difference_panel,
-    show_contact,
-    skin_stages,
-)
+from bench.papers.press_stages import contact_mask, contact_stages, difference_panel, show_contact, skin_stages
 from bench.papers.presses import PressStudy, TypicalPress
 from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot

@@ -15,15 +15,7 @@ from scipy import stats
 
 from bench.papers.presses import DIVERGENCE_UNIT, PressStudy
 from bench.papers.printed import Interval, Obtained, Row, exactly, likely, predicted, put_in, rounded, within
-from fingerflow.models.observer import (
-    Estimate,
-    auc,
-    one_way_anova,
-    pearson,
-    printed_observer,
-    repeated_anova,
-    spearman,
-)
+from fingerflow.models.observer import Estimate, auc, one_way_anova, pearson, printed_observer, repeated_anova, spearman
 from fingerflow.models.observer.printed import BIN
 from fingerflow.report.supplement import OBSERVED
 from fingerflow.schema.rounding import format_uncertainty

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
+from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, share_above, spearman
 from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles, named_lines
 from fingerflow.plot.wording import definition_text, sentence
 from fingerflow.schema.rounding import format_interval, format_uncertainty
@@ -75,7 +75,8 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
         middles = np.array([np.median(values[finite][group]) for group in groups])
-        limits = np.array([_wilson(answers[group], trials.participant[finite][group]) for group in groups]).T
+        people = trials.participant[finite]
+        limits = np.array([share_above(0.5, answers[group], people[group]).interval for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     axes.set(xlabel=metric_label(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
@@ -289,25 +290,6 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
         if finite.size and np.median(finite) > 0:
             scaled[theirs] = values[theirs] / np.median(finite)
     return scaled
-
-
-def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of the share of positive answers, corrected for clustering by participant.
-
-    The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
-    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
-    1965). The quantile is Student's with P - 1 degrees of freedom.
-    """
-    n, share = float(answers.size), float(answers.mean())
-    _, person = np.unique(participant, return_inverse=True)
-    effects = np.bincount(person, answers - share)
-    if effects.size > 1 and 0 < share < 1:
-        effect = effects.size / (effects.size - 1) * float(effects @ effects) / (n * share * (1 - share))
-        n /= max(effect, 1.0)
-    z = float(stats.t.ppf(0.975, max(effects.size - 1, 1)))
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    reach = z / (1 + z**2 / n) * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n * n)))
-    return middle - reach, middle + reach
 
 
 def _anova_text(test: Anova) -> str:

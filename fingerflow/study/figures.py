@@ -160,7 +160,8 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, floor, float(means.min()) - margin), min(high, float(means.max()) + margin))
     counts = rows.groupby("normal_force_N")["trials"].sum()
-    shown_n = counts.iloc[np.linspace(0, len(counts) - 1, min(4, len(counts))).round().astype(int)]
+    evenly = counts.index.get_indexer(np.linspace(*counts.index[[0, -1]], 3), method="nearest")
+    shown_n = counts.iloc[np.unique(evenly)]
     above = axes.secondary_xaxis("top")
     above.set_xticks(
         shown_n.index.to_list(), [f"n = {count}" if k == 0 else f"{count}" for k, count in enumerate(shown_n)]

@@ -9,6 +9,7 @@ from bench.papers.presses import PressStudy
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.simulated_trials import Design
 from fingerflow.study.statistics import read_sample, study_statistics
+from fingerflow.study.table import differences
 
 DESIGN = Design()
 FORCES_N = (1.0, 2.0, 3.0)
@@ -56,19 +57,15 @@ def table() -> pd.DataFrame:
         )
     for name, column in values.items():
         frame[name] = column
-    reference = frame.iloc[::2].reset_index(drop=True)
-    differences = {}
-    for name in NUMBERS:
-        difference = np.full(count, np.nan)
-        difference[1::2] = frame[name].to_numpy()[1::2] - reference[name].to_numpy()
-        differences[f"{name}{DIFFERENCE}"] = difference
-    felt = differences[f"divergence{DIFFERENCE}"] + draw.normal(0, 2e-3, count)
+    frame["reference"] = np.where(is_comparison, np.roll(frame["trial"], 1), "")
+    found = differences(frame)
+    felt = found[f"divergence{DIFFERENCE}"] + draw.normal(0, 2e-3, count)
     frame["answer"] = np.where(is_comparison, felt > 0, None)
     for name in ("force", "divergence", "real_contact_area", "gross_contact_area", "displacement"):
         measured = {"force": "max_force", "displacement": "global_displacement"}.get(name, name)
         frame[f"true_{name}"] = frame[measured]
     frame["true_softness"] = np.asarray(DESIGN.softness)[DESIGN.is_soft().astype(int)[rows["who"]]]
-    return pd.concat((frame, pd.DataFrame(differences)), axis=1)
+    return pd.concat((frame, pd.DataFrame(found)), axis=1)
 
 
 def curves() -> pd.DataFrame:
