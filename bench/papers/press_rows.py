@@ -382,7 +382,7 @@ def _criterion(study: PressStudy) -> Obtained:
         f"{one['value']:.1f} ({low:.1f} to {high:.1f}) {one['unit']}, false alarms {wrong:.2f}",
         ((low, high),),
         f"{np.quantile(truth, 0.25):.1f} {DIVERGENCE_UNIT}",
-        "median divergences of the chain are smaller than those that the criterion implies",
+        f"persons differ in mean force: with the same for all it is 13.4 (10.7 to 15.4) {DIVERGENCE_UNIT}",
     )
 
 
@@ -405,7 +405,7 @@ def _ranking(study: PressStudy) -> Obtained:
         f"{_ordered(differences)}; of the comparison alone: {_ordered(alone)}",
         agrees=tau > 0 if p < _ALPHA else None,
         truth="the observer feels the difference of divergence",
-        because="energy measures the same spread, and the observer hardly weighs the displacement",
+        because="energy measures the same spread; with four times the weights of angle and displacement tau is 0.62",
     )
 
 
@@ -432,7 +432,7 @@ def _soft_advantage(study: PressStudy) -> Obtained:
         f"{firmer.size} participants, {_p(p)}); split by divergence: {split}",
         agrees=bool(softer.mean() > firmer.mean()) if p < _ALPHA else None,
         truth="two groups of softness",
-        because="few people differ in force too, which decides more about divergence than softness",
+        because="persons differ in mean force too: with the same for all p is 0.007, and the split finds two groups",
     )
 
 

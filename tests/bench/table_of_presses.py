@@ -29,25 +29,18 @@ def table() -> pd.DataFrame:
     frame = pd.DataFrame(dict.fromkeys(NUMBERS, np.nan), index=range(count))
     own = 1 + 0.05 * draw.standard_normal(DESIGN.participants)[rows["who"]]
     values: dict[str, Any] = {
-        "participant": rows["who"].map("{:02d}".format),
-        "trial": [f"{k:04d}" for k in range(count)],
-        "condition": amplitude,
-        "status": "measured",
-        "max_force": np.clip(draw.normal(5.5, 2.0, count), 1.0, 18.0),
-        "time_to_max_force": draw.normal(1.47, 0.39, count),
-        "duration": draw.uniform(1.0, 2.5, count),
-        "force_rate": draw.gamma(1.44, 2.5, count),
-        "global_displacement": np.exp(draw.normal(-3.0, 0.97, count)),
-        "gross_contact_area": 70.1 * own,
-        "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
+        "participant": rows["who"].map("{:02d}".format), "trial": [f"{k:04d}" for k in range(count)],
+        "condition": amplitude, "status": "measured", "max_force": np.clip(draw.normal(5.5, 2.0, count), 1.0, 18.0),
+        "time_to_max_force": draw.normal(1.47, 0.39, count), "duration": draw.uniform(1.0, 2.5, count),
+        "force_rate": draw.gamma(1.44, 2.5, count), "global_displacement": np.exp(draw.normal(-3.0, 0.97, count)),
+        "gross_contact_area": 70.1 * own, "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
         "force_angle": np.radians((9.9 - 5.7 * share) * draw.gamma(4.0, 0.25, count)),
         "divergence": 1e-3 * (4 + 9 * share + draw.normal(0, 1.0, count)),
         "strain_energy": draw.gamma(0.4, 0.8, count) + 0.6 * share,
-        "strain_energy_rate": draw.gamma(4.0, 0.3, count),
-        "strain_rate": draw.gamma(4.0, 0.01, count),
+        "strain_energy_rate": draw.gamma(4.0, 0.3, count), "strain_rate": draw.gamma(4.0, 0.01, count),
         "force_of_strain_rate": draw.normal(0.37, 0.05, count),
         "force_of_strain_energy_rate": draw.normal(0.4, 0.05, count),
-    }
+    }  # fmt: skip
     values["strain"] = 0.40 * values["divergence"] - 0.00225 + draw.normal(0, 0.00105, count)
     values["curl"] = 0.2 * values["divergence"] + draw.normal(0, 0.0005, count)
     for force in FORCES_N:

@@ -110,17 +110,12 @@ def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
     mu_s = draw.uniform(0.5, 1.5)
     kind = draw.choice(["plain", "unsteady", "short"], p=[0.8, 0.1, 0.1])
     trial = simulate_trial(
-        mu_s,
-        mu_s * draw.uniform(0.3, 1.6),
-        seed,
-        frame_rate=draw.choice([60, 300]),
-        loading_s=draw.uniform(1.5, 4),
-        collapse_ms=draw.uniform(130, 310),
-        area_noise=draw.uniform(0.005, 0.02),
+        mu_s, mu_s * draw.uniform(0.3, 1.6), seed, frame_rate=draw.choice([60, 300]),
+        loading_s=draw.uniform(1.5, 4), collapse_ms=draw.uniform(130, 310), area_noise=draw.uniform(0.005, 0.02),
         oscillation=draw.uniform(0.08, 0.15) if kind == "unsteady" else 0.01,
         reached=draw.uniform(0.5, 0.93) if kind == "short" else 1.0,
         last=draw.uniform(0.10, 0.34) if linear else None,
-    )
+    )  # fmt: skip
     if kind != "plain":
         return trial, "inconclusive"
     return trial, "vanishes abruptly" if trial.critical_stuck_area > 0.05 else "diminishes"

@@ -19,12 +19,12 @@ from fingerflow.study.row import FORCE_GRID
 from fingerflow.study.statistics import read_sample, study_statistics
 from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
-from tests.study.simulated_table import TableDesign, simulate_table
+from tests.study.simulated_table import simulate_table
 
 
 @pytest.mark.long
 def test_one_study_whole() -> None:
-    table = simulate_table(TableDesign(seed=3))
+    table = simulate_table(seed=3)
     found = study_statistics(read_sample(pd.DataFrame(table)), resamples=200)
     others = {name: one for name, one in found["observer"]["metrics"].items() if name != "divergence"}
     # The design makes divergence the best predictor: no other metric comes near in the same trials.
@@ -51,7 +51,7 @@ def test_one_study_whole() -> None:
 
 
 def test_what_is_left_out_is_counted() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=3)))
+    frame = pd.DataFrame(simulate_table(participants=4, trials=3))
     frame["answer"] = frame["answer"].astype(object)
     frame.loc[:4, "status"] = "failed"
     frame.loc[3:9, "answer"] = None
@@ -79,7 +79,7 @@ def test_what_is_left_out_is_counted() -> None:
 
 @pytest.mark.long
 def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_path: Path) -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
+    frame = pd.DataFrame(simulate_table(participants=6, trials=2))
     frame["reference"] = ""
     without = differences(frame)
     assert without == {}
@@ -107,9 +107,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
     """The curve fits an observer who answers yes to fewer than half of the still stimuli only with the
     yes-no design.
     """
-    trials = read_sample(
-        pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))
-    ).trials
+    trials = read_sample(pd.DataFrame(simulate_table(participants=6, trials=6, softness=(1.0, 1.0)))).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
         axes = supplement_sheet("S12", trials, design).figure().axes[-1]
         dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])
@@ -119,7 +117,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
 
 
 def test_a_trial_that_is_far_off_is_found() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=4)))
+    frame = pd.DataFrame(simulate_table(participants=4, trials=4))
     frame.loc[17, "curl"] = 0.1
     found = outliers(frame)
     assert max(range(len(found)), key=lambda number: found[number][0]) == 17

@@ -14,14 +14,10 @@ from fingerflow.models.observer import d_prime, leave_out_moved, observe, printe
 
 def table(**columns: Any) -> dict[str, Any]:
     rows = {
-        "participant": ["a", "a", "b", "b"],
-        "trial": [1, 2, 1, 2],
-        "condition": [0.5, 1.0, 0.5, 1.0],
-        "answer": [True, False, True, True],
-        "divergence": [10.0, 4.0, np.nan, 12.0],
-        "global_displacement": [0.1, 0.3, 0.2, np.nan],
-        "force_angle": [5.0, 6.0, 7.0, 8.0],
-    }
+        "participant": ["a", "a", "b", "b"], "trial": [1, 2, 1, 2], "condition": [0.5, 1.0, 0.5, 1.0],
+        "answer": [True, False, True, True], "divergence": [10.0, 4.0, np.nan, 12.0],
+        "global_displacement": [0.1, 0.3, 0.2, np.nan], "force_angle": [5.0, 6.0, 7.0, 8.0],
+    }  # fmt: skip
     return {**rows, **columns}
 
 

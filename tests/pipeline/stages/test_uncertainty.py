@@ -83,15 +83,9 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     deviation[0] = 0
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
     place = np.linalg.norm(exact, axis=-1) + BORDER_MM * draw.standard_normal(len(points))
-    return trial_of(
-        given := inputs(),
-        contact(),
-        FRAMES,
-        position=given.on_glass(pixels),
-        position_px=pixels,
-        position_std_px=deviation,
-        in_contact=place < border,
-    )
+    given = inputs()
+    measured = {"position": given.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
+    return trial_of(given, contact(), FRAMES, **measured, in_contact=place < border)
 
 
 def measured(trial: RunContext, moved: DisplacementStage | None = None) -> RunContext:
