@@ -17,6 +17,7 @@ from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.wording import frame_text
 from fingerflow.results.napari_reader import DIVERGING
 from fingerflow.schema.rounding import format_uncertainty
+from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -83,9 +84,13 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
     "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
-    "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),
-    "eyy": Quantity("Strain eyy", "strain", lambda frame: frame["strain"].values[:, 1].astype(np.float64)),
-    "exy": Quantity("Strain exy", "strain", lambda frame: frame["strain"].values[:, 2].astype(np.float64)),
+    **{
+        f"{component}{suffix}": Quantity(
+            f"{words} {component}", variable, lambda frame, variable=variable, k=k: frame[variable].values[:, k]
+        )
+        for variable, suffix, words in (("strain", "", "Strain"), ("strain_rate", "_rate", "Strain rate"))
+        for k, component in enumerate(LABELS["strain_component"])
+    },
 }
 
 

@@ -85,7 +85,9 @@ def _scene(check: SceneCheck, path: Path, place_of: Callable[[Keys], str]) -> Sc
     check.raise_problems(place_of)
     tables = {name: table.build(check.values[name]) for name, table in SCENE.items()}
     views = {name: VIEW.build(view) for name, view in check.values["views"].items() if view is not None}
-    return Scene(path=path, kind=check.kind, views=Views(views), given=frozenset(check.given), **tables)
+    return Scene(
+        path=path, kind=check.kind, profile=check.profile, views=Views(views), given=frozenset(check.given), **tables
+    )
 
 
 def line_number(text: str, keys: Keys) -> int:

@@ -195,12 +195,13 @@ class FieldSettings(GaugeSettings):
     """Settings in the table [fields] of a scene file: how skin deformation is computed, and elastic constants of the
     skin.
 
-    ``reference`` is the instant from which displacement is measured: "onset", "first_frame", a frame number, or a time
-    from the trigger, such as "0.25 s".
+    ``reference`` is the instant from which displacement is measured: "onset", "dilated_onset", "first_frame", a frame
+    number, or a time from the trigger, such as "0.25 s".
     """
 
     reference: str | int = key('a frame of the file (120), or a time ("0.25 s"): moment from which displacement '
-        "counts; onset is that of each point", "onset", moment(("onset", "first_frame")),
+        "counts; onset is that of each point, dilated_onset that in the contact with a rim of contact.gross_radius_px, "
+        "as in the script of Willemet et al. 2021", "onset", moment(("onset", "dilated_onset", "first_frame")),
         label="displacement counts from")
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = key("measure of strain; as_printed: Willemet et "
         "al. 2021, equation 1", "green_lagrange", label="measure of strain")
@@ -320,12 +321,14 @@ class Views(Mapping[str, View]):
 class Scene:
     """Complete settings of an experiment: the recording, and everything needed to process it.
 
-    ``path`` is the scene file, ``kind`` one of `schema.scene_kinds.KINDS`, ``given`` the dotted keys that the file, or
+    ``path`` is the scene file, ``kind`` one of `schema.scene_kinds.KINDS`, ``profile`` the name of its set of keys in
+    `schema.profiles.PROFILES`, ``given`` the dotted keys that the file, or
     the calibration file that it names, sets.
     """
 
     path: Path
     kind: str
+    profile: str | None = None
     recording: RecordingSettings = table("frames of the trial, numbered from 0 as in the file", PROCESS)
     views: Views
     background: BackgroundSettings = table("pictures without a finger", PROCESS)
