@@ -189,7 +189,7 @@ def _triangulated(part: SubFigure, low: TypicalPress, high: TypicalPress) -> Non
         places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
         corners = press.result["triangles"].values
         whole = np.isfinite(places[corners]).all((1, 2))
-        pair[1].triplot(Triangulation(*np.nan_to_num(places).T, corners[whole]), color=INK, linewidth=0.3)
+        pair[1].triplot(Triangulation(*np.nan_to_num(places).T, triangles=corners[whole]), color=INK, linewidth=0.3)
     describe(grid[0], "Contact and topography view at the largest force, with the triangles between tracked points.")
 
 

@@ -1,6 +1,7 @@
 """Tests that the statistics of a simulated study agree with its design."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
