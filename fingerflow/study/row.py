@@ -250,8 +250,8 @@ class _Trial:
     def _full_slip(self, stuck: Series, ratio: Series) -> dict[str, float]:
         """Return time, T/N and displacement of full slip, from the verdict on the loss of the stuck area."""
         stated = self._result[_JUDGED].attrs.get("verdict")
-        judged: dict[str, Any] = json.loads(stated or "{}")
-        verdict = {name: np.nan if value is None else value for name, value in judged.items()}
+        judged = json.loads(stated or "{}")
+        verdict: dict[str, Any] = {name: np.nan if value is None else value for name, value in judged.items()}
         loss, load = verdict.get("loss_frame", -1), verdict.get("loss_load_ratio", np.nan)
         if loss < 1 or not load > 0:
             return {}
