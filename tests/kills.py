@@ -191,10 +191,12 @@ def _fork(
     os.close(writing)
     limit = threading.Timer(600.0, os.kill, (process, signal.SIGKILL))
     limit.start()
-    with os.fdopen(reading, "rb") as answer:
-        facts = answer.read()
+    try:
+        with os.fdopen(reading, "rb") as answer:
+            facts = answer.read()
         status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-    limit.cancel()
+    finally:
+        limit.cancel()
     operations, modules = json.loads(facts) if facts else (0, [])
     for module in modules:  # imported once here instead of in each process
         with contextlib.suppress(Exception):

@@ -112,7 +112,8 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
     styles = line_styles(len(presses.friction), ordered=True)
     for values, friction, style in zip(np.abs(presses.rate(own)).T, presses.friction, styles, strict=True):
         axes.plot(presses.force, values, label=f"friction {friction:g}", **style)
-    axes.set(xlabel="normal force (N)", ylabel="speed of the furthest point (mm/s)")
+    axes.set(xlabel="normal force (N)", ylabel="speed of the furthest point (mm/s)", ylim=(0, None))
+    axes.set_ylim(top=1.5 * axes.get_ylim()[1])  # leaves space for the legend
     return finished(
         axes,
         "Speed along the plate of the element of the skin chain that is displaced furthest in contact, by line fits "

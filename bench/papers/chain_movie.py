@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.papers.chain import HIGH, SimulatedPresses
-from fingerflow.plot.axes_style import GREY, INK, RED
+from fingerflow.plot.axes_style import INK, RED
 
 _INCHES, _DPI = (10.0, 5.4), 96
 _WIDE_MM = 9.0  # mm, shown half width of the finger
@@ -41,23 +41,18 @@ def movie_pictures(presses: SimulatedPresses, step: int) -> Iterator[NDArray[np.
         traction = bottom.plot([], [], color=RED, linestyle="--", label="traction")[0]
         bottom.set(ylim=(-0.4 * highest, highest), xlabel="along the plate (mm)")
         bottom.grid(alpha=0.25)
-        skins.append((skin, top.plot([], [], "o", color=GREY, markersize=8)[0]))
+        skins.append(skin)
         loads.append((pressure, traction))
     axes[0, 0].set_ylabel("above the plate (mm)")
     axes[1, 0].set_ylabel("on the skin (kPa)")
     axes[1, 1].legend(frameon=False, loc="upper right")
-    figure.colorbar(skins[0][0], ax=list(axes[0]), label="displacement along the plate (mm)")
+    figure.colorbar(skins[0], ax=list(axes[0]), label="displacement along the plate (mm)")
     heading = figure.suptitle(" ")
     for frame in range(0, len(presses.time), step):
         for column, k in enumerate(chosen):
             place = 1e3 * chain.position[frame, k].numpy()
-            skin, bone = skins[column]
-            skin.set_segments(list(np.stack((place[:-1], place[1:]), 1)))
-            skin.set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
-            # Draw the bone at the centre of the undeformed half-circle, displaced with the bone.
-            radius = float(1e3 * (chain.position - chain.displacement)[frame, k, 0, 1])
-            at = 1e3 * chain.bone[frame, k].numpy()
-            bone.set_data([at[0]], [at[1] + radius])
+            skins[column].set_segments(list(np.stack((place[:-1], place[1:]), 1)))
+            skins[column].set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
             for line, load in zip(loads[column], (chain.pressure, chain.traction), strict=True):
                 line.set_data(place[:, 0], 1e-3 * load[frame, k].numpy())
         heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from fingerflow.plot.figure_files import settle
+from fingerflow.plot.axes_style import figure_style
+from fingerflow.plot.figure_files import FigureFiles, settle
 from fingerflow.report.video_writer import encode_video
 from fingerflow.results.atomic_write import write_atomically
 
@@ -54,12 +55,13 @@ class PrintedFigure(Generic[Source]):
     repeated: int = 1
 
     def write(self, source: Source, folder: Path) -> DrawnFigure:
-        """Draw the reproduced figure and write it as PNG; of a movie, a PNG of some frames, and the movie as MP4 into
-        the folder `movies` next to `folder`.
+        """Draw the reproduced figure and write it as PNG and PDF; of a movie, a PNG of some frames, and the movie as
+        MP4 into the folder `movies` next to `folder`.
 
         Raises FingerflowError if one cannot be written.
         """
-        drawn, shown = self.draw(source)
+        with figure_style():
+            drawn, shown = self.draw(source)
         if drawn is None:
             return DrawnFigure(self.name, self.printed, "", shown)
         path, movie = folder / f"{self.name}.png", ""
@@ -68,6 +70,8 @@ class PrintedFigure(Generic[Source]):
             repeated = (one for one in pictures for _ in range(self.repeated))
             write_atomically(folder.parent / "movies" / movie, lambda part: encode_video(repeated, part))
             drawn = _strip(pictures)
+        else:
+            FigureFiles(("pdf",)).save(drawn, folder, self.name)
         _save(drawn, path)
         return DrawnFigure(self.name, self.printed, path.name, shown, movie)
 

@@ -26,7 +26,7 @@ def draw_half_sphere(axes: Axes) -> Axes:
     half = float(contact_radius(delta, radius))
     axes.plot([-half, half], [0, 0], color=INK, linewidth=2, linestyle="--", label=f"2 a = {2 * half:.1f} mm")
     axes.annotate("", (0, -delta), (0, 0), arrowprops={"arrowstyle": "<->", "color": INK, "shrinkA": 0, "shrinkB": 0})
-    axes.annotate(f"δ = {delta:g} mm", (0, 0.4), ha="center")
+    axes.annotate(f"δ = {delta:g} mm", (0, 0.8), ha="center")
     axes.set(xlabel="mm", ylabel="above the glass (mm)", aspect="equal", ylim=(-1.2 * delta, 1.05 * radius))
     finished(
         axes,

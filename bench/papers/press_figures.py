@@ -1,8 +1,10 @@
 """Figures S1 to S13 and movies M1 to M4 of Willemet et al. 2021, drawn from the simulated study and from models."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -13,19 +15,12 @@ from bench.papers.chain import draw_fastest_point, draw_largest_displacement
 from bench.papers.chain_movie import movie_pictures
 from bench.papers.decomposition import decompose, draw_decomposition
 from bench.papers.drawn import Drawn, Picture, PrintedFigure
-from bench.papers.press_stages import (
-    contact_mask,
-    contact_stages,
-    difference_panel,
-    show,
-    skin_stages,
-    view_of,
-)
+from bench.papers.press_stages import contact_mask, contact_stages, difference_panel, show_contact, skin_stages
 from bench.papers.presses import PressStudy, TypicalPress
 from bench.papers.tribometer import draw_friction, draw_trace
 from fingerflow import plot
 from fingerflow.plot.axes_style import INK
-from fingerflow.plot.captions import caption_of
+from fingerflow.plot.captions import caption_of, describe
 from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import Sheet, SheetPanel
@@ -35,6 +30,7 @@ from fingerflow.study.figures import draw_curves
 
 _FORCES_N = (1.0, 2.0, 3.0)
 _STRAINS = ("exx", "eyy", "exy")
+_PAINTED = ("position", "displacement", "ellipse_center", "ellipse_semi_axes", "ellipse_angle")  # in movie M1
 _MOVIE_MAPS = (*_STRAINS, "strain_energy_density")
 _CHAIN_STEP = 4  # every 4th simulated time of the chain is shown in movie M3
 _MOVIE_FORCES = 12  # number of normal forces in movie M4
@@ -92,7 +88,7 @@ def _friction_and_area(study: PressStudy) -> Drawn:
         "S1",
         sorted(panels, key=lambda panel: panel.letter),
         f"Friction is that of a simulated tribometer trace; areas are those of the study, by amplitude at 3 N: "
-        f"{_count(study)}. Bars are mean ± SD of trials, bands of curves 95 % over participants.",
+        f"{_count(study)}. Bars are mean ± SD, bands of curves 95 %, both over participants.",
     )
 
 
@@ -133,11 +129,10 @@ def _strain(study: PressStudy) -> Drawn:
     high, low = study.typical
     limit = max(plot.colour_limit(one.result, name, (one.peak,)) for one in (high, low) for name in _STRAINS)
     panels = [
-        SheetPanel("A (low friction)", lambda part: _triangulated(part, low)),
-        SheetPanel("C (high friction)", lambda part: _triangulated(part, high)),
+        SheetPanel("A, C", lambda part: _triangulated(part, low, high), columns=3, rows=0.8),
+        SheetPanel("B", lambda part: _strain_maps(part, low, "low", limit), columns=3),
+        SheetPanel("D", lambda part: _strain_maps(part, high, "high", limit), columns=3),
         _curve(study, "E", "strain"),
-        SheetPanel("B (low friction)", lambda part: _strain_maps(part, low, limit), columns=3),
-        SheetPanel("D (high friction)", lambda part: _strain_maps(part, high, limit), columns=3),
         _curve(study, "F", "strain_rate"),
         *_of_trials(study, "S8"),
     ]
@@ -182,23 +177,27 @@ def _curl(study: PressStudy) -> Drawn:
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
 
-def _triangulated(part: SubFigure, press: TypicalPress) -> None:
-    """Draw both views of a press at its largest force, the topography view with the triangles between the tracked
-    points.
+def _triangulated(part: SubFigure, low: TypicalPress, high: TypicalPress) -> None:
+    """Draw both views of two presses at their largest forces, the topography view with the triangles between the
+    tracked points.
     """
-    left, right = part.subplots(2, 1)
-    show(left, view_of(press.scene, "contact", press.peak))
-    show(right, view_of(press.scene, "topography", press.peak))
-    places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
-    corners = press.result["triangles"].values
-    whole = np.isfinite(places[corners]).all((1, 2))
-    x, y = np.nan_to_num(places).T
-    right.triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.15)
+    grid = part.subplots(1, 4)
+    for pair, press, friction in zip((grid[:2], grid[2:]), (low, high), ("low", "high"), strict=True):
+        for axes, view in zip(pair, ("contact", "topography"), strict=True):
+            show_contact(axes, press.result, press.scene, view, press.peak)
+            axes.set_title(f"{friction} friction")
+        places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
+        x, y = np.nan_to_num(places).T
+        corners = press.result["triangles"].values
+        whole = np.isfinite(places[corners]).all((1, 2))
+        pair[1].triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.3)
+    describe(grid[0], "Contact and topography view at the largest force, with the triangles between tracked points.")
 
 
-def _strain_maps(part: SubFigure, press: TypicalPress, limit: float) -> None:
+def _strain_maps(part: SubFigure, press: TypicalPress, friction: str, limit: float) -> None:
     for axes, name in zip(part.subplots(1, 3), _STRAINS, strict=True):
         plot.field_map(press.result, name, press.peak, axes, limit)
+        axes.set_title(f"{name}, {friction} friction")
 
 
 def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None:
@@ -211,21 +210,24 @@ def _energy_maps(part: SubFigure, high: TypicalPress, low: TypicalPress) -> None
 # Movies
 
 
-def _processed_frames(study: PressStudy) -> Iterator[Picture]:
-    """Yield the frames of movie M1: a press at high friction above one at low friction, at the same normal forces, with
-    contact outlines and displacement arrows.
+def _processed_frames(study: PressStudy, *shown: str) -> Iterator[Picture]:
+    """Yield the frames of movies M1 and M2: a press at high friction above one at low friction, at the same normal
+    forces, with contact outlines and displacement arrows where `shown`, the drawn variables, has them.
     """
-    high, low = study.typical
-    forces = np.linspace(0.2, min(high.largest_force, low.largest_force), 40)
-    with (
-        open_recording(high.scene.recording.frames, frame_rate=high.scene.recording.frame_rate) as first,
-        open_recording(low.scene.recording.frames, frame_rate=low.scene.recording.frame_rate) as second,
-    ):
-        pairs = [(ViewPainter(one.result, one.scene, frames), one) for one, frames in ((high, first), (low, second))]
-        for painter, one in pairs:
+    with ExitStack() as opened:
+        painters = []
+        for one, friction in zip(study.typical, ("high", "low"), strict=True):
+            recording = one.scene.recording
+            frames = opened.enter_context(open_recording(recording.frames, frame_rate=recording.frame_rate))
+            painter = ViewPainter(one.result[list(shown)], one.scene, frames)
             painter.paint(one.peak)  # the peak frame sets the contrast
-        for force in map(float, forces):
-            yield np.concatenate([painter.paint(one.frame_at(force) or one.peak, _ARROWS) for painter, one in pairs])
+            painters.append((painter, one, f"{friction} friction"))
+        for force in np.linspace(0.2, min(one.largest_force for one in study.typical), 40).tolist():
+            pictures = []
+            for painter, one, words in painters:
+                pictures.append(painter.paint(one.frame_at(force) or one.peak, _ARROWS))
+                cv2.putText(pictures[-1], f"{words}, {force:.1f} N", (12, 34), 0, 1.1, (255, 255, 255), 2, cv2.LINE_AA)
+            yield np.concatenate(pictures)
 
 
 def _strain_frames(study: PressStudy) -> Iterator[Picture]:
@@ -234,6 +236,7 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
     """
     pair = study.typical
     limits = {name: max(plot.colour_limit(one.result, name, (one.peak,)) for one in pair) for name in _MOVIE_MAPS}
+    limits |= dict.fromkeys(_STRAINS, max(limits[name] for name in _STRAINS))
     figure = Figure(figsize=(14, 6.4), dpi=72, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     for force in np.linspace(0.5, min(one.largest_force for one in pair), _MOVIE_FORCES):
@@ -250,7 +253,7 @@ def _strain_frames(study: PressStudy) -> Iterator[Picture]:
 def _movie_contact(study: PressStudy) -> Drawn:
     largest = min(one.largest_force for one in study.typical)
     shown = f"Above high, below low friction, at the same forces up to {largest:.1f} N; displacements {_ARROWS:g} x."
-    return _processed_frames(study), shown
+    return _processed_frames(study, *_PAINTED), shown
 
 
 def _movie_chain(study: PressStudy) -> Drawn:
@@ -285,8 +288,8 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
                   _supplement("S12")),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
     PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
-    PrintedFigure("M2", "protocol; contact and ridge images",
-                  lambda _: (None, "The protocol is not simulated; pictures of both views are in S3 and S8.")),
+    PrintedFigure("M2", "protocol; contact and ridge images", lambda study: (
+        _processed_frames(study), "Both views, above high, below low friction; the protocol is not simulated."), 3),
     PrintedFigure("M3", "deformation of the surface finger model", _movie_chain, 4),
     PrintedFigure("M4", "surface strains and energy density, high and low friction", lambda study: (
         _strain_frames(study), "Strains and strain energy density at the same forces, on common scales."), 8),

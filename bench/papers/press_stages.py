@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from fingerflow import plot
 from fingerflow.plot.axes_style import GREEN, YELLOW
-from fingerflow.plot.outlines import matrix_of_view, to_pixels
+from fingerflow.plot.captions import describe
+from fingerflow.plot.outlines import contact_outline, matrix_of_view, to_pixels
 from fingerflow.recordings import open_recording
 from fingerflow.report.sheet import SheetPanel
 from fingerflow.schema.scene import Scene
@@ -20,6 +21,7 @@ from fingerflow.schema.scene import Scene
 Picture = NDArray[np.float32]
 _PRINTED_RADIUS = 5  # px, radius of the median filter in figure S3 A
 _MAGNIFIED = 10  # magnification of displacements in the drawn tracks
+_MARGIN_PX = 15  # px, shown around the contact
 _BLUR_PX = 21  # px, side of the local mean that is subtracted for the enhanced image
 
 
@@ -38,7 +40,7 @@ def contact_stages(result: xr.Dataset, scene: Scene, frame: int) -> list[SheetPa
         "A4, binarised": touching,
     }
     panels = [_picture(letter, one) for letter, one in pictures.items()]
-    panels.append(SheetPanel.single("A5, ellipse", lambda axes: plot.picture(result, scene, frame, axes, "contact")))
+    panels.append(SheetPanel.single("A5", lambda axes: show_contact(axes, result, scene, "contact", frame)))
     panels.append(SheetPanel.single("A6", lambda axes: plot.contact_area(result, axes, "normal_force")))
     return panels
 
@@ -54,8 +56,8 @@ def skin_stages(result: xr.Dataset, scene: Scene, frame: int, first: int) -> lis
     return [
         _picture("B1, raw", raw),
         _picture("B2, contrast, sharpened", enhanced),
-        SheetPanel.single("B3, points at first contact", lambda axes: _points(axes, result, scene, first)),
-        SheetPanel.single(f"B4, tracks, {_MAGNIFIED} x", lambda axes: _tracks(axes, result, scene, frame)),
+        SheetPanel.single("B3", lambda axes: _points(axes, result, scene, first)),
+        SheetPanel.single("B4", lambda axes: _tracks(axes, result, scene, frame)),
         SheetPanel.single("B5", lambda axes: plot.field_map(result, "divergence", frame, axes)),
         SheetPanel.single("B6", lambda axes: plot.median_divergence(result, axes, "normal_force")),
     ]
@@ -82,12 +84,22 @@ def contact_mask(result: xr.Dataset, scene: Scene, frame: int, median_px: int | 
     return np.asarray(dark & (light > 0.1 * light.max()))
 
 
-def show(axes: Axes, picture: NDArray[Any]) -> Axes:
-    """Draw an image in grey levels without axis ticks, and return the axes."""
+def show(axes: Axes, picture: NDArray[Any], title: str = "") -> None:
+    """Draw an image in grey levels without axis ticks."""
     low, high = np.percentile(picture, (0.5, 99.5)) if picture.dtype != bool else (0, 1)
     axes.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1e-6), interpolation="nearest")
-    axes.set(xticks=[], yticks=[])
-    return axes
+    axes.set(xticks=[], yticks=[], title=title)
+
+
+def show_contact(axes: Axes, result: xr.Dataset, scene: Scene, view: str, frame: int) -> None:
+    """Draw the part of a view around the gross contact in a frame, with the ellipse."""
+    show(axes, view_of(scene, view, frame), "ellipse")
+    outline = contact_outline(result.isel(frame=frame))
+    assert outline is not None
+    ring = to_pixels(outline, matrix_of_view(result, view))
+    axes.plot(*ring.T, color=YELLOW, linewidth=1)
+    (left, top), (right, bottom) = ring.min(0) - _MARGIN_PX, ring.max(0) + _MARGIN_PX
+    axes.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def _empty(scene: Scene) -> Picture:
@@ -96,25 +108,24 @@ def _empty(scene: Scene) -> Picture:
 
 
 def _picture(letter: str, picture: NDArray[Any]) -> SheetPanel:
-    return SheetPanel(letter, lambda part: show(part.subplots(), picture))
+    number, words = letter.split(", ", 1)
+    return SheetPanel.single(number, show, picture, words)
 
 
-def _points(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
-    show(axes, view_of(scene, "topography", frame))
+def _points(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> None:
+    show(axes, view_of(scene, "topography", frame), "points at first contact")
     places = to_pixels(result["position"].values[frame], matrix_of_view(result, "topography"))
-    axes.plot(*places.T, ".", color=GREEN, markersize=2)
-    return axes
+    axes.plot(*places.T, ".", color=GREEN, markersize=1)
 
 
-def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> Axes:
-    show(axes, view_of(scene, "topography", frame))
+def _tracks(axes: Axes, result: xr.Dataset, scene: Scene, frame: int) -> None:
+    show(axes, view_of(scene, "topography", frame), f"tracks, {_MAGNIFIED} x")
     matrix = matrix_of_view(result, "topography")
     position = result["position"].values[: frame + 1]
     known = np.flatnonzero(np.isfinite(position).all((0, 2)))
     for point in known[:: max(1, len(known) // 150)]:
         track = position[0, point] + _MAGNIFIED * (position[:, point] - position[0, point])
         axes.plot(*to_pixels(track, matrix).T, color=YELLOW, linewidth=0.9)
-    return axes
 
 
 def difference_panel(pairs: Sequence[tuple[float, NDArray[np.bool_], NDArray[np.bool_]]]) -> SheetPanel:
@@ -123,8 +134,15 @@ def difference_panel(pairs: Sequence[tuple[float, NDArray[np.bool_], NDArray[np.
     """
 
     def draw(part: SubFigure) -> None:
-        for axes, (force, high, low) in zip(np.atleast_1d(part.subplots(1, len(pairs))), pairs, strict=True):
+        # The largest contact, without single pixels elsewhere, sets the part that is shown.
+        (top, bottom), (left, right) = np.quantile(np.nonzero(pairs[-1][1]), (0.005, 0.995), axis=1).T
+        grid = np.atleast_1d(part.subplots(1, len(pairs)))
+        for axes, (force, high, low) in zip(grid, pairs, strict=True):
             axes.imshow(high.astype(int) - low, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
             axes.set(xticks=[], yticks=[], title=f"{force:g} N")
+            axes.set(xlim=(left - _MARGIN_PX, right + _MARGIN_PX), ylim=(bottom + _MARGIN_PX, top - _MARGIN_PX))
+        describe(
+            grid[0], "Real contact of one press at high friction only (red) and of one at low friction only (blue)."
+        )
 
-    return SheetPanel("E, high (red) less low friction (blue)", draw, columns=2)
+    return SheetPanel("E, images", draw, columns=2)

@@ -139,8 +139,8 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Non
     for series, style in zip(compression.T, _line_styles(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
-    axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2")
-    finished(axes, f"Compression of the tissue 2 mm under the middle of the contact against time. {_count(presses)}")
+    axes.set_title(f"{_ratio(presses, compression[-1])}, in print almost 1.2")
+    finished(axes, f"Compression 2 mm under the middle against time; ratios at the end. {_count(presses)}")
 
 
 def _finish(part: SubFigure, axes: Sequence[Axes], caption: str) -> None:

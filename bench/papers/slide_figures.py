@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.papers.drawn import Drawn, PrintedFigure
@@ -14,14 +13,13 @@ from fingerflow.models.partial_slip import CurveComparison, compare_curves, crit
 from fingerflow.models.partial_slip.comparison import COULOMB
 from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, PARTIAL_SLIP, TADA
 from fingerflow.models.partial_slip.verdict import CORRIDOR
-from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished, new_figure
 from fingerflow.plot.outlines import matrix_of_view, to_pixels
 from fingerflow.report.slip_figures import AREA, LOAD, draw_partial_slip
 
 Values = NDArray[np.float64]
 _ARROWS = 400
 _ARROW_SCALE = 2
-_SIZE = (5.6, 4.4)
 _STYLES: dict[str, dict[str, Any]] = {
     COULOMB: {"color": GREY, "linestyle": "--"},
     EQUAL_FRICTION.name: {"color": GREEN, "linestyle": "-."},
@@ -35,7 +33,7 @@ def _picture(slides: Slides) -> Drawn:
     one = slides.of(ABRUPT)[0]
     result = one.trial.result
     frame = max(one.trial.verdict.collapse_frame, 1)
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    figure = new_figure(1.06)
     axes = plot.picture(result, one.scene, frame, figure.subplots(), "contact")
     matrix = matrix_of_view(result, "contact")
     position = np.asarray(result["position"])
@@ -54,7 +52,7 @@ def _picture(slides: Slides) -> Drawn:
 
 
 def _models(_: Slides) -> Drawn:
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = new_figure(0.85)
     axes = figure.subplots()
     load: Values = 1 - np.linspace(1, 0, 400) ** 3
     axes.plot([0, 1, 1], [1, 1, 0], label=COULOMB, **_STYLES[COULOMB])
@@ -78,7 +76,7 @@ def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
     judged = [one for one in own if one.trial.verdict.loss_load_ratio > 0]
     if not judged:
         return None, "no slide of this set has a complete loss of adhesion"
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = new_figure(0.85)
     axes = figure.subplots()
     axes.axvspan(1 - CORRIDOR, 1 + CORRIDOR, color=YELLOW, alpha=0.2, linewidth=0, label="± 5 %")
     loading, best = [], []
@@ -90,10 +88,10 @@ def _draw_set(own: list[JudgedSlide], about: str) -> Drawn:
         name: str | None = verdict.outcome if one is judged[0] else None
         if verdict.outcome == "vanishes abruptly":
             collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
-            axes.plot(load[collapse], area[collapse], color=RED, linewidth=4, alpha=0.35)
+            axes.plot(load[collapse], area[collapse], color=RED, linewidth=3, alpha=0.35)
             name = f"{verdict.collapse_ms:.0f} ms"
         axes.plot(
-            load[before], area[before], color=RED, linewidth=0.7, marker=mark, markersize=3, markevery=4,
+            load[before], area[before], color=RED, linewidth=0.7, marker=mark, markersize=2.5, markevery=4,
             label=name,
         )  # fmt: skip
         loading.append((area[verdict.loading()], load[verdict.loading()]))
@@ -123,7 +121,7 @@ def _draw_models(axes: Axes, found: CurveComparison) -> None:
 
 
 def _over_time(slides: Slides) -> Drawn:
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = new_figure(0.85)
     axes = figure.subplots()
     for kind, colour, style in ((ABRUPT, RED, "-"), (FADING, INK, "--")):
         one = slides.of(kind)[0]

@@ -70,7 +70,7 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace) -> None:
     place.plot(trace.time, 1e3 * trace.position, color=GREEN, linewidth=1)
     envelope.plot(trace.time, 1e6 * trace.amplitude, color=GREY, linewidth=0.8)
     count = len(trace.epochs.start)
-    forces.set(ylabel="force (N)", title=f"{count} epochs: leftwards, envelope rising")
+    forces.set(ylabel="force (N)")
     coefficient.set(ylabel="|T| / N", ylim=(0, _axis_limit(ratio)))
     place.set(ylabel="finger (mm)")
     envelope.set(ylabel="vibration (µm)", xlabel="time (s)", ylim=(0, None))
@@ -79,9 +79,8 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace) -> None:
             one.axvspan(trace.time[start], trace.time[stop - 1], color=YELLOW, alpha=0.3, linewidth=0)
         one.label_outer()
         finished(one)
-    low, high = forces.get_ylim()
-    forces.set_ylim(low, high + 0.5 * (high - low))  # leaves space for the legend
-    forces.legend(frameon=False, ncols=2, loc="upper right")
+    forces.set_title(f"{count} epochs: leftwards, envelope rising", loc="left")
+    forces.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1, 1))
     describe(
         forces,
         "Normal and tangential force, their ratio, position of the finger and amplitude of the vibration during one "
@@ -97,10 +96,10 @@ def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
     for medians in epochs.median.numpy():
         axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)
     median, spread, count = (part.numpy() for part in epochs.over_epochs())
-    name = f"median and quartiles of {count.max()} epochs"
-    axes.errorbar(middles, median, spread / 2, fmt="o-", color=INK, markersize=4, capsize=3, label=name)
+    axes.errorbar(middles, median, spread / 2, fmt="o-", color=INK, markersize=4, capsize=3)
     top = _axis_limit(epochs.median.numpy())
     axes.set(xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, top))
+    axes.set_title(f"{count.max()} epochs")
     return finished(
         axes,
         "Friction coefficient |T|/N against the amplitude of the vibration. Grey: median of each epoch. Dots: median "

@@ -22,7 +22,7 @@ Width = Annotated[
     str | None,
     typer.Option(
         "--width",
-        help="Of figures on paper, such as 85mm, 8.5cm or 3.3in; default 180mm for several panels, 85mm for one. "
+        help="Of figures on paper, such as 85mm, 8.5cm or 3.3in; default 170mm for several panels, 85mm for one. "
         "Panels without room beside each other stand below each other.",
     ),
 ]

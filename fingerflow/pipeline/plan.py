@@ -6,6 +6,7 @@ from typing import NamedTuple
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.pipeline.stages import all_stages
 from fingerflow.pipeline.stages.stage import Stage
+from fingerflow.schema import profiles
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.scene_kinds import KINDS
 from fingerflow.schema.variable_record import Variable
@@ -60,8 +61,9 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     if outputs is None:
         computes = KINDS[scene.kind].computes
         possible = [stage for base, stage in stages.items() if computes(base.name) and not _missing_keys(stage, scene)]
-        requested = [stage for stage in possible if any(variable.unasked for variable in stage.gives)]
-        return _add_needs(requested, frozenset(), stages.values())
+        also = profiles.OUTPUTS.get(scene.profile or "", frozenset())
+        requested = [stage for stage in possible if any(one.unasked or one.name in also for one in stage.gives)]
+        return _add_needs(requested, also, stages.values())
     names, stage_of = list(outputs), {variable.name: stage for stage in stages.values() for variable in stage.gives}
     for name in names:
         if name not in VARIABLES:

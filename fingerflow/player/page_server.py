@@ -94,7 +94,7 @@ class PageServer(ThreadingHTTPServer):
         opening: address that opens the page, with the token.
     """
 
-    daemon_threads = True
+    daemon_threads, request_queue_size = True, 128  # connections that wait to be accepted
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler], live: LiveData) -> None:
         self._live = live

@@ -18,7 +18,7 @@ BAND = 2.0  # half width of a band in standard deviations
 BAND_WORDS = f"± {BAND:g} standard deviations"
 #: Comes with matplotlib; a single font, since each font of a list would be searched for at each text.
 FONT = "DejaVu Sans"
-ONE_COLUMN_MM, TWO_COLUMNS_MM = 85.0, 180.0  # mm, widths of a figure on a printed page
+ONE_COLUMN_MM, TWO_COLUMNS_MM = 85.0, 170.0  # mm, widths of a figure on a printed page
 MM_PER_INCH = 25.4
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 _DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (1, 3)), (0, (8, 3)))
@@ -64,6 +64,13 @@ def line_styles(count: int, ordered: bool = False) -> list[dict[str, Any]]:
     else:
         colours = [_COLOURS[k % len(_COLOURS)] for k in range(count)]
     return [{"color": colours[k], "linestyle": _DASHES[k % len(_DASHES)]} for k in range(count)]
+
+
+def named_lines(count: int) -> tuple[int, ...]:
+    """Return the indices of those of `count` lines of a rising quantity that a legend names and that have dashes and a
+    band: all of up to four, else the first, the middle and the last.
+    """
+    return tuple(range(count)) if count <= 4 else (0, count // 2, count - 1)
 
 
 def dot_styles(count: int) -> list[dict[str, Any]]:

@@ -61,7 +61,7 @@ class FigureFiles:
         if not _LEAST_MM <= wide <= _MOST_MM:
             raise FingerflowError(
                 f"--width {width}: give {_LEAST_MM:g} to {_MOST_MM:g} mm, as type of 7 pt leaves no room for curves on "
-                "less; one column of a journal has about 85mm, two have 180mm"
+                "less; one column of a journal has about 85mm, two have 170mm"
             )
         return cls(names, wide)
 

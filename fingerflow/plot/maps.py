@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from fingerflow.plot.outlines import contact_outline
 from fingerflow.plot.wording import frame_text
 from fingerflow.results.napari_reader import DIVERGING
 from fingerflow.schema.rounding import format_uncertainty
+from fingerflow.schema.variable_record import LABELS
 from fingerflow.schema.variables import VARIABLES
 
 Values = NDArray[np.float64]
@@ -70,6 +72,10 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
     return np.stack((middle + radius, middle - radius), 1), np.arctan2(2 * exy, exx - eyy) / 2
 
 
+def _component(variable: str, number: int, frame: xr.Dataset) -> Values:
+    return np.asarray(frame[variable].values[:, number])
+
+
 #: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
     "divergence": Quantity("Divergence", "divergence"),
@@ -83,9 +89,11 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
     "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
-    "exx": Quantity("Strain exx", "strain", lambda frame: frame["strain"].values[:, 0].astype(np.float64)),
-    "eyy": Quantity("Strain eyy", "strain", lambda frame: frame["strain"].values[:, 1].astype(np.float64)),
-    "exy": Quantity("Strain exy", "strain", lambda frame: frame["strain"].values[:, 2].astype(np.float64)),
+    **{
+        f"{component}{suffix}": Quantity(f"{words} {component}", variable, partial(_component, variable, k))
+        for variable, suffix, words in (("strain", "", "Strain"), ("strain_rate", "_rate", "Strain rate"))
+        for k, component in enumerate(LABELS["strain_component"])
+    },
 }
 
 

@@ -11,6 +11,8 @@ from fingerflow.models.observer.psychometric import SHARE
 from fingerflow.plot.axes_style import GREEN, GREY, INK, MARKERS, RED, finished, line_styles
 from fingerflow.schema.rounding import format_interval
 
+_NAMED = 3  # largest number of ROC curves in colours
+
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
     """Draw figure S11 A: histograms of a metric, divided by its 0.9 quantile, in correctly and in incorrectly answered
@@ -43,14 +45,18 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
 def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     """Draw figure S11 B: ROC curves, that is hit rate against false-alarm rate for all criteria, one curve a metric."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.6)
-    for (name, observer), style in zip(observers.items(), line_styles(len(observers), ordered=True), strict=True):
-        label = f"{name} ({observer.auc:.2f}, n {sum(observer.trials)})"
-        axes.plot(observer.false_alarms, observer.hits, label=label, **style)
+    best = sorted(observers, key=lambda name: -abs(np.nan_to_num(observers[name].auc, nan=0.5) - 0.5))
+    styles = [*line_styles(_NAMED), *({"color": GREY, "linewidth": 0.6},) * len(best)]
+    for k, (name, style) in enumerate(zip(best, styles, strict=False)):
+        label = f"{name} ({observers[name].auc:.2f})" if k < _NAMED else "the others" if k == _NAMED else None
+        axes.plot(observers[name].false_alarms, observers[name].hits, label=label, **style)
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1))
+    counts = [sum(observer.trials) for observer in observers.values()]
     finished(
         axes,
         "Hits (correct trials above a criterion) against false alarms (incorrect trials above it) as the criterion "
-        "sweeps the metric. In brackets: area under the curve, 0.5 by chance, and n, the number of trials.",
+        f"sweeps the metric; named: the {_NAMED} curves furthest from chance. In brackets: area under the curve, 0.5 "
+        f"by chance. n = {min(counts)} to {max(counts)} trials.",
     )
     # Beside the axes, where the legend does not cover curves.
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))

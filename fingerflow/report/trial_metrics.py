@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, spearman
-from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles
+from fingerflow.models.observer import Anova, Trials, pearson, repeated_anova, share_above, spearman
+from fingerflow.plot.axes_style import GREY, INK, RED, dot_styles, finished, line_styles, named_lines
 from fingerflow.plot.wording import definition_text, sentence
 from fingerflow.schema.rounding import format_interval, format_uncertainty
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
@@ -21,6 +21,7 @@ Values = NDArray[np.float64]
 ANSWERED = "p(more slippery)"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # number of bins with equally many trials
+_LONG_TAIL = 10  # largest value over the median, above which an axis has a scale that is linear up to the median only
 _HATCHES = ("", "////", "....")  # hatches of bars, which distinguish these without colour
 
 #: Metrics that figures and statistics use, columns of the table of trials.
@@ -74,7 +75,8 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         groups = [which == number for number in np.unique(which)]
         shares = np.array([answers[group].mean() for group in groups])
         middles = np.array([np.median(values[finite][group]) for group in groups])
-        limits = np.array([_wilson(answers[group], trials.participant[finite][group]) for group in groups]).T
+        people = trials.participant[finite]
+        limits = np.array([share_above(0.5, answers[group], people[group]).interval for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     axes.set(xlabel=metric_label(metric), ylabel=ANSWERED, ylim=(-0.05, 1.05))
     test = repeated_anova(values, trials.answer, trials.participant)
@@ -102,7 +104,6 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
         axes.bar(where, shares, 0.25, label=name, color=style["color"], hatch=hatch, edgecolor="white", linewidth=0)
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.05))
     size = f"{int(finite.sum())} trials of {np.unique(trials.participant[finite]).size} participants"
-    axes.set_title(size)
     return finish_with_side_legend(
         axes,
         metric_label(metric),
@@ -112,9 +113,9 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
 
 
 def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
-    """Draw figures S1 D and F, S5 J, S7 A and B: a metric against vibration amplitude, over all trials, with an ANOVA.
+    """Draw figures S1 D and F, S5 J, S7 A and B: a metric against vibration amplitude, with an ANOVA.
 
-    Trials, medians and mean ± SD are drawn.
+    Dots are the medians of the participants' trials, with their median and mean ± SD.
 
     Args:
         axes: axes to draw into.
@@ -125,14 +126,12 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     values = _shown(trials, metric)
     if normalised:
         values = _over_own_median(values, trials.participant)
-    conditions, condition = _conditions(trials)
-    for index in range(len(conditions)):
-        group = values[condition == index]
-        group = group[np.isfinite(group)]
-        if not group.size:
-            continue
+    conditions, _ = _conditions(trials)
+    medians, _, condition, who = participant_dots(trials, values)
+    for index in np.unique(condition):
+        group = medians[condition == index]
         # Spread the dots in the order of the table and not at random, so that figures are reproducible.
-        axes.plot(index + np.linspace(-0.3, 0.3, group.size), group, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
+        axes.plot(index + np.linspace(-0.3, 0.3, group.size), group, ".", color=GREY, markersize=4, zorder=1)
         if group.size > 1:
             mean, deviation = group.mean(), group.std(ddof=1)
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
@@ -145,8 +144,10 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
     over = f"{sentence(label)}, the median of the participant's trials."
     return finished(
         axes,
-        f"Dots: trials, by vibration amplitude. {over if normalised else _defined(metric)} Line: median; bar: mean ± "
-        f"one standard deviation over trials. {_anova_sentence(test)} n = {int(np.isfinite(values).sum())} trials.",
+        "Dots: medians of the trials of a participant, by vibration amplitude. "
+        f"{over if normalised else _defined(metric)} Line: median; bar: mean ± one standard deviation over "
+        f"participants. {_anova_sentence(test)} n = {medians.size} dots of {np.unique(who).size} participants, "
+        f"{int(np.isfinite(values).sum())} trials.",
     )
 
 
@@ -160,19 +161,24 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     values = _shown(trials, metric)
     conditions, _ = _conditions(trials)
     medians, shares, condition, who = participant_dots(trials, values)
-    for index, style in enumerate(dot_styles(len(conditions))):
-        dots = condition == index
-        axes.plot(medians[dots], shares[dots], label=conditions[index], **style)
+    for index, style in enumerate(line_styles(len(conditions), ordered=True)):
+        dots, label = condition == index, conditions[index] if index in named_lines(len(conditions)) else None
+        axes.plot(medians[dots], shares[dots], "o", color=style["color"], label=label)
     correlation = spearman(medians, shares, participants=who)
-    axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.05))
-    axes.locator_params(axis="x", nbins=5)
+    axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.08))
+    middle, far = np.quantile(np.abs(medians), (0.5, 1)) if medians.size else (1, 1)
+    if 0 < _LONG_TAIL * middle < far:
+        axes.set_xscale("symlog", linthresh=middle)
+    else:
+        axes.locator_params(axis="x", nbins=5)
     size = f"{correlation.trials} dots of {correlation.participants} participants"
-    axes.set_title(f"Spearman {correlation.value:.2f}, {_p(correlation.p)}, {size}")
+    axes.set_title(f"Spearman {correlation.value:.2f}, {_p(correlation.p)}")
     return finish_with_side_legend(
         axes,
         AMPLITUDE,
         "Share of trials in which the comparison was felt as more slippery against the median of the metric, one dot a "
-        f"participant and amplitude. {_defined(metric)} Spearman's rank correlation (95 % interval): "
+        f"participant and amplitude, darker for smaller ones. {_defined(metric)} Spearman's rank correlation (95 % "
+        "interval): "
         f"{format_interval(correlation.value, *correlation.interval)}, {_p(correlation.p)}; n = {size}.",
     )
 
@@ -180,25 +186,28 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
 def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
     """Draw figures S8 G and S9 D: one metric against another, coloured by participant, with a fitted line and R².
 
-    Without an interval, as of fewer than three participants, a line would say more than the trials do: none is drawn.
+    The slope is the mean of the participants' slopes, each the median over all pairs of trials (Theil & Sen), which few
+    far trials do not turn. Without an interval, as of fewer than three participants, a line would say more than the
+    trials do: none is drawn.
     """
     x, y = _draw_by_participant(axes, trials, first, second)
     correlation = pearson(x, y, trials.participant)
     axes.set_title(f"no line: {correlation.reason}")
     if np.isfinite(correlation.interval).all():
         both = np.isfinite(x) & np.isfinite(y)
-        line = stats.linregress(x[both], y[both])
-        ends = np.array([x[both].min(), x[both].max()])
-        slope = format_uncertainty(line.slope, line.stderr)
-        offset = format_uncertainty(line.intercept, line.intercept_stderr)
-        axes.plot(ends, line.slope * ends + line.intercept, color=RED, linewidth=1.2)
-        axes.set_title(f"slope {slope}, offset {offset}, R² = {correlation.value**2:.2f}")
+        of_one = [both & (trials.participant == name) for name in np.unique(trials.participant[both])]
+        slopes = [float(stats.theilslopes(y[one], x[one]).slope) for one in of_one if np.ptp(x[one])]
+        ends, slope = np.quantile(x[both], (0.01, 0.99)), float(np.mean(slopes))
+        axes.plot(ends, slope * ends + np.median(y[both] - slope * x[both]), color=RED, linewidth=1.2)
+        axes.set_title(
+            f"slope {format_uncertainty(slope, float(np.std(slopes, ddof=1)))}, R² = {correlation.value**2:.2f}"
+        )
     axes.set(xlabel=metric_label(first), ylabel=metric_label(second))
     size = f"{correlation.trials} trials of {np.unique(trials.participant).size} participants"
     return finished(
         axes,
-        f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} Line: least squares; "
-        f"± one standard error, trials taken as independent. n = {size}.",
+        f"One dot a trial, one marker a participant. {_defined(first)} {_defined(second)} Slope: mean ± one standard "
+        f"deviation of the participants' slopes (Theil & Sen); R² of all trials. n = {size}.",
     )
 
 
@@ -285,37 +294,16 @@ def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
     return scaled
 
 
-def _wilson(answers: NDArray[np.bool_], participant: NDArray[Any]) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval of the share of positive answers, corrected for clustering by participant.
-
-    The number of trials is divided by the design effect: the variance of the share over P participants, P / (P - 1)
-    sum_p (yes_p - share n_p)^2 / n^2, over share (1 - share) / n, where that is above 1 (Kish
-    1965). The quantile is Student's with P - 1 degrees of freedom.
-    """
-    n, share = float(answers.size), float(answers.mean())
-    _, person = np.unique(participant, return_inverse=True)
-    effects = np.bincount(person, answers - share)
-    if effects.size > 1 and 0 < share < 1:
-        effect = effects.size / (effects.size - 1) * float(effects @ effects) / (n * share * (1 - share))
-        n /= max(effect, 1.0)
-    z = float(stats.t.ppf(0.975, max(effects.size - 1, 1)))
-    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    reach = z / (1 + z**2 / n) * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n * n)))
-    return middle - reach, middle + reach
-
-
 def _anova_text(test: Anova) -> str:
-    """Return text on an analysis of variance: F, degrees of freedom, p-value, numbers of trials and participants."""
-    if np.isnan(test.f):
-        return "no F"
-    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
-    return f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}, {size}"
+    """Return text on an analysis of variance: F, degrees of freedom and p-value."""
+    return "no F" if np.isnan(test.f) else f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}"
 
 
 def _anova_sentence(test: Anova) -> str:
     """Return a caption sentence that names an analysis of variance and states its outcome."""
     reason = f" ({test.reason})" if test.reason else ""
-    return f"ANOVA with participants as a random effect: {_anova_text(test)}{reason}."
+    size = f"{sum(test.trials.values())} trials of {test.participants} participants"
+    return f"ANOVA with participants as a random effect: {_anova_text(test)}, {size}{reason}."
 
 
 def _p(value: float) -> str:

@@ -9,11 +9,13 @@ from fingerflow.errors import FingerflowError
 from fingerflow.schema.calibration_file import Pixels, read_calibration
 from fingerflow.schema.key_types import File, Reader, WrongValue, either
 from fingerflow.schema.keys import SceneKey, SceneTable
+from fingerflow.schema.profiles import PROFILES, with_profile
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.scene_tables import SCENE, views_of
 
 Keys = tuple[str, ...]
 _LEAST_SIDE = 9  # px, of a view
+_TOP = "kind", "profile"  # keys outside of tables
 MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
 
 
@@ -133,15 +135,18 @@ class SceneCheck(TableCheck):
     """
 
     def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
-        super().__init__(written, folder, reader)
+        super().__init__(with_profile(written), folder, reader)
+        self.profile = self.written.get("profile")
+        if not (self.profile is None or self.profile in list(PROFILES)):
+            self.refuse(("profile",), f"is {self.profile!r}: it should be {either(PROFILES)}")
         stated, self.kind = self.written.get("kind"), default_kind(self.written)
         if isinstance(stated, str) and stated in KINDS:
             self.kind = stated
         elif "kind" in self.written:
             self.refuse(("kind",), f"is {stated!r}: it should be {either(KINDS)}")
         tables = {"recording": SCENE["recording"], "views": views_of(KINDS[self.kind]), **SCENE}
-        rest = {name: value for name, value in self.written.items() if name != "kind"}
-        self.values = self.table((), SceneTable(keys=tables), rest, ("kind",))
+        rest = {name: value for name, value in self.written.items() if name not in _TOP}
+        self.values = self.table((), SceneTable(keys=tables), rest, _TOP)
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
             self.values["views"][role] = self.find_value(f"views.{view}")
         self._check_rules()
@@ -163,6 +168,12 @@ class SceneCheck(TableCheck):
         ):
             if f"forces.{key}" in self.given and f"forces.{partner}" not in self.given:
                 self.record_conflict(f"forces.{key}", f"{together}; {remedy}")
+        for table, keys in PROFILES.get(str(self.profile), {}).items():
+            for name, value in keys.items():
+                if self.find_value(f"{table}.{name}") != value:
+                    self.record_conflict(
+                        f"{table}.{name}", f"the profile {self.profile} has {value!r}; leave one of the two out"
+                    )
         self._not_both("forces.tare", "forces.offset", "both say what the sensor reads without a load")
         for name in ("gain", "sign", "offset"):
             self._one_each(f"forces.{name}")

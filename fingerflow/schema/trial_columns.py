@@ -88,6 +88,28 @@ _OF_TRIAL = (
              "largest speed, up to the largest force, of the point that has that displacement", label="largest speed"),
     Variable("friction", _TRIAL, "1",
              "median T/N where no skin sticks any more; nothing where the finger did not slide"),
+    Variable("friction_force", _TRIAL, "N", "median normal force there", label="normal force of the slide"),
+    Variable("contact_exponent", _TRIAL, "1",
+             "n of gross contact area = k N^n from a tenth of the largest force up to it, areas over 3 mm² (Dzidek et "
+             "al. 2017; 2/3 of a sphere, Hertz)"),
+    Variable("contact_exponent_std", _TRIAL, "1", "standard deviation of contact_exponent, leaving out each tenth"),
+    Variable("contact_time_constant", _TRIAL, "s",
+             "τ of real contact area = a + b exp(−t/τ) while the normal force stays within 5 % of its largest (Dzidek "
+             "et al. 2017); nothing where it does not show"),
+    Variable("contact_time_constant_std", _TRIAL, "s", "standard deviation of contact_time_constant, by the residuals"),
+    Variable("unloading_area_ratio", _TRIAL, "1",
+             "gross contact area at half of the largest force, when it last falls through it over when it first rises "
+             "to it"),
+    Variable("unloading_area_ratio_std", _TRIAL, "1", "standard deviation of unloading_area_ratio, areas independent"),
+    Variable("full_slip_load_ratio", _TRIAL, "1", "T/N just before the last skin slips"),
+    Variable("full_slip_load_ratio_std", _TRIAL, "1", "its noise from frame to frame"),
+    Variable("full_slip_time", _TRIAL, "s",
+             "from where T/N is last under a twentieth of its value at full slip to where the last skin slips"),
+    Variable("full_slip_time_std", _TRIAL, "s", "standard deviation of full_slip_time, by noise of d² and by frames"),
+    Variable("full_slip_displacement", _TRIAL, "mm", "median displacement of the skin in contact over that time",
+             shown_in=MICROMETRE),
+    Variable("full_slip_displacement_std", _TRIAL, "mm", "standard deviation of full_slip_displacement, by that of the "
+             "time", shown_in=MICROMETRE),
     Variable("longest_axis_ratio", _TRIAL, "1",
              "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
              "chance"),

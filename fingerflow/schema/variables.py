@@ -6,7 +6,6 @@ Only the standard library is imported, because an exported bundle contains this 
 
 from collections.abc import Iterable
 from math import pi
-from operator import truediv
 from typing import Any
 
 from fingerflow.schema.variable_record import (
@@ -82,9 +81,14 @@ def _real_area_std(real_area: Any) -> Any:
     return (0.025**2 * real_area ** (4 / 3) + 0.01**2) ** 0.5
 
 
+def _ratio(part: Any, whole: Any) -> Any:
+    """Return the ratio of two areas, NaN where there is none."""
+    return part / (whole / (whole > 0))
+
+
 def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
     """Return the standard deviation of the ratio of two areas with independent errors."""
-    return (real_std**2 + (real_area / gross_area * gross_std) ** 2) ** 0.5 / gross_area
+    return (real_std**2 + (_ratio(real_area, gross_area) * gross_std) ** 2) ** 0.5 / gross_area
 
 
 def _ellipse_std(lengths: Any) -> Any:
@@ -146,7 +150,7 @@ CONTACT = (
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area"),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
-        equation="real_contact_area / gross_contact_area", formula=truediv,
+        equation="real_contact_area / gross_contact_area", formula=_ratio,
         of=("real_contact_area", "gross_contact_area")),
     Variable("contact_area_ratio_std", FRAME, "1", "standard deviation of contact_area_ratio",
         equation="√(σ²(real) + ratio² σ²(gross)) / gross_contact_area", formula=_ratio_std,
@@ -333,6 +337,12 @@ STRAIN = (
         equation=f"{_STRAIN_EQUATION}; u_x ... of the triangle: linear between its corners", shown_in=UM_PER_MM),
     Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4",
         equation=_STD_EQUATION, shown_in=UM_PER_MM),
+    Variable("strain_rate", (*TRIANGLE, "strain_component"), "1/s",
+        "rate of the strain of a triangle (Delhaye et al. 2014)", "f4", equation=f"Ė, {_RATE_EQUATION} to the strain",
+        shown_in=UM_PER_MM_S, unasked=False),
+    Variable("strain_rate_std", (*TRIANGLE, "strain_component"), "1/s", f"{_ERROR} rate of the strain", "f4",
+        equation="σ² = Σ w² n² + (dσ/dt)², w the weights of that slope, n² a twentieth of the variance of third "
+        "differences of the strain of a triangle, σ its strain_std", shown_in=UM_PER_MM_S, unasked=False),
     Variable("principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4",
         equation="(e_xx + e_yy)/2 ± √(((e_xx − e_yy)/2)² + e_xy²)", shown_in=UM_PER_MM, unasked=False),
     Variable("principal_angle", TRIANGLE, "rad", "direction of the major principal strain, from x towards y", "f4",
@@ -362,6 +372,17 @@ STRAIN = (
         "contact, where it is that of a field; Δ in place of 0.3 Δ where it is smaller"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy", equation=_RATE_EQUATION),
     Variable("strain_energy_rate_std", FRAME, "mJ/s", f"{_ERROR} rate of strain_energy", equation=_RATE_STD_EQUATION),
+)
+
+#: Strain and energy counted as in the lab's script for Willemet et al. (2021).
+PRINTED_STRAIN = (
+    Variable("printed_strain", ("frame", "strain_component"), "1",
+        "median strain of the triangles in contact since the first frame with contact",
+        equation="median over the triangles whose corners are in contact of the strain of x(t) − x(first contact)",
+        shown_in=UM_PER_MM, unasked=False),
+    Variable("printed_strain_energy", FRAME, "mJ",
+        "strain energy of the triangles in contact since the first frame with contact",
+        equation="h Σ_triangles in contact w A", unasked=False),
 )
 
 SLIP = (

@@ -20,7 +20,8 @@ from fingerflow.schema.scene import Scene
 from fingerflow.study.dotted_keys import flattened
 
 _PARTS = ("result", "row")
-_ROW = ("study/row.py", "schema/trial_columns.py")  # files of the package that determine the content of a row
+#: Files of the package that determine the content of a row.
+_ROW = ("study/row.py", "models/growth_laws.py", "schema/trial_columns.py")
 _IN_TWO = (".mraw", ".cih", ".cihx")  # suffixes of recordings in two files, which are digested together
 _WHOLE_BYTES = 16 << 20  # bytes, size up to which a file is digested as a whole
 _SAMPLES, _SAMPLE_BYTES = 64, 4096  # number and size in bytes of the evenly spaced samples of a larger file

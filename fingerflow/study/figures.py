@@ -7,14 +7,24 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from fingerflow.models.growth_laws import power_law
 from fingerflow.models.observer import FORCED_CHOICE
-from fingerflow.plot.axes_style import TWO_COLUMNS_MM, finished, line_styles
+from fingerflow.plot.axes_style import (
+    ONE_COLUMN_MM,
+    RED,
+    TWO_COLUMNS_MM,
+    dot_styles,
+    finished,
+    line_styles,
+    named_lines,
+)
 from fingerflow.plot.captions import caption_of
 from fingerflow.plot.figure_files import PNG, FigureFiles
 from fingerflow.plot.wording import sentence
 from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import FIGURES, supplement_sheet
 from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
+from fingerflow.schema.rounding import format_uncertainty
 from fingerflow.schema.trial_columns import NUMBERS
 from fingerflow.study.statistics import Sample
 
@@ -29,7 +39,6 @@ _CURVES = {
 }
 _AREAS = ("gross_contact_area", "real_contact_area")  # areas in figure S1, which shows them at 3 N
 _NEVER_NEGATIVE = (*_AREAS, "strain_energy")
-_MOST_NAMED = 12  # largest number of conditions named in a legend
 
 
 # Figure of a study as it was written: name, image file ("" if not drawn), caption, and sentences on the panels that
@@ -91,7 +100,38 @@ def write_figures(
         figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
         files.save(figure, folder, name)
         written.append((name, f"{name}.{on_page[0]}", caption_of(figure), left_out))
+    slid = frame[(frame["friction"] > 0) & (frame["friction_force"] > 0)]
+    if len(slid):
+        panel = SheetPanel.single("", draw_friction_law, slid)
+        figure = Sheet("friction", (panel,)).figure(files.width_mm or ONE_COLUMN_MM)
+        files.save(figure, folder, "friction")
+        written.append(("friction", f"friction.{on_page[0]}", caption_of(figure), []))
     return written
+
+
+def draw_friction_law(axes: Axes, slid: Any) -> Axes:
+    """Draw the friction of trials against the normal force at which the finger slid, both over the geometric mean of
+    the participant, with the law k N^(n - 1) of Adams et al. 2013; `slid` has these rows of the table of trials.
+    """
+    people = slid["participant"]
+    force, friction = (
+        slid[name] / np.exp(np.log(slid[name]).groupby(people).transform("mean"))
+        for name in ("friction_force", "friction")
+    )
+    names = list(dict.fromkeys(people))
+    for name, style in zip(names, dot_styles(len(names)), strict=True):
+        axes.loglog(force[people == name], friction[people == name], **style)
+    law = power_law(force, friction, people.to_numpy())
+    ends = np.array([force.min(), force.max()])
+    axes.loglog(ends, law.factor * ends**law.exponent, color=RED)
+    axes.set(xlabel="normal force over own mean", ylabel="friction coefficient over own mean")
+    axes.set_title(f"n - 1 = {format_uncertainty(law.exponent, law.exponent_std)}")
+    return finished(
+        axes,
+        "Friction coefficient where no skin sticks against the median normal force there, one dot a trial, one marker "
+        "a participant, with k N^(n - 1) (Adams et al. 2013): n - 1 ± one standard deviation, leaving out a "
+        f"participant at a time. n = {len(slid)} trials of {len(names)} participants.",
+    )
 
 
 def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
@@ -104,21 +144,34 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.
     means = shown.shown_values(rows["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
-    for condition, style in zip(conditions, line_styles(len(conditions), ordered=True), strict=True):
-        part = rows[rows["condition"] == condition]
+    ordered, named = line_styles(len(conditions), ordered=True), named_lines(len(conditions))
+    dashed = dict(zip(named, line_styles(len(named)), strict=True))
+    for index, condition in enumerate(conditions):
+        part, colour = rows[rows["condition"] == condition], ordered[index]["color"]
         force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
+        if index not in named:
+            axes.plot(force, mean, color=colour, linewidth=0.5)
+            continue
         label = f"{condition:g}" if isinstance(condition, float) else str(condition)
-        axes.plot(force, mean, label=label if len(conditions) <= _MOST_NAMED else None, **style)
+        axes.plot(force, mean, label=label, color=colour, linestyle=dashed[index]["linestyle"])
         low, high = shown.shown_values(part["low"]).clip(lower=floor), shown.shown_values(part["high"])
-        axes.fill_between(force, low, high, color=style["color"], alpha=0.15, linewidth=0)
+        axes.fill_between(force, low, high, color=colour, alpha=0.15, linewidth=0)
     low, high = axes.get_ylim()
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, floor, float(means.min()) - margin), min(high, float(means.max()) + margin))
+    counts = rows.groupby("normal_force_N")["trials"].sum()
+    evenly = counts.index.get_indexer(np.linspace(counts.index[0], counts.index[-1], 3), method="nearest")
+    shown_n = counts.iloc[np.unique(evenly)]
+    above = axes.secondary_xaxis("top")
+    above.set_xticks(
+        shown_n.index.to_list(), [f"n = {count}" if k == 0 else f"{count}" for k, count in enumerate(shown_n)]
+    )
+    above.tick_params(length=0, pad=1)
     caption = (
         f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
-        "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). "
+        "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). Thin lines: "
+        "the amplitudes between those named. Above: numbers of trials that reach a force. "
         f"n = {int(rows['participants'].max())} participants, "
         f"{int(rows.groupby('condition')['trials'].max().sum())} trials."
     )
-    named = bool(axes.get_legend_handles_labels()[0])
-    return finish_with_side_legend(axes, AMPLITUDE, caption) if named else finished(axes, caption)
+    return finish_with_side_legend(axes, AMPLITUDE, caption)

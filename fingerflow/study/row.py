@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.models.growth_laws import power_law, relaxation
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
@@ -31,7 +32,14 @@ _SERIES = {
 READ = (
     *_SERIES.values(),
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
-    *("ellipse_angle", "ellipse_semi_axes", "median_strain", "median_strain_std", "median_strain_rate"),
+    *(
+        "gross_contact_area_std",
+        "ellipse_angle",
+        "ellipse_semi_axes",
+        "median_strain",
+        "median_strain_std",
+        "median_strain_rate",
+    ),
 )
 _JUDGED = "stuck_ratio"  # variable that has the verdict on slip among its attributes
 #: Variables whose attributes `measure` reads.
@@ -39,6 +47,9 @@ DESCRIBED = (_JUDGED,)
 
 _LARGEST_QUANTILE = 0.99
 _ANGLE_SHARE = 0.1  # share of the largest force below which noise dominates T/N
+_LEAST_AREA_MM2 = 3.0  # smaller contacts hold few ridges
+_HELD = 0.95  # share of the largest force above which it counts as held
+_LOADED = 0.05  # share of T/N at full slip from which on the finger is loaded
 _SLID = 0.02  # stuck share up to which no skin counts as sticking
 _FEWEST_SLID = 5  # least number of frames
 
@@ -200,6 +211,66 @@ class _Trial:
             slid = np.isfinite(ratio) & (stuck <= _SLID)
             if slid.sum() >= _FEWEST_SLID:
                 numbers["friction"] = float(np.median(np.abs(ratio[slid])))
+                if self._force is not None:
+                    numbers["friction_force"] = float(np.nanmedian(self._force[slid]))
+            numbers |= self._full_slip(stuck, np.abs(ratio))
+        return numbers | self._contact_numbers()
+
+    def _contact_numbers(self) -> dict[str, float]:
+        """Return how the contact grows with force, in time at the largest force, and how it shrinks again."""
+        assert self.last is not None and self.top is not None  # noqa: PT018
+        if self._force is None or self._gross is None:
+            return {}
+        largest, numbers = self._force[self.top], dict[str, float]()
+        rising = np.arange(self.onset or 0, self.top + 1)
+        rising = rising[(self._force[rising] >= _ANGLE_SHARE * largest) & (self._gross[rising] > _LEAST_AREA_MM2)]
+        tenth = np.arange(rising.size) * 10 // max(rising.size, 1)
+        law = power_law(self._force[rising], self._gross[rising], tenth)
+        numbers |= {"contact_exponent": law.exponent, "contact_exponent_std": law.exponent_std}
+        real = self._values("real_contact_area")
+        if real is not None:
+            left = np.flatnonzero(~(self._force[self.top :] >= _HELD * largest))
+            held = slice(self.top, self.top + int(left[0]) if left.size else self.last + 1)
+            law = relaxation(self._time[held], real[held])
+            numbers |= {"contact_time_constant": law.exponent, "contact_time_constant_std": law.exponent_std}
+        halfway, falling = self.crossing(largest / 2), np.arange(self.top, self.last + 1)
+        above = falling[self._force[falling] >= largest / 2]
+        if halfway is not None and above.size and above[-1] < self.last:
+            forces = self._force[above[-1] : above[-1] + 2]
+            share = float((forces[0] - largest / 2) / np.ptp(forces))
+            moments = (int(above[-1]), int(above[-1]) + 1, share), halfway
+            fallen, grown = (_interpolated(self._gross, moment) for moment in moments)
+            numbers["unloading_area_ratio"] = fallen / grown
+            deviation = self._values("gross_contact_area_std")
+            if deviation is not None:
+                errors = [_interpolated(deviation / self._gross, moment) for moment in moments]
+                numbers["unloading_area_ratio_std"] = float(np.linalg.norm(errors)) * fallen / grown
+        return numbers
+
+    def _full_slip(self, stuck: Series, ratio: Series) -> dict[str, float]:
+        """Return time, T/N and displacement of full slip, from the verdict on the loss of the stuck area."""
+        stated = self._result[_JUDGED].attrs.get("verdict")
+        judged = json.loads(stated or "{}")
+        verdict: dict[str, Any] = {name: np.nan if value is None else value for name, value in judged.items()}
+        loss, load = verdict.get("loss_frame", -1), verdict.get("loss_load_ratio", np.nan)
+        if loss < 1 or not load > 0:
+            return {}
+        loaded = np.flatnonzero(ratio[:loss] < _LOADED * load)
+        begin = int(loaded[-1]) if loaded.size else 0
+        shrinking = rate(stuck[: loss + 1], self._time[: loss + 1], self._window)[-1]
+        frame_s = float(np.median(np.diff(self._time)))
+        deviation = float(np.hypot(frame_s / 12**0.5, verdict["area_noise"] / shrinking))
+        numbers = {
+            "full_slip_load_ratio": load, "full_slip_load_ratio_std": load * verdict["load_noise"],
+            "full_slip_time": self._time[loss] - self._time[begin], "full_slip_time_std": deviation,
+        }  # fmt: skip
+        if "displacement" in self._result:
+            moved = np.asarray(self._result["displacement"].values, dtype=np.float64)
+            inside = self._result["in_contact"].values[loss] > 0
+            since = np.hypot(*np.moveaxis(moved[: loss + 1, inside] - moved[begin, inside], -1, 0))
+            median = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in since])
+            speed = rate(median, self._time[: loss + 1], self._window)[-1]
+            numbers |= {"full_slip_displacement": median[-1], "full_slip_displacement_std": abs(speed) * deviation}
         return numbers
 
     def _displacement_numbers(self) -> dict[str, float]:

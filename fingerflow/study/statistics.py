@@ -78,9 +78,9 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
     - `shares`: Spearman's coefficient between medians and shares of answers, one dot per participant and condition.
     - `correlations`: Pearson's, of strain, strain energy and curl with divergence.
     - `force_rate`: the regression of the answer by the rate at amplitudes up to 2 µm (needs numeric conditions).
-    - `observer`: d', area under the ROC, criterion for 75 % hits in `unit`, and their intervals by participant, without
-      trials of fingers that slid as a whole; `beside_divergence` is the area minus that of divergence in the same
-      trials.
+    - `observer`: d', area under the ROC, criterion for 75 % hits in `unit`, its false alarms, and their intervals by
+      participant, in the trials that have all metrics and no finger that slid as a whole; `beside_divergence` is the
+      area minus that of divergence.
     - `groups`: one or two groups of participants by their median divergence, or its difference.
 
     Differences of a comparison from its reference are in `shares` and `groups` alone. Participants are the units of
@@ -89,7 +89,7 @@ def study_statistics(sample: Sample, resamples: int = 2000) -> dict[str, Any]:
 
     Args:
         sample: of `read_sample`.
-        resamples: of intervals and tests.
+        resamples: of tests.
     """
     differences = sample.trials
     values = {name: values for name, values in differences.metrics.items() if not name.endswith(DIFFERENCE)}
@@ -147,7 +147,7 @@ def _anovas(trials: observer.Trials, groups: NDArray[Any]) -> dict[str, dict[str
 def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
     without = observer.leave_out_moved(trials) if "global_displacement" in trials.metrics else trials
     shown = {name: NUMBERS[name].shown_values(values) for name, values in without.metrics.items()}
-    summaries = observer.observe(replace(without, metrics=shown), resamples=resamples)
+    summaries = observer.observe(replace(without, metrics=shown), permutations=resamples)
     areas = _corrected({name: summary.auc for name, summary in summaries.items()})
     metrics = {}
     first = without.split(_FIRST) if _FIRST in without.metrics else None
@@ -156,11 +156,12 @@ def _observed(trials: observer.Trials, resamples: int) -> dict[str, Any]:
             "d_prime": summary.d_prime,
             "auc": areas[name],
             "criterion": {**asdict(summary.criterion), "unit": NUMBERS[name].shown_unit.name},
+            "false_alarms": summary.false_alarms,
             "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
         }
         if first is not None and name != _FIRST:
             metrics[name]["beside_divergence"] = observer.compare_auc(
-                without.split(name), first, without.participants(), resamples
+                without.split(name), first, without.participants()
             )
     return {"left_out": without.left_out, "rule": without.rule, "metrics": metrics}
 

@@ -241,5 +241,5 @@ def _default_views(kind: str, height: int, width: int) -> dict[str, Any]:
 def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)
-    except TOMLKitError as error:
+    except (TOMLKitError, ValueError, RecursionError) as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None

@@ -177,7 +177,7 @@ def application(session: Session) -> Starlette:
         route("/api/result/table", session.table, bodies.TableBody),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _refused}
+    handlers: Mapping[Any, Any] = {FingerflowError: _refused, OSError: _refused}
     return Starlette(routes=routes, exception_handlers=handlers)
 
 

@@ -448,5 +448,5 @@ def _shown_value(value: Any) -> Any:
         return value
     try:
         return tomlkit.parse(f"value = {value['toml']}")["value"]
-    except TOMLKitError:
+    except (TOMLKitError, ValueError, RecursionError):
         return str(value["toml"])

@@ -9,6 +9,7 @@ from bench.papers.presses import PressStudy
 from fingerflow.schema.trial_columns import DIFFERENCE, NUMBERS
 from fingerflow.study.simulated_trials import Design
 from fingerflow.study.statistics import read_sample, study_statistics
+from fingerflow.study.table import differences
 
 DESIGN = Design()
 FORCES_N = (1.0, 2.0, 3.0)
@@ -28,25 +29,18 @@ def table() -> pd.DataFrame:
     frame = pd.DataFrame(dict.fromkeys(NUMBERS, np.nan), index=range(count))
     own = 1 + 0.05 * draw.standard_normal(DESIGN.participants)[rows["who"]]
     values: dict[str, Any] = {
-        "participant": rows["who"].map("{:02d}".format),
-        "trial": [f"{k:04d}" for k in range(count)],
-        "condition": amplitude,
-        "status": "measured",
-        "max_force": np.clip(draw.normal(5.5, 2.0, count), 1.0, 18.0),
-        "time_to_max_force": draw.normal(1.47, 0.39, count),
-        "duration": draw.uniform(1.0, 2.5, count),
-        "force_rate": draw.gamma(1.44, 2.5, count),
-        "global_displacement": np.exp(draw.normal(-3.0, 0.97, count)),
-        "gross_contact_area": 70.1 * own,
-        "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
+        "participant": rows["who"].map("{:02d}".format), "trial": [f"{k:04d}" for k in range(count)],
+        "condition": amplitude, "status": "measured", "max_force": np.clip(draw.normal(5.5, 2.0, count), 1.0, 18.0),
+        "time_to_max_force": draw.normal(1.47, 0.39, count), "duration": draw.uniform(1.0, 2.5, count),
+        "force_rate": draw.gamma(1.44, 2.5, count), "global_displacement": np.exp(draw.normal(-3.0, 0.97, count)),
+        "gross_contact_area": 70.1 * own, "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
         "force_angle": np.radians((9.9 - 5.7 * share) * draw.gamma(4.0, 0.25, count)),
         "divergence": 1e-3 * (4 + 9 * share + draw.normal(0, 1.0, count)),
         "strain_energy": draw.gamma(0.4, 0.8, count) + 0.6 * share,
-        "strain_energy_rate": draw.gamma(4.0, 0.3, count),
-        "strain_rate": draw.gamma(4.0, 0.01, count),
+        "strain_energy_rate": draw.gamma(4.0, 0.3, count), "strain_rate": draw.gamma(4.0, 0.01, count),
         "force_of_strain_rate": draw.normal(0.37, 0.05, count),
         "force_of_strain_energy_rate": draw.normal(0.4, 0.05, count),
-    }
+    }  # fmt: skip
     values["strain"] = 0.40 * values["divergence"] - 0.00225 + draw.normal(0, 0.00105, count)
     values["curl"] = 0.2 * values["divergence"] + draw.normal(0, 0.0005, count)
     for force in FORCES_N:
@@ -56,19 +50,15 @@ def table() -> pd.DataFrame:
         )
     for name, column in values.items():
         frame[name] = column
-    reference = frame.iloc[::2].reset_index(drop=True)
-    differences = {}
-    for name in NUMBERS:
-        difference = np.full(count, np.nan)
-        difference[1::2] = frame[name].to_numpy()[1::2] - reference[name].to_numpy()
-        differences[f"{name}{DIFFERENCE}"] = difference
-    felt = differences[f"divergence{DIFFERENCE}"] + draw.normal(0, 2e-3, count)
+    frame["reference"] = np.where(is_comparison, np.roll(frame["trial"], 1), "")
+    found = differences(frame)
+    felt = found[f"divergence{DIFFERENCE}"] + draw.normal(0, 2e-3, count)
     frame["answer"] = np.where(is_comparison, felt > 0, None)
     for name in ("force", "divergence", "real_contact_area", "gross_contact_area", "displacement"):
         measured = {"force": "max_force", "displacement": "global_displacement"}.get(name, name)
         frame[f"true_{name}"] = frame[measured]
     frame["true_softness"] = np.asarray(DESIGN.softness)[DESIGN.is_soft().astype(int)[rows["who"]]]
-    return pd.concat((frame, pd.DataFrame(differences)), axis=1)
+    return pd.concat((frame, pd.DataFrame(found)), axis=1)
 
 
 def curves() -> pd.DataFrame:

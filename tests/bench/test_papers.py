@@ -15,17 +15,7 @@ from bench.papers import method_rows, press_figures, press_rows, slide_figures, 
 from bench.papers.page import TITLES, read_results, write_page, write_results
 from bench.papers.presses import PressStudy
 from bench.papers.printed import (
-    DIFFERS,
-    HOLDS,
-    NOT_HAD,
-    PREDICTED,
-    PUT_IN,
-    READ_BACK,
-    RIGHT,
-    SETTING,
-    UNDECIDED,
     UNEXPLAINED,
-    WRONG,
     Answer,
     Basis,
     Interval,
@@ -45,6 +35,7 @@ from tests.bench.table_of_presses import study
 ROOT = Path(__file__).resolve().parents[2]
 PRINTED = ROOT.parent / "shared" / "printed.md"
 ROWS = (*slide_rows.ROWS, *method_rows.ROWS, *press_rows.ROWS)
+EXPLAINED = ("differs", "wrong", "undecided", "not to be had")
 EQUATIONS = {f"A{k}" for k in (6, *range(12, 18), 20, 21)}
 OF_RECORDINGS = {"A8", "A11"}  # they need pictures or time series of trials
 
@@ -87,22 +78,22 @@ def test_every_printed_result_and_figure_has_its_place() -> None:
 @pytest.mark.parametrize(
     ("basis", "numbers", "found", "verdict"),
     [
-        (PUT_IN, rounded(3.6, digit=0.1), Obtained("b", ((3.64, 3.9),)), READ_BACK),
-        (PUT_IN, rounded(3.6, digit=0.1), Obtained("b", ((3.66, 3.9),)), DIFFERS),
-        (PUT_IN, within(70.1, 4.5), Obtained("b", ((60.0, 66.0),)), READ_BACK),
-        (SETTING, exactly(4, 4, 2), Obtained("b", exactly(4, 3, 3)), DIFFERS),
-        (SETTING, exactly(4), Obtained("b", exactly(4)), HOLDS),
-        (SETTING, exactly(4), unobtainable("it is a photograph")(None), NOT_HAD),
-        (PREDICTED, rounded(3.6, digit=0.1), Obtained("b", ((1.9, 7.1),)), RIGHT),
-        (PREDICTED, rounded(3.6, digit=0.1), Obtained("b", ((1.7, 3.7),)), UNDECIDED),
-        (PREDICTED, rounded(3.6, digit=0.1), Obtained("b", ((-50.0, 50.0),)), UNDECIDED),
-        (PREDICTED, rounded(3.6, digit=0.1), Obtained("b", ((7.3, 9.0),)), WRONG),
-        (PREDICTED, rounded(-0.28, digit=0.01), Obtained("b", ((-0.4, -0.2),)), RIGHT),
-        (PREDICTED, rounded(-0.28, digit=0.01), Obtained("b", ((0.2, 0.4),)), WRONG),
-        (PREDICTED, exactly(1, 2), Obtained("b", ((0.9, 1.1), (5.0, 6.0))), WRONG),
-        (PREDICTED, exactly(1, 2), Obtained("b", ((0.9, 1.1), (1.5, 6.0))), UNDECIDED),
-        (PREDICTED, (), Obtained("b", agrees=True), RIGHT),
-        (PREDICTED, (), Obtained("b"), UNDECIDED),
+        ("put in", rounded(3.6, digit=0.1), Obtained("b", ((3.64, 3.9),)), "read back"),
+        ("put in", rounded(3.6, digit=0.1), Obtained("b", ((3.66, 3.9),)), "differs"),
+        ("put in", within(70.1, 4.5), Obtained("b", ((60.0, 66.0),)), "read back"),
+        ("setting or equation", exactly(4, 4, 2), Obtained("b", exactly(4, 3, 3)), "differs"),
+        ("setting or equation", exactly(4), Obtained("b", exactly(4)), "holds"),
+        ("setting or equation", exactly(4), unobtainable("it is a photograph")(None), "not to be had"),
+        ("predicted", rounded(3.6, digit=0.1), Obtained("b", ((1.9, 7.1),)), "right"),
+        ("predicted", rounded(3.6, digit=0.1), Obtained("b", ((1.7, 3.7),)), "undecided"),
+        ("predicted", rounded(3.6, digit=0.1), Obtained("b", ((-50.0, 50.0),)), "undecided"),
+        ("predicted", rounded(3.6, digit=0.1), Obtained("b", ((7.3, 9.0),)), "wrong"),
+        ("predicted", rounded(-0.28, digit=0.01), Obtained("b", ((-0.4, -0.2),)), "right"),
+        ("predicted", rounded(-0.28, digit=0.01), Obtained("b", ((0.2, 0.4),)), "wrong"),
+        ("predicted", exactly(1, 2), Obtained("b", ((0.9, 1.1), (5.0, 6.0))), "wrong"),
+        ("predicted", exactly(1, 2), Obtained("b", ((0.9, 1.1), (1.5, 6.0))), "undecided"),
+        ("predicted", (), Obtained("b", agrees=True), "right"),
+        ("predicted", (), Obtained("b"), "undecided"),
     ],
 )
 def test_only_predictions_are_right_or_wrong(
@@ -111,8 +102,9 @@ def test_only_predictions_are_right_or_wrong(
     """Print meets a vague result too: an interval must lie within a factor of 2 of print, or outside."""
     answer = Row("X1", "quantity", "a", "3", numbers, lambda _: found, basis).answer(None)
     assert answer.verdict == verdict
-    unexplained = dict.fromkeys((DIFFERS, WRONG, UNDECIDED), UNEXPLAINED)
-    assert answer.because == (unexplained | {NOT_HAD: "it is a photograph"}).get(verdict, "")
+    assert answer.because == (dict.fromkeys(EXPLAINED, UNEXPLAINED) | {"not to be had": "it is a photograph"}).get(
+        verdict, ""
+    )
 
 
 def test_numbers_must_correspond() -> None:
@@ -128,23 +120,23 @@ def test_slides_as_in_print_agree_and_equations_hold(slides: Slides) -> None:
     assert [len(slides.of(kind)) for kind in EXPECTED] == [4, 4, 2]
     found = answers(slide_rows.ROWS, slides)
     given = {"A1", "A2", "A3", "A4", "A5", "A22"}
-    expected = dict.fromkeys(EQUATIONS, HOLDS) | dict.fromkeys(given, READ_BACK)
+    expected = dict.fromkeys(EQUATIONS, "holds") | dict.fromkeys(given, "read back")
     assert {name: found[name].verdict for name in expected} == expected
     assert found["A2"].obtained.endswith("by the printed rule 4 with, 4 without, 2 inconclusive")
-    assert {found[name].verdict for name in ("A18", "A19")} == {DIFFERS}
+    assert {found[name].verdict for name in ("A18", "A19")} == {"differs"}
     assert found["A18"].obtained.startswith("0.500 by")
     assert "0.400 as printed" in found["A18"].obtained
     first, *others = slides.slides
     verdict = dataclasses.replace(first.trial.verdict, outcome="diminishes")
     wrong = dataclasses.replace(first, trial=dataclasses.replace(first.trial, verdict=verdict))
     misjudged = answers(slide_rows.ROWS, Slides((wrong, *others)))["A2"]
-    assert (misjudged.verdict, misjudged.because) == (DIFFERS, "misjudged: slide")
+    assert (misjudged.verdict, misjudged.because) == ("differs", "misjudged: slide")
 
 
 def test_a_study_with_the_printed_effects_agrees(printed: PressStudy) -> None:
     found = answers(press_rows.ROWS, printed)
     given = (*range(5, 9), *range(34, 37), 40, *range(42, 45))
-    expected = dict.fromkeys(given, READ_BACK) | dict.fromkeys((9, 38, 47, 48, 49, 51, 52), RIGHT) | {63: HOLDS}
+    expected = dict.fromkeys(given, "read back") | dict.fromkeys((9, 38, 47, 48, 49, 51, 52), "right") | {63: "holds"}
     assert {number: found[f"B{number}"].verdict for number in expected} == expected
     assert all((one.obtained or one.because) and "nan" not in one.obtained for one in found.values())
     assert not [one.id for one in found.values() if one.because == UNEXPLAINED]
@@ -158,13 +150,13 @@ def test_a_study_without_an_effect_differs(printed: PressStudy) -> None:
         ("B49", "strain", 4.0),
     ):
         other = dataclasses.replace(printed, frame=printed.frame.assign(**{column: factor * printed.frame[column]}))
-        assert next(row for row in press_rows.ROWS if row.id == name).answer(other).verdict in (DIFFERS, WRONG)
+        assert next(row for row in press_rows.ROWS if row.id == name).answer(other).verdict in ("differs", "wrong")
 
 
 def test_the_page_has_every_row_and_figure_of_both_papers(tmp_path: Path) -> None:
     rows = [
-        Answer("A1", "trials", "10", "2.2", "9 < 10", "10", WRONG, "one <failed>", PREDICTED),
-        Answer("A2", "outcome", "4", "3", "4", "4", READ_BACK, "", PUT_IN),
+        Answer("A1", "trials", "10", "2.2", "9 < 10", "10", "wrong", "one <failed>", "predicted"),
+        Answer("A2", "outcome", "4", "3", "4", "4", "read back", "", "put in"),
     ]
     figure, *_ = press_figures.FIGURES
     drawn = [dataclasses.replace(figure, name="S2", draw=lambda _: (None, "not simulated")).write(None, tmp_path)]  # type: ignore[type-var]
@@ -184,7 +176,9 @@ def test_the_committed_results_are_whole_and_explained() -> None:
     for paper in papers:
         for row in paper["rows"]:
             assert row["because"] != UNEXPLAINED, row["id"]
-            assert bool(row["because"]) == (row["verdict"] in (DIFFERS, WRONG, UNDECIDED, NOT_HAD)), row["id"]
+            assert bool(row["because"]) == (row["verdict"] in ("differs", "wrong", "undecided", "not to be had")), row[
+                "id"
+            ]
             assert row["basis"] == next(one.basis for one in ROWS if one.id == row["id"])
         files = {figure["file"] for figure in paper["figures"] if figure["file"]}
         assert files == {path.name for path in (folder / paper["paper"]).iterdir()}
@@ -198,7 +192,7 @@ def test_a_quick_run_from_pictures_to_the_page(tmp_path: Path) -> None:
     main(["papers", "--quick", "--folder", str(tmp_path)])
     found = {one["paper"]: one for one in read_results(tmp_path / "page")}
     rows = {paper: {row["id"]: row for row in one["rows"]} for paper, one in found.items()}
-    good = (HOLDS, READ_BACK, RIGHT)
+    good = ("holds", "read back", "right")
     agreeing = {name for own in rows.values() for name, row in own.items() if row["verdict"] in good}
     assert agreeing >= {f"A{k}" for k in (*range(1, 6), *range(12, 18), 20, 21, 22)}
     settings = {1, 3, *range(15, 19), *range(21, 27), 30, 33, 56, 58, 59, 62, 63}

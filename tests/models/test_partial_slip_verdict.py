@@ -110,17 +110,12 @@ def random_trial(seed: int, linear: bool) -> tuple[SimulatedTrial, str]:
     mu_s = draw.uniform(0.5, 1.5)
     kind = draw.choice(["plain", "unsteady", "short"], p=[0.8, 0.1, 0.1])
     trial = simulate_trial(
-        mu_s,
-        mu_s * draw.uniform(0.3, 1.6),
-        seed,
-        frame_rate=draw.choice([60, 300]),
-        loading_s=draw.uniform(1.5, 4),
-        collapse_ms=draw.uniform(130, 310),
-        area_noise=draw.uniform(0.005, 0.02),
+        mu_s, mu_s * draw.uniform(0.3, 1.6), seed, frame_rate=draw.choice([60, 300]),
+        loading_s=draw.uniform(1.5, 4), collapse_ms=draw.uniform(130, 310), area_noise=draw.uniform(0.005, 0.02),
         oscillation=draw.uniform(0.08, 0.15) if kind == "unsteady" else 0.01,
         reached=draw.uniform(0.5, 0.93) if kind == "short" else 1.0,
         last=draw.uniform(0.10, 0.34) if linear else None,
-    )
+    )  # fmt: skip
     if kind != "plain":
         return trial, "inconclusive"
     return trial, "vanishes abruptly" if trial.critical_stuck_area > 0.05 else "diminishes"
@@ -158,28 +153,23 @@ def test_a_hundred_random_trials(linear: bool) -> None:
         assert np.std(errors) < 0.03
 
 
-def test_frames_without_a_number_change_nothing_but_their_count() -> None:
-    trial = simulate_trial(0.8, 0.4, seed=6, frame_rate=300)
-    draw = np.random.default_rng(0)
-    area, load = trial.stuck_area.copy(), trial.load_ratio.copy()
-    area[draw.random(area.size) < 0.15] = np.nan
-    load[draw.random(load.size) < 0.1] = np.nan
-    verdict, whole = judge_trial(area, load, trial.time), judged(trial)
-    assert verdict.outcome == "vanishes abruptly"
-    assert verdict.critical_area == pytest.approx(whole.critical_area, abs=0.02)
-    assert verdict.frames_missing == (np.isnan(area) | np.isnan(load)).sum() > 100
-
-
-def test_a_jump_of_one_frame_changes_nothing() -> None:
-    """Single frames of stick-slip, in which no skin seems to stick and the force dips, do not change the verdict."""
-    trial = simulate_trial(0.8, 0.4, seed=7)
-    area, load = trial.stuck_area.copy(), trial.load_ratio.copy()
-    for frame in (60, 100, 150, 178):
-        area[frame] = 0
-        load[frame] *= 0.7
-    verdict, whole = judge_trial(area, load, trial.time), judged(trial)
-    assert verdict.outcome == whole.outcome
-    assert verdict.critical_area == pytest.approx(whole.critical_area, abs=0.02)
+def test_frames_without_a_number_or_of_stick_slip_change_nothing() -> None:
+    """Unknown frames are counted. In single frames of stick-slip no skin seems to stick and the force dips."""
+    for frame_rate, seed in ((300, 6), (60, 7)):
+        trial, draw = simulate_trial(0.8, 0.4, seed, frame_rate), np.random.default_rng(0)
+        area, load = trial.stuck_area.copy(), trial.load_ratio.copy()
+        if frame_rate == 300:
+            area[draw.random(area.size) < 0.15] = np.nan
+            load[draw.random(load.size) < 0.1] = np.nan
+        else:
+            jumps = [60, 100, 150, 178]
+            area[jumps], load[jumps] = 0, 0.7 * load[jumps]
+        verdict, whole = judge_trial(area, load, trial.time), judged(trial)
+        assert verdict.outcome == whole.outcome == "vanishes abruptly"
+        assert verdict.critical_area == pytest.approx(whole.critical_area, abs=0.02)
+        missing = (np.isnan(area) | np.isnan(load)).sum()
+        assert verdict.frames_missing == missing
+        assert (missing > 100) == (frame_rate == 300)
 
 
 def sawtooth(trial: SimulatedTrial) -> np.ndarray:

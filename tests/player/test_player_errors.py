@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import sys
+from asyncio import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -216,7 +217,7 @@ def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, sai
     assert len(ended.results.records) == 2
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, GeneratorExit, CancelledError])
 def test_a_camera_that_ends_its_program_ends_the_stream(stream: Stream, error: type[BaseException]) -> None:
     def make() -> Any:
         given = iter([frame(), frame()])

@@ -23,7 +23,9 @@ Trial = tuple[Scene, xr.Dataset]
 def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
     folder = tmp_path_factory.mktemp("presses")
     paths = (write_small(folder / f"{axes[0]}", replace(SMALL_PRESS, semi_axes=axes)) for axes in SIZES)
-    return [(scene, process(scene)) for scene in map(load_scene, paths)]
+    return [
+        (scene, process(scene, ("normal_force", "median_strain", "strain_rate"))) for scene in map(load_scene, paths)
+    ]
 
 
 def of_time(force: np.ndarray[Any, Any]) -> xr.Dataset:

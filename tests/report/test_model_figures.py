@@ -68,10 +68,10 @@ def test_the_ideal_observer(axes: Axes) -> None:
     assert axes.patches[0].get_data().values.sum() == 400
     roc = Figure().subplots()
     observer.draw_roc(roc, {"divergence": found})
-    assert texts(roc) == {f"divergence ({found.auc:.2f}, n 600)"}
+    assert texts(roc) == {f"divergence ({found.auc:.2f})"}
     table = Figure().subplots()
     who = np.arange(50) % 10, np.arange(40) % 10
-    estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), who, resamples=100)
+    estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), who)
     observer.draw_estimates(table, {"divergence": estimate}, "area under the ROC", 0.5)
     assert texts(table) == set()
     assert tuple(table.lines[0].get_xdata()) == estimate.interval

@@ -143,6 +143,7 @@ _ROWS = (
     ("update_frames = 300", "rekey_frames = 300", "rekey_frames", "it is called 'update_frames' now"),
     # Kinds and types.
     ("[recording]", 'kind = "poke"\n[recording]', "kind", "kind is 'poke': it should be 'press', 'slip'"),
+    ("[recording]", 'profile = "x"\n[recording]', "profile", "profile is 'x': it should be 'willemet_2021'"),
     ("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
     ("[stream]", "[slip]\nstuck_mm = {a = 1}\n[stream]", "stuck_mm", "slip.stuck_mm is a table: it should be"),
     ("{rows = [100, 400], columns = [100, 540]}", "7", "region", "stream.region is 7: it should be a table"),

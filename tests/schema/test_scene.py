@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.schema.scene import load_scene
+from fingerflow.schema.scene import load_scene, scene_of_settings
 from fingerflow.schema.scene_template import scene_text
 
 MATRIX = [[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]
@@ -103,6 +103,17 @@ def test_paths_survive_the_template(name: str) -> None:
     values = tomllib.loads(scene_text(frames=name, background=name, dark=name, forces=name))
     assert values["recording"]["frames"] == values["background"]["frames"] == values["background"]["dark"] == name
     assert values["forces"]["file"] == name
+
+
+def test_a_profile_takes_the_place_of_defaults_and_of_nothing_else(folder: Path) -> None:
+    """The template states all defaults. Settings of a result, which name the profile and its keys, are read again."""
+    profile = 'profile = "willemet_2021"\n[recording]'
+    scene = load_scene(write(folder, "[recording]", profile))
+    assert (scene.fields.reference, scene.fields.strain) == ("dilated_onset", "as_printed")
+    assert scene_of_settings(scene.as_json()).fields == scene.fields
+    path = write(folder, "[recording]", profile)
+    path.write_text(path.read_text("utf-8").replace('"green_lagrange"', '"infinitesimal"', 1), "utf-8")
+    assert "fields.strain is 'infinitesimal': the profile willemet_2021 has 'as_printed'" in message_of(path)
 
 
 def test_a_scene_has_a_kind(folder: Path) -> None:

@@ -32,17 +32,11 @@ def _result(**changed: np.ndarray) -> xr.Dataset:
     status = np.zeros((FRAMES, 4), np.uint8)
     status[:, 2] = 5
     values = {
-        "normal_force": FORCE,
-        "load_ratio": np.full(FRAMES, -0.3),
-        "gross_contact_area": area,
-        "real_contact_area": area / 2,
-        "median_divergence": 0.01 * FORCE,
-        "median_divergence_std": 0.001 * FORCE,
-        "median_divergence_rate": np.full(FRAMES, 0.05),
-        "ellipse_angle": np.full(FRAMES, ANGLE),
-        "global_displacement": 0.04 * TIME,
-        "frame_status": np.zeros(FRAMES, np.uint8),
-    }
+        "normal_force": FORCE, "load_ratio": np.full(FRAMES, -0.3), "gross_contact_area": area,
+        "real_contact_area": area / 2, "median_divergence": 0.01 * FORCE, "median_divergence_std": 0.001 * FORCE,
+        "median_divergence_rate": np.full(FRAMES, 0.05), "ellipse_angle": np.full(FRAMES, ANGLE),
+        "global_displacement": 0.04 * TIME, "frame_status": np.zeros(FRAMES, np.uint8),
+    }  # fmt: skip
     values |= changed
     data = {name: ("frame", one) for name, one in values.items()}
     data |= {
@@ -73,24 +67,13 @@ def test_values_at_forces_lie_on_the_line_between_frames() -> None:
 def test_numbers_of_the_whole_trial() -> None:
     row, _ = measure(_result())
     expected = {
-        "max_force": 5.0,
-        "time_to_max_force": 0.9,
-        "duration": 0.9,
-        "force_rate": 5.0,
-        "divergence": 0.05,
-        "divergence_at_onset": 0.005,
-        "divergence_rate": 0.05,
-        "global_displacement": 0.04,
-        "force_angle": np.arctan(0.3),
-        "strain": 0.1,
-        "strain_across": -0.05,
-        "strain_rate": 0.1,
-        "longest_axis_ratio": 1.5,
-        "coverage": 2 / 3,
+        "max_force": 5.0, "time_to_max_force": 0.9, "duration": 0.9, "force_rate": 5.0, "divergence": 0.05,
+        "divergence_at_onset": 0.005, "divergence_rate": 0.05, "global_displacement": 0.04,
+        "force_angle": np.arctan(0.3), "strain": 0.1, "strain_across": -0.05, "strain_rate": 0.1,
+        "longest_axis_ratio": 1.5, "coverage": 2 / 3,
         # The 0.99 quantile of three points is the second one; the fourth never touches.
-        "max_displacement": 0.2,
-        "max_speed": 0.2,
-    }
+        "max_displacement": 0.2, "max_speed": 0.2, "contact_exponent": 1.0,
+    }  # fmt: skip
     for name, value in expected.items():
         assert row[name] == pytest.approx(value, rel=1e-9), name
     assert row["friction"] is None
@@ -133,8 +116,28 @@ def test_without_forces_the_largest_area_is_the_maximum() -> None:
     assert curves == {}
 
 
-def test_friction_only_where_no_skin_sticks() -> None:
-    stuck = np.where(np.arange(FRAMES) < 80, 0.5, 0.0)
-    ratio = np.where(np.arange(FRAMES) < 80, 0.3, 0.6)
-    row, _ = measure(_result(stuck_ratio=stuck, load_ratio=ratio))
-    assert row["friction"] == pytest.approx(0.6)
+def test_laws_of_contact_and_full_slip() -> None:
+    """Friction is that where no skin sticks. The area grows as k N^0.5, by another k when the force falls, and with a
+    time of 0.05 s while it is held; the last skin slips in frame 60, 0.5 s after the load began.
+    """
+    force = np.interp(TIME, [0, 0.4, 0.8, 1], [0, 5, 5, 0])
+    load = 0.6 * np.clip(TIME - 0.1, 0, 0.5) / 0.5
+    row, _ = measure(_result(
+        normal_force=force, load_ratio=load, stuck_ratio=np.clip(0.6 - TIME, 0, 0.5) * 2,
+        gross_contact_area=np.where(TIME > 0.5, 12, 10) * force**0.5, gross_contact_area_std=0.1 * force**0.5,
+        real_contact_area=20 - 5 * np.exp((0.4 - TIME) / 0.05),
+    ))  # fmt: skip
+    verdict = {"loss_frame": 60, "loss_load_ratio": 0.6, "area_noise": 0.01, "load_noise": 0.02}
+    slid = _result(normal_force=force, load_ratio=load, stuck_ratio=np.clip(0.6 - TIME, 0, 0.5) * 2)
+    slid["stuck_ratio"].attrs["verdict"] = json.dumps({"outcome": "diminishes"} | verdict)
+    row |= {name: value for name, value in measure(slid)[0].items() if name.startswith("full_slip")}
+    deviation = np.hypot(0.01 / 12**0.5, 0.01 / 2)
+    expected = {
+        "contact_exponent": 0.5, "contact_exponent_std": 0.0, "contact_time_constant": 0.05,
+        "unloading_area_ratio": 1.2, "unloading_area_ratio_std": 1.2 * np.hypot(0.1 / 10, 0.1 / 12),
+        "friction": 0.6, "friction_force": np.median(force[60:]),
+        "full_slip_load_ratio": 0.6, "full_slip_load_ratio_std": 0.012, "full_slip_time": 0.48,
+        "full_slip_time_std": deviation, "full_slip_displacement": 0.48 * 0.2,
+        "full_slip_displacement_std": 0.2 * deviation,
+    }  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected, rel=0.02, abs=1e-6)

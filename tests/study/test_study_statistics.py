@@ -1,30 +1,31 @@
 """Tests that the statistics of a simulated study agree with its design."""
 
 import json
-import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import FORCED_CHOICE, YES_NO
 from fingerflow.report.supplement import supplement_sheet
 from fingerflow.schema.trial_columns import DIFFERENCES
-from fingerflow.study.figures import write_figures
+from fingerflow.study.figures import draw_friction_law, write_figures
 from fingerflow.study.manifest import TrialEntry
 from fingerflow.study.report import outliers
 from fingerflow.study.row import FORCE_GRID
-from fingerflow.study.statistics import holm, read_sample, study_statistics
+from fingerflow.study.statistics import read_sample, study_statistics
 from fingerflow.study.table import averaged, differences
 from fingerflow.study.trial_files import MEASURED, TrialRow
-from tests.study.simulated_table import TableDesign, simulate_table
+from tests.study.simulated_table import simulate_table
 
 
 @pytest.mark.long
 def test_one_study_whole() -> None:
-    table = simulate_table(TableDesign(seed=3))
+    table = simulate_table(seed=3)
     found = study_statistics(read_sample(pd.DataFrame(table)), resamples=200)
     others = {name: one for name, one in found["observer"]["metrics"].items() if name != "divergence"}
     # The design makes divergence the best predictor: no other metric comes near in the same trials.
@@ -50,15 +51,8 @@ def test_one_study_whole() -> None:
     json.dumps(found, allow_nan=False)
 
 
-def test_holm_by_hand() -> None:
-    found = holm({"a": 0.01, "b": math.nan, "c": 0.04, "d": 0.03})
-    assert found == pytest.approx({"a": 0.03, "b": math.nan, "c": 0.06, "d": 0.06}, nan_ok=True)
-    assert holm({"a": 0.8, "b": 0.9}) == {"a": 1.0, "b": 1.0}
-    assert holm({}) == {}
-
-
 def test_what_is_left_out_is_counted() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=3)))
+    frame = pd.DataFrame(simulate_table(participants=4, trials=3))
     frame["answer"] = frame["answer"].astype(object)
     frame.loc[:4, "status"] = "failed"
     frame.loc[3:9, "answer"] = None
@@ -78,7 +72,8 @@ def test_what_is_left_out_is_counted() -> None:
     without = read_sample(frame)
     assert not without.answered
     assert len(without.trials.answer) == 79
-    assert "observer" not in study_statistics(without, resamples=200)
+    few = {name: without.trials.metrics[name] for name in ("divergence", "curl")}
+    assert "observer" not in study_statistics(replace(without, trials=replace(without.trials, metrics=few)), 200)
     frame["status"] = "not run"
     with pytest.raises(FingerflowError, match="no trial has been measured"):
         read_sample(frame)
@@ -86,8 +81,9 @@ def test_what_is_left_out_is_counted() -> None:
 
 @pytest.mark.long
 def test_differences_from_references_are_in_shares_groups_and_figures_alone(tmp_path: Path) -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=6, trials=2)))
-    frame["reference"] = ""
+    frame = pd.DataFrame(simulate_table(participants=6, trials=2))
+    frame = frame[[*list(frame)[:5], "divergence", "strain", "curl", "global_displacement", "force_angle", "max_force"]]
+    frame = frame.assign(reference="")
     without = differences(frame)
     assert without == {}
     of_none = frame.assign(condition=-1.0, trial=100 + frame["trial"], answer=None, divergence=0.01)
@@ -114,9 +110,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
     """The curve fits an observer who answers yes to fewer than half of the still stimuli only with the
     yes-no design.
     """
-    trials = read_sample(
-        pd.DataFrame(simulate_table(TableDesign(participants=6, trials=6, softness=(1.0, 1.0))))
-    ).trials
+    trials = read_sample(pd.DataFrame(simulate_table(participants=6, trials=6, softness=(1.0, 1.0)))).trials
     for design, fits in ((FORCED_CHOICE, False), (YES_NO, True)):
         axes = supplement_sheet("S12", trials, design).figure().axes[-1]
         dots, curve = (np.asarray(line.get_ydata(), dtype=float) for line in axes.lines[:2])
@@ -126,7 +120,7 @@ def test_the_curve_of_answers_follows_the_design() -> None:
 
 
 def test_a_trial_that_is_far_off_is_found() -> None:
-    frame = pd.DataFrame(simulate_table(TableDesign(participants=4, trials=4)))
+    frame = pd.DataFrame(simulate_table(participants=4, trials=4))
     frame.loc[17, "curl"] = 0.1
     found = outliers(frame)
     assert max(range(len(found)), key=lambda number: found[number][0]) == 17
@@ -149,3 +143,11 @@ def test_curves_are_averaged_over_participants() -> None:
     assert rows[0]["mean"] == pytest.approx(2.0)
     assert rows[0]["high"] - rows[0]["mean"] == pytest.approx(12.7062, rel=1e-4)
     assert (rows[0]["participants"], rows[0]["trials"], rows[0]["without"]) == (2, 4, 0)
+
+
+def test_friction_falls_with_force_within_participants() -> None:
+    """Participants with more friction press harder: pooled, friction would rise with force."""
+    who, force = np.repeat(np.arange(6), 8), np.tile(np.linspace(0.5, 2, 8), 6)
+    force = force * (1 + who)
+    slid = pd.DataFrame({"participant": who, "friction_force": force, "friction": (1 + who) * force**-0.3})
+    assert draw_friction_law(Figure().subplots(), slid).get_title().startswith("n - 1 = -0.300")

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from bench.papers.chain import SimulatedPresses, energy_mj, strain_percent
 from bench.suites.friction_loop import QUICK_PRESS, inner_divergence, median_divergence
 from fingerflow import process
 from fingerflow.models.skin_onset import since_onset
@@ -60,6 +62,29 @@ def test_the_divergence_of_the_chain_comes_back_from_the_pictures(tmp_path: Path
             assert np.isfinite(error).sum() > 40
             assert np.sqrt(np.nanmean(error**2)) < usual
             assert np.nanmax(np.abs(error)) < most
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_the_printed_analysis_of_the_pictures_is_that_of_the_chain(tmp_path: Path, friction: float) -> None:
+    """A scene with the profile of the paper gives divergence since onset in the contact dilated by 8 px, and strain and
+    energy since the first frame with contact, as the rows of the paper have them from the chain.
+    """
+    press = replace(QUICK_PRESS, friction=friction, mm_per_px=0.0325)
+    write_recording(tmp_path / "press", press)
+    scene = tmp_path / "press" / "scene.toml"
+    scene.write_text('profile = "willemet_2021"\n' + scene.read_text(encoding="utf-8"), encoding="utf-8")
+    result = process(scene)
+    force = press.interpolate_chain(press.chain.normal_force.sum(-1))
+    presses = SimulatedPresses((friction,), force, force, press.chain)
+    for name, truth, error in (
+        ("median_divergence", since_onset(press.chain, 8 * press.mm_per_px / 1e3).area_median, 1.2e-3),
+        ("printed_strain", strain_percent(presses.printed) / 100, 8e-4),
+        ("printed_strain_energy", energy_mj(presses.printed), 6e-4),
+    ):
+        measured = result[name].values.reshape(force.size, -1)[:, 0][force > 0.7]
+        chain = press.interpolate_chain(torch.as_tensor(truth).reshape(-1))[force > 0.7]
+        assert np.sqrt(np.square(measured - chain).mean()) < error
+        assert measured[-1] > 3 * error
 
 
 def test_a_recording_rebuilds_its_chain(tmp_path: Path) -> None:

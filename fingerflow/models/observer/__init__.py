@@ -8,6 +8,7 @@ from fingerflow.models.observer.discrimination import (
     d_prime,
     observe,
     permutation_p,
+    share_above,
 )
 from fingerflow.models.observer.estimate import Estimate
 from fingerflow.models.observer.groups import Groups, participant_groups
@@ -20,5 +21,5 @@ __all__ = [
     "FORCED_CHOICE", "GUESSES", "YES_NO", "Anova", "Estimate", "Groups", "PrintedObserver", "PsychometricFit", "Trials",
     "auc", "clustered_regression", "compare_auc", "criterion_for_hits", "d_prime", "fit_psychometric",
     "leave_out_moved", "observe", "one_way_anova", "participant_groups", "pearson", "permutation_p", "printed_observer",
-    "read_trials", "repeated_anova", "spearman",
+    "read_trials", "repeated_anova", "share_above", "spearman",
 ]  # fmt: skip

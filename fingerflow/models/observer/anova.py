@@ -1,6 +1,6 @@
 """Analysis of variance of a metric over groups of trials, with or without participants as a random effect.
 
-`AnovaRM` of statsmodels has the same F, but no correction of its p for differences that do not vary alike.
+`AnovaRM` of statsmodels has the same F where every participant has trials in every group, and refuses other tables.
 """
 
 import math
@@ -34,19 +34,25 @@ class Anova:
 def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike) -> Anova:
     """Test whether a metric differs between groups of trials, with participants as a random effect.
 
-    y_pg is the mean of participant p in group g, r_pg = y_pg - y_p. - y_.g + y_.. For P participants and G groups
+    y_pg is the mean of participant p in group g, a_p + b_g + r_pg. Participants without trials in a group
+    count with the others, so that F is that of two fits by least squares, without and with b_g (Yates 1933):
 
-        F(G - 1, (P - 1)(G - 1)) = P sum_g (y_.g - y_..)^2 (P - 1) / sum_pg r_pg^2.
+        F(G - 1, n - P - G + 1) = (sum r_p^2 - sum r_pg^2) (n - P - G + 1) / (sum r_pg^2 (G - 1))
 
-    The effect is compared with its own variation over participants, so that trials of one participant need not be
-    independent. With two groups this is the paired t test, F = t^2. Differences between groups need not vary alike:
-    both degrees of freedom are multiplied by Huynh & Feldt's epsilon for p. With S = r^T r / (P - 1), d = G - 1 and
-    e = tr(S)^2 / (d tr(S^2)), epsilon = (P d e - 2) / (d (P - 1 - d e)), at least 1 / d and at most 1.
+    for n cells of P participants and G groups. The effect is compared with its own variation over participants, so that
+    trials of one participant need not be independent. With two groups this is the paired t test, F = t^2. Differences
+    between groups need not vary alike: both degrees of freedom are multiplied by Huynh & Feldt's epsilon for p. With
+    S = r^T r, r_pg = 0 in an empty cell, d = G - 1, e = tr(S)^2 / (d tr(S^2)), and P one more than the second degree of
+    freedom over d, epsilon = (P d e - 2) / (d (P - 1 - d e)), at least 1 / d and at most 1.
+
+    Of 500 studies without effect of 16 participants and 7 groups, 7 of whom lack a group, p was below 0.05 in 6 %,
+    and F is within some percent of that of a random-effects model (MixedLM of statsmodels)
+    (`python -m tests.models.observer.error_rates`).
 
     Args:
         values: (T,) the metric; NaN is left out.
         groups: (T,) condition or answer of each trial.
-        participants: (T,) of the trials. One without a value in some group is left out.
+        participants: (T,) of the trials. One with values in a single group is left out.
 
     Returns:
         `Anova`; `missing` counts the trials left out, eta^2 is the partial one. NaN with the reason for fewer than two
@@ -61,28 +67,41 @@ def repeated_anova(values: ArrayLike, groups: ArrayLike, participants: ArrayLike
     people, person = np.unique(who[valid], return_inverse=True)
     cell, shape = person * labels.size + group, (people.size, labels.size)
     counts, sums = (np.bincount(cell, by, people.size * labels.size).reshape(shape) for by in (None, numbers[valid]))
-    whole = (counts > 0).all(1)
-    cells = sums[whole] / counts[whole]
-    number, kinds = cells.shape
-    trials = {str(name): int(count) for name, count in zip(labels, counts[whole].sum(0), strict=True)}
-    between = kinds - 1
-    nothing = Anova((between, (number - 1) * between), trials, numbers.size - sum(trials.values()), participants=number)
-    if min(nothing.degrees) < 1:
-        reason = f"{kinds} groups, {number} participants with trials in each: 2 of both are needed"
+    counts[(counts > 0).sum(1) < 2] = 0  # a participant in one group shows no difference between groups
+    filled, number, between = counts > 0, int(counts.any(1).sum()), labels.size - 1
+    trials = {str(name): int(count) for name, count in zip(labels, counts.sum(0), strict=True)}
+    left = int(filled.sum()) - number - between
+    nothing = Anova((between, left), trials, numbers.size - sum(trials.values()), participants=number)
+    if min(between, number - 1, left) < 1:
+        reason = f"{labels.size} groups, {number} participants with trials in two of them: 2 of both are needed"
         return replace(nothing, reason=reason)
-    centred = cells - cells.mean(1, keepdims=True)
-    rest = centred - centred.mean(0)
-    effect, error = number * float((centred.mean(0) ** 2).sum()), float((rest**2).sum())
-    if error <= 1e-14 * float(((cells - cells.mean()) ** 2).sum()) or error == 0:
+    person, group = np.nonzero(filled)
+    cells = sums[filled] / counts[filled]
+    cells -= cells.mean()
+    each = np.eye(people.size)[person]
+    (alone, rank), (resid, full_rank) = (_residuals(cells, design) for design in (
+        each, np.hstack((each, np.eye(labels.size)[group]))))  # fmt: skip
+    effect, error = alone @ alone - resid @ resid, resid @ resid
+    if full_rank - rank < between:
+        return replace(nothing, reason="groups without a participant in common cannot be compared")
+    if error <= 1e-14 * (cells @ cells) or error == 0:
         return replace(nothing, reason="the differences between groups do not vary over participants")
+    rest = np.zeros(shape)
+    rest[filled] = resid
     covariance = rest.T @ rest
-    sphericity = float(np.trace(covariance)) ** 2 / (between * float((covariance**2).sum()))
-    left = number - 1 - between * sphericity
-    epsilon = (number * between * sphericity - 2) / (between * left) if left > 0 else 1.0
+    sphericity = float(np.trace(covariance)) ** 2 / float((covariance**2).sum())  # d e
+    freedom = left / between - sphericity
+    epsilon = ((left + between) / between * sphericity - 2) / (between * freedom) if freedom > 0 else 1.0
     epsilon = min(max(epsilon, 1 / between), 1.0)
-    f = effect / nothing.degrees[0] / (error / nothing.degrees[1])
-    p = float(stats.f.sf(f, epsilon * nothing.degrees[0], epsilon * nothing.degrees[1]))
-    return replace(nothing, f=f, p=p, eta_squared=effect / (effect + error), epsilon=epsilon)
+    f = float(effect / between / (error / left))
+    p = float(stats.f.sf(f, epsilon * between, epsilon * left))
+    return replace(nothing, f=f, p=p, eta_squared=float(effect / (effect + error)), epsilon=epsilon)
+
+
+def _residuals(values: NDArray[np.float64], design: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Return what least squares leaves of values (n,) by a design (n, k), and the rank of the design."""
+    fitted, _, rank, _ = np.linalg.lstsq(design, values)
+    return values - design @ fitted, int(rank)
 
 
 def one_way_anova(values: ArrayLike, groups: ArrayLike) -> Anova:

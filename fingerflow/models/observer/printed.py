@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import curve_fit
 
 Values = NDArray[np.float64]
 
@@ -13,7 +12,7 @@ BIN = 0.05  # bin width of the normalised metric
 _STEP = 0.001  # step between tested criteria, in the normalised metric
 
 
-# Gaussian fitted to a histogram: amplitude in trials per bin, mean and standard deviation; NaN if the fit failed.
+# Gaussian fitted to a histogram: amplitude in trials per bin, mean and standard deviation; NaN if one bin has all.
 Gaussian = tuple[float, float, float]
 NO_GAUSSIAN: Gaussian = (math.nan, math.nan, math.nan)
 
@@ -84,25 +83,17 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     sensitivity = (mean - other_mean) / math.sqrt(variance) if variance > 0 else math.nan
     criteria = np.arange(min(pooled.min(), 0) - _STEP, max(pooled.max(), 1) + 2 * _STEP, _STEP)
     above = [1 - np.searchsorted(np.sort(group), criteria, side="right") / group.size for group in (first, second)]
-    reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins"
+    reason = "" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: one bin has all"
     area = float(np.trapezoid(above[0][::-1], above[1][::-1]))
     fitted = counts[0], counts[1], gaussians[0], gaussians[1], sensitivity
     return PrintedObserver(scale, trials, reason, bins, *fitted, above[0], above[1], area)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
-    """Fit a Gaussian to the counts of a histogram by least squares, as in figure S11 A."""
+    """Fit a normal distribution to the counts of a histogram by maximum likelihood, for figure S11 A."""
+    if np.count_nonzero(counts) < 2:
+        return NO_GAUSSIAN
     centres = (bins[:-1] + bins[1:]) / 2
-    if np.count_nonzero(counts) < 3:
-        return NO_GAUSSIAN
-    middle = float(np.average(centres, weights=counts))
-    spread = max(float(np.sqrt(np.average((centres - middle) ** 2, weights=counts))), BIN / 2)
-
-    def curve(x: Values, amplitude: float, mean: float, deviation: float) -> Values:
-        return amplitude * np.exp(-(((x - mean) / deviation) ** 2) / 2)
-
-    try:
-        fitted, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
-    except RuntimeError:  # the fit did not converge
-        return NO_GAUSSIAN
-    return float(fitted[0]), float(fitted[1]), abs(float(fitted[2]))
+    mean = float(np.average(centres, weights=counts))
+    deviation = math.sqrt(np.average((centres - mean) ** 2, weights=counts))
+    return float(counts.sum()) * BIN / (deviation * math.sqrt(2 * math.pi)), mean, deviation

@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
+from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri, xlog1py, xlogy
 
 from fingerflow.models.observer.estimate import UNKNOWN, Interval, Values, jackknife
@@ -16,8 +15,10 @@ FORCED_CHOICE, YES_NO = "forced choice", "yes/no"
 GUESSES = {FORCED_CHOICE: 0.5, YES_NO: None}
 SHARE = 0.75  # of answers at the threshold
 _FEWEST_STIMULI = 3
-# Bounds of threshold and slope, in ranges of the stimuli, and of the fitted lapse and guess rates.
-_BOUNDS = ((-50.0, 50.0), (-200.0, 200.0), (0.0, 0.24), (0.0, 0.5))
+# Bounds of a and b of Phi(a + b x), x in ranges of the stimuli, and of the fitted lapse and guess rates.
+_BOUNDS = ((-1e4, 1e4), (-200.0, 200.0), (0.0, 0.24), (0.0, 0.5))
+_STARTS = 0.1, 0.5, 0.9  # quantiles of the stimuli
+_STEPS, _LEAST_GAIN = 50, 1e-9  # of the fit
 _PRIOR = 9.0  # Beta(1, 10) of both rates, (1 - rate)^9 (Schuett et al. 2016): lapses and guesses are probably few
 
 
@@ -87,31 +88,63 @@ def fit_psychometric(
     if yes.sum() in (0, number.sum()):
         return replace(nothing, reason=f"all answers are the same: {int(yes.sum())} of {nothing.trials} are counted")
     origin, unit = float(np.median(x)), float(np.ptp(x))
-    x = (x - origin) / unit
-
-    def loss(values: Values, used: NDArray[np.bool_]) -> float:
-        threshold, slope, lapse, guesses = (*values, guess)[:4]
-        expected = np.clip(_curve(x[used], threshold, slope, guesses, lapse), 1e-12, 1 - 1e-12)
-        likelihood = (xlogy(yes[used], expected) + xlog1py((number - yes)[used], -expected)).sum()
-        return -float(likelihood + _PRIOR * sum(math.log1p(-rate) for rate in values[2:]))
-
-    def minimised(start: Values, used: NDArray[np.bool_]) -> tuple[float, Values]:
-        result = minimize(loss, start, used, method="L-BFGS-B", bounds=_BOUNDS[: start.size])
-        return float(result.fun), result.x
-
-    all_blocks = np.ones(x.size, dtype=bool)
-    rates = (0.02,) if guess is not None else (0.02, 0.02)
-    rising = 4.0 if ((x - x.mean()) * (yes / number - yes.sum() / number.sum())).sum() > 0 else -4.0
-    starts = (np.array([threshold, rising, *rates]) for threshold in np.quantile(x, (0.1, 0.5, 0.9)))
-    _, best = min((minimised(start, all_blocks) for start in starts), key=lambda pair: pair[0])
-    threshold, slope, lapse, guesses = (*best.tolist(), guess)[:4]
-    if abs(float(np.ptp(_curve(np.array([x.min(), x.max()]), threshold, slope, guesses, lapse)))) <= 0.01:
+    stimuli, column = np.unique((x - origin) / unit, return_inverse=True)
+    people, row = np.unique(who, return_inverse=True)
+    # (2, P + 1, S) answers and trials at each stimulus: of all participants, and without each of them.
+    counts = np.zeros((2, people.size + 1, stimuli.size))
+    for table, values in zip(counts, (yes, number), strict=True):
+        np.add.at(table, (row + 1, column), values)
+    counts = counts.sum(1, keepdims=True) - counts
+    offset, slope, lapse, guesses = _most_likely(stimuli, counts[0], counts[1], guess).T
+    if (1 - guesses[0] - lapse[0]) * np.ptp(ndtr(offset[0] + slope[0] * stimuli)) <= 0.01:
         return replace(
             nothing, reason="the answers do not change with the stimulus: no width is better than an infinite one"
         )
-    interval, _, reason = jackknife(threshold, [minimised(best, who != name)[1][0] for name in np.unique(who)])
-    low, high = (origin + unit * limit for limit in interval)
-    return PsychometricFit(nothing.trials, origin + unit * threshold, (low, high), unit / slope, guesses, lapse, reason)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        thresholds = (ndtri((SHARE - guesses) / (1 - guesses - lapse)) - offset) / slope
+    interval, _, reason = jackknife(thresholds[0], thresholds[1:])
+    threshold, low, high = (float(origin + unit * value) for value in (thresholds[0], *interval))
+    numbers = float(unit / slope[0]), float(guesses[0]), float(lapse[0])
+    return PsychometricFit(nothing.trials, threshold, (low, high), *numbers, reason)
+
+
+def _most_likely(x: Values, yes: Values, number: Values, guess: float | None) -> Values:
+    """Return the parameters (B, 4) a, b, lapse and guess of curves guess + (1 - guess - lapse) Phi(a + b x) that
+    maximise likelihood times prior of B samples of answers (B, S), of numbers of trials (B, S), at stimuli (S,).
+
+    Steps are Fisher's scoring with Levenberg's damping, from curves whose middle is at three quantiles of the stimuli.
+    """
+    low, high = np.array(_BOUNDS if guess is None else (*_BOUNDS[:3], (guess, guess))).T
+    slope = math.copysign(4.0, (x - x.mean()) @ (yes[0] / number[0] - yes[0].mean() / number[0].mean()))
+    starts = [(-slope * middle, slope, 0.02, 0.02) for middle in np.quantile(x, _STARTS)]
+    values = np.repeat(np.clip(starts, low, high)[:, None], len(yes), axis=1)
+    damping, diagonal = np.full(values.shape[:2], 1e-3), np.eye(4, dtype=bool)
+
+    def predicted(values: Values) -> tuple[Values, Values, Values]:
+        offset, slope, lapse, rate = np.moveaxis(values[..., None], 2, 0)
+        core = offset + slope * x
+        share = (rate + (1 - rate - lapse) * ndtr(core)).clip(1e-12, 1 - 1e-12)
+        binomial = (xlogy(yes, share) + xlog1py(number - yes, -share)).sum(-1)
+        return core, share, binomial + _PRIOR * np.log1p(-values[..., 2:]).sum(-1)
+
+    for _ in range(_STEPS):
+        core, share, best = predicted(values)
+        density = (1 - values[..., 2:].sum(-1, keepdims=True)) * np.exp(-(core**2) / 2) / math.sqrt(2 * math.pi)
+        slopes = np.stack((density, density * x, -ndtr(core), ndtr(-core)), axis=-2)
+        weighted = slopes / (share * (1 - share))[..., None, :]
+        score = (weighted @ (yes - number * share)[..., None])[..., 0]
+        score[..., 2:] -= _PRIOR / (1 - values[..., 2:])
+        free = (values > low) & (score < 0) | (values < high) & (score > 0)
+        information = (weighted * number[:, None]) @ slopes.swapaxes(-1, -2)
+        information += diagonal * (information * damping[..., None, None] + 1e-9)
+        information = np.where(free[..., None] & free[..., None, :], information, diagonal)
+        moved = (values + np.linalg.solve(information, (free * score)[..., None])[..., 0]).clip(low, high)
+        gain = predicted(moved)[2] - best
+        values = np.where(gain[..., None] > 0, moved, values)
+        damping = np.where(gain > 0, damping / 10, damping * 10)
+        if np.abs(gain).max() < _LEAST_GAIN:
+            break
+    return np.take_along_axis(values, predicted(values)[2].argmax(0)[None, :, None], axis=0)[0]
 
 
 def _curve(x: Values, threshold: float, slope: float, guess: float, lapse: float) -> Values:

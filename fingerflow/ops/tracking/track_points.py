@@ -183,7 +183,7 @@ def in_passes(
             )
             return TrackedPoints(tracked, error, covariance, status, estimate), numbers
         templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
-        shares = {"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit}
+        shares: dict[str, Any] = {"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit}
         return find_templates(templates, current, near, noise=noise, **shares), templates.numbers
 
     def one_pass(positions: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[TrackedPoints, Tensor]:

@@ -22,15 +22,19 @@ from fingerflow.recordings.guard import child_reader
 _MOST_SECONDS = 600.0  # s for one file, also where a disk does not respond; its CPU time has a lower limit
 
 
-def check_in_child_process(path: Path, file_type: str) -> None:
-    """Check that a child process can read a file of a `file_type` (key of `child_reader.READERS`) without a crash.
+def check_in_child_process(path: Path, file_type: str) -> Any:
+    """Check that a child process can read a file of a `file_type` (key of `child_reader.READERS`) without a crash;
+    return the content of a MATLAB file, "" for any other.
 
     The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
     Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
     memory than a file of its size can need.
     """
-    _answer_about(path, file_type)
+    answer = _child.ask(path, file_type)
+    if answer and isinstance(answer, str):
+        raise FingerflowError(f"{path}: is damaged, or no {file_type} file: {answer}; copy or export it again")
+    return answer
 
 
 def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
@@ -40,15 +44,8 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
     """
-    answer = _answer_about(path, "MATLAB")
+    answer = check_in_child_process(path, "MATLAB")
     return dict(_decode_json(answer or child_reader.as_json(child_reader.read_matlab(str(path)))))
-
-
-def _answer_about(path: Path, file_type: str) -> Any:
-    answer = _child.ask(path, file_type)
-    if answer and isinstance(answer, str):
-        raise FingerflowError(f"{path}: is damaged, or no {file_type} file: {answer}; copy or export it again")
-    return answer
 
 
 def _decode_json(value: Any) -> Any:

@@ -6,6 +6,7 @@ Participants differ in how they press and in how well they answer, with a correl
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from fingerflow.models.observer import (
     one_way_anova,
     pearson,
     repeated_anova,
+    share_above,
     spearman,
 )
 
@@ -42,8 +44,12 @@ def answered(seed: int, people: int, trials: int = 14, slope: float = 0.0, own_s
     return {"metric": rate, "answer": answer, "condition": amplitude, "participants": who}
 
 
-def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2) -> dict[str, Any]:
-    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response."""
+def measured(
+    seed: int, people: int, groups: int, effect: float = 0.0, trials: int = 2, gaps: int = 0
+) -> dict[str, Any]:
+    """Return trials of a metric that rises by `effect` over the groups; participants differ in level and response, and
+    the first of them, `gaps`, lack one group each.
+    """
     draw = np.random.default_rng(seed)
     who, group = (
         one.ravel() for one in np.meshgrid(np.arange(people), np.repeat(np.arange(groups), trials), indexing="ij")
@@ -51,6 +57,7 @@ def measured(seed: int, people: int, groups: int, effect: float = 0.0, trials: i
     place = group / (groups - 1) - 0.5
     level, response = 2 * draw.standard_normal(people), effect + draw.standard_normal(people)
     metric = level[who] + response[who] * place + draw.standard_normal(who.size)
+    metric[(who < gaps) & (group == (seed + who) % groups)] = np.nan
     return {"values": metric, "groups": group, "participants": who}
 
 
@@ -110,9 +117,9 @@ def classes(table: dict[str, Any]) -> tuple[Values, Values, tuple[NDArray[Any], 
     return metric[answer], metric[~answer], (who[answer], who[~answer])
 
 
-def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
-    """Return the share of intervals that hold the true d', area under the ROC and criterion of studies of `compared`,
-    one a seed; `options` are those of the bootstrap. The truth is that of 560,000 trials.
+def hold_the_truth(studies: int) -> dict[str, float]:
+    """Return the share of intervals that hold the true d', area under the ROC, criterion and false alarms of studies of
+    `compared`, one a seed. The truth is that of 560,000 trials.
     """
     right, wrong, _ = classes(compared(10**6, people=20_000, trials=4))
     truths = {
@@ -120,51 +127,65 @@ def hold_the_truth(studies: int, **options: int) -> dict[str, float]:
         "area": np.searchsorted(np.sort(wrong), right).mean() / wrong.size,
         "criterion": np.quantile(right, 0.25),
     }
-    held = dict.fromkeys(truths, 0)
+    held = dict.fromkeys((*truths, "false alarms"), 0)
     for seed in range(studies):
         correct, incorrect, who = classes(compared(seed))
-        found = (
-            d_prime(correct, incorrect, who),
-            auc(correct, incorrect, who, **options),
-            criterion_for_hits(correct, who[0], **options),
-        )
-        for (name, truth), one in zip(truths.items(), found, strict=True):
+        found = [d_prime(correct, incorrect, who), auc(correct, incorrect, who), criterion_for_hits(correct, who[0])]
+        found.append(share_above(found[-1].value, incorrect, who[1]))
+        expected = (*truths.values(), (wrong > found[2].value).mean())
+        for name, truth, one in zip(held, expected, found, strict=True):
             held[name] += one.interval[0] <= truth <= one.interval[1]
     return {name: count / studies for name, count in held.items()}
 
 
-def share(p_of: Callable[[int], float], studies: int) -> float:
+def share(people: int, p_of: Callable[[int, int, float], float], effect: float, studies: int) -> float:
     """Return the share of studies, one per seed, whose p is below 0.05."""
-    return float(np.mean([p_of(seed) < ALPHA for seed in range(studies)]))
+    return float(np.mean([p_of(seed, people, effect) < ALPHA for seed in range(studies)]))
+
+
+def regression(own_slope: float, seed: int, people: int, slope: float) -> float:
+    return clustered_regression(**answered(seed, people, slope=slope, own_slope=own_slope)).p
+
+
+def anova(groups: int, lacking: float, seed: int, people: int, effect: float) -> float:
+    return repeated_anova(**measured(seed, people, groups, effect, gaps=int(lacking * people))).p
+
+
+def one_way(groups: int, seed: int, people: int, effect: float) -> float:
+    table = measured(seed, people, groups, effect)
+    return one_way_anova(table["values"], table["groups"]).p
+
+
+def correlation(kind: Callable[..., Any], seed: int, people: int, effect: float) -> float:
+    return float(kind(*related(seed, people, effect=effect)).p)
+
+
+def of_pairs(kind: Callable[..., Any], seed: int, people: int, effect: float) -> float:
+    return float(kind(*related(seed, people, effect=effect)[:2]).pvalue)
+
+
+# Each test by seed, participants and effect, an effect that it finds in 16 participants, a smaller one, and where there
+# is one the test that takes trials as independent.
+P_OF = {
+    "regression, equal slopes": (partial(regression, 0.0), 0.6, 0.25, None),
+    "regression, slopes of their own": (partial(regression, 0.3), 0.6, 0.25, None),
+    "ANOVA, 2 groups": (partial(anova, 2, 0.0), 2.0, 1.0, partial(one_way, 2)),
+    "ANOVA, 7 groups": (partial(anova, 7, 0.0), 2.0, 1.0, partial(one_way, 7)),
+    "ANOVA, 7 groups, 7 of 16 people lack one": (partial(anova, 7, 7 / 16), 2.0, 1.0, None),
+    "Pearson": (partial(correlation, pearson), 0.7, 0.5, partial(of_pairs, stats.pearsonr)),
+    "Spearman": (partial(correlation, spearman), 0.7, 0.5, partial(of_pairs, stats.spearmanr)),
+}
 
 
 def main(studies: int) -> None:
-    """Print the share of studies with p < 0.05."""
-    for people in (4, 16):
-        for slope, own in ((0.0, 0.0), (0.0, 0.3), (0.25, 0.0), (0.25, 0.3)):
-            tables = [answered(seed, people, slope=slope, own_slope=own) for seed in range(studies)]
-            found = np.mean([clustered_regression(**table).p < ALPHA for table in tables])
-            print(f"clustered regression: {people} participants, slope {slope:g} ± {own:g}: {found:.3f}", flush=True)
-        for groups in (2, 7):
-            for effect in (0.0, 1.0):
-                tables = [measured(seed, people, groups, effect) for seed in range(studies)]
-                own_p = np.mean([repeated_anova(**table).p < ALPHA for table in tables])
-                printed = np.mean([one_way_anova(table["values"], table["groups"]).p < ALPHA for table in tables])
-                found = f"{own_p:.3f}, one-way {printed:.3f}"
-                print(f"ANOVA: {people} participants, {groups} groups, effect {effect:g}: {found}", flush=True)
-        tables = [answered(seed, people, own_slope=0.0) for seed in range(studies)]
-        own_p = np.mean([repeated_anova(one["metric"], one["answer"], one["participants"]).p < ALPHA for one in tables])
-        printed = np.mean([one_way_anova(one["metric"], one["answer"]).p < ALPHA for one in tables])
-        print(f"ANOVA over answers: {people} participants, effect 0: {own_p:.3f}, one-way {printed:.3f}", flush=True)
-        for effect in (0.0, 0.5):
-            for kind, alone in ((pearson, stats.pearsonr), (spearman, stats.spearmanr)):
-                pairs = [related(seed, people, effect=effect) for seed in range(studies)]
-                own_p = np.mean([kind(*pair).p < ALPHA for pair in pairs])
-                pairs_p = np.mean([alone(x, y).pvalue < ALPHA for x, y, _ in pairs])
-                found = f"{own_p:.3f}, pairs as independent {pairs_p:.3f}"
-                print(f"{kind.__name__}: {people} participants, r {effect:g}: {found}", flush=True)
-    intervals = hold_the_truth(studies)
-    print(", ".join(f"{name} {found:.3f}" for name, found in intervals.items()), "of intervals of 8 participants hold")
+    """Print the share of studies with p < 0.05, and of intervals that hold the truth."""
+    for name, (p_of, _, small, independent) in P_OF.items():
+        for people in (4, 16):
+            rows = (("no effect", p_of, 0.0), ("effect", p_of, small), ("trials as independent", independent, 0.0))
+            shares = [f"{what} {share(people, of, effect, studies):.3f}" for what, of, effect in rows if of]
+            print(f"{name}, {people} participants: {', '.join(shares)}", flush=True)
+    held = hold_the_truth(studies)
+    print(", ".join(f"{name} {part:.3f}" for name, part in held.items()), "of intervals of 8 participants hold")
 
 
 if __name__ == "__main__":

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fingerflow.models.observer import auc, compare_auc, criterion_for_hits, d_prime, permutation_p
+from fingerflow.models.observer import auc, compare_auc, criterion_for_hits, d_prime, permutation_p, share_above
 
 Values = NDArray[np.float64]
+UNKNOWN = "4 and 0", "0 and 4", "equal within"  # reasons for no value at all, beside those for no interval
 Drawn = tuple[Values, Values, tuple[NDArray[Any], NDArray[Any]]]
 
 
@@ -34,10 +35,6 @@ def test_values_by_hand() -> None:
     assert d_prime([1.0, 3.0], [2.0, 4.0], who).value == pytest.approx(-1 / math.sqrt(2))
     assert auc([2.0, 3.0], [1.0, 2.0], who).value == pytest.approx(3.5 / 4)
     first, second, people = drawn(1, 1.0, participants=5)
-    ranked = np.round(3 * first), np.round(3 * second)
-    pairs = (ranked[0][:, None] > ranked[1]) + 0.5 * (ranked[0][:, None] == ranked[1])
-    assert auc(*ranked, people, resamples=100).value == pytest.approx(pairs.mean(), abs=1e-14)
-    assert criterion_for_hits(first, people[0]).value == pytest.approx(np.quantile(first, 0.25), abs=1e-14)
     without = np.array(
         [d_prime(first[people[0] != p], second[people[1] != p], [w[w != p] for w in people]).value for p in range(5)]
     )
@@ -47,45 +44,54 @@ def test_values_by_hand() -> None:
     assert d_prime(1e-3 * first + 1e4, 1e-3 * second + 1e4, people).interval == pytest.approx(found.interval, rel=1e-6)
 
 
-def test_the_seed_decides_and_nan_is_left_out_and_counted() -> None:
+def test_nan_is_left_out_and_counted() -> None:
     first, second, who = drawn(4, 1.0)
-    same, again, other = (auc(first, second, who, 300, seed) for seed in (7, 7, 8))
-    assert same == again
-    assert same.interval != other.interval
     gaps = np.where(np.arange(first.size) % 10, first, np.nan)
     kept = np.isfinite(gaps)
     found = auc(gaps, second, who)
-    assert found.value == auc(first[kept], second, (who[0][kept], who[1])).value
+    assert found.interval == auc(first[kept], second, (who[0][kept], who[1])).interval
     assert (found.missing, found.trials) == ((~kept).sum(), kept.sum() + second.size)
+    assert found.interval[0] < found.value < found.interval[1]
+
+
+def test_false_alarms_of_a_criterion() -> None:
+    """The quantiles at the limits of the share above the criterion are the limits of the criterion. Few false alarms
+    leave an interval that is not symmetric and stays within 0 and 1; without a criterion there are none.
+    """
+    first, second, who = drawn(3, 1.0)
+    criterion = criterion_for_hits(first, who[0])
+    shares = [(first > limit).mean() for limit in criterion.interval]
+    assert shares[0] - 0.75 == pytest.approx(0.75 - shares[1], abs=2 / first.size)
+    found = share_above(criterion.value, second, who[1])
+    assert found.value == (second > criterion.value).mean()
+    assert found.interval[0] < found.value < found.interval[1]
+    few = share_above(9.0, [1.0, 2.0, 3.0, 4.0], [0, 1, 2, 3])
+    assert (few.value, few.interval[0], few.trials) == (0, 0, 4)
+    assert 0.3 < few.interval[1] < 0.6
+    assert share_above(math.nan, [1.0, 2.0], [0, 1]).reason.startswith("0 trials")
 
 
 def test_degenerate_input_has_a_clear_answer() -> None:
     several, own, none = [1.0, 2.0, 3.0, 4.0], [0, 1, 2, 3], np.array([])
+    first, second, who = drawn(4, 1.0, participants=5)
     for estimate, reason in (
         (d_prime(several, none, (own, none)), "4 and 0 trials of the kinds compared: 2 of each are needed"),
         (auc(none, several, (none, own)), "0 and 4 trials"),
         (d_prime([np.nan] * 4, several, (own, own)), "0 and 4 trials"),
         (d_prime([5.0] * 4, [6.0] * 4, (own, own)), "equal within each kind of trial"),
-    ):
-        assert math.isnan(estimate.value)
-        assert all(map(math.isnan, estimate.interval))
-        assert reason in estimate.reason
-    first, second, who = drawn(4, 1.0, participants=5)
-    for estimate, reason in (
         (auc(several, several, (["a", "a", "b", "b"], ["a", "b", "a", "b"])), "no interval from 2 participants"),
-        (auc([5.0, 6.0, 7.0, 8.0], several, (own, own)), "every resample gives the same number"),
+        (auc([5.0, 6.0, 7.0, 8.0], several, (own, own)), "the estimate is the same, or unknown"),
         (d_prime(first, second, (who[0], 0 * who[1])), "unknown, without any one participant"),
     ):
-        assert math.isfinite(estimate.value)
-        assert math.isnan(estimate.interval[0])
+        assert math.isnan(estimate.value) == reason.startswith(UNKNOWN)
+        assert all(map(math.isnan, estimate.interval))
         assert reason in estimate.reason
-    for metric, people, resamples, message in (
-        ([1.0, math.inf], own[:2], 200, "infinite: mark what was not measured with NaN"),
-        (several, own[:2], 200, "name that of every trial"),
-        (several, own, 10, "10 resamples are too few"),
+    for metric, message in (
+        ([1.0, math.inf], "infinite: mark what was not measured with NaN"),
+        (several, "name that of every trial"),
     ):
         with pytest.raises(ValueError, match=message):
-            auc(metric, several, (people, own), resamples)
+            auc(metric, several, (own[:2], own))
 
 
 def test_permutations_within_participants() -> None:
@@ -115,6 +121,6 @@ def test_paired_areas_know_what_metrics_share() -> None:
     gaps = np.where(np.arange(first.size) < 30, np.nan, first)
     same = compare_auc((gaps, second), (first, second), who)
     assert (same.value, same.missing) == (0, 30)
-    assert "same number" in same.reason
+    assert "the estimate is the same" in same.reason
     with pytest.raises(ValueError, match="give both metrics of the same ones"):
         compare_auc((first[1:], second), (first, second), who)

@@ -14,14 +14,10 @@ from fingerflow.models.observer import d_prime, leave_out_moved, observe, printe
 
 def table(**columns: Any) -> dict[str, Any]:
     rows = {
-        "participant": ["a", "a", "b", "b"],
-        "trial": [1, 2, 1, 2],
-        "condition": [0.5, 1.0, 0.5, 1.0],
-        "answer": [True, False, True, True],
-        "divergence": [10.0, 4.0, np.nan, 12.0],
-        "global_displacement": [0.1, 0.3, 0.2, np.nan],
-        "force_angle": [5.0, 6.0, 7.0, 8.0],
-    }
+        "participant": ["a", "a", "b", "b"], "trial": [1, 2, 1, 2], "condition": [0.5, 1.0, 0.5, 1.0],
+        "answer": [True, False, True, True], "divergence": [10.0, 4.0, np.nan, 12.0],
+        "global_displacement": [0.1, 0.3, 0.2, np.nan], "force_angle": [5.0, 6.0, 7.0, 8.0],
+    }  # fmt: skip
     return {**rows, **columns}
 
 
@@ -115,7 +111,7 @@ def test_every_metric_beside_the_others() -> None:
         }
     )
     left = leave_out_moved(trials)
-    found = observe(left, resamples=300, seed=4)
+    found = observe(left, permutations=300, seed=4)
     assert list(found) == ["divergence", "force_rate", "global_displacement"]
     assert (
         found["divergence"].d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
@@ -123,5 +119,10 @@ def test_every_metric_beside_the_others() -> None:
     assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
     assert found["divergence"].auc.p < 0.01 < found["force_rate"].auc.p
     assert found["divergence"].auc.participants == 12
-    assert found["global_displacement"].auc.missing == 0
-    assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]
+    common = {one.auc.trials for one in found.values()} | {sum(one.printed.trials) for one in found.values()}
+    assert common == {360 - left.left_out}
+    assert found["divergence"].false_alarms.trials == sum(~answer & ~np.isnan(left.metrics["divergence"]))
+    left.metrics["curl"] = np.where(np.arange(360) < 200, np.nan, left.metrics["force_rate"])
+    rare = observe(left, ["divergence", "curl"], permutations=100)
+    assert rare["divergence"].auc == observe(left, ["divergence"], permutations=100)["divergence"].auc
+    assert rare["curl"].auc.trials < 160

@@ -10,13 +10,13 @@ from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
-FRAMES, SCALE = 4, 0.03
+FRAMES, SCALE = 16, 0.03
 
 
 def test_parts_of_a_uniform_gradient() -> None:
     axis = np.arange(0.0, 4.0, 0.4)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    position = points + np.arange(FRAMES)[:, None, None] * (points @ GRADIENT.T + [0.1, -0.2])
+    position = points + np.linspace(0, 3, FRAMES)[:, None, None] * (points @ GRADIENT.T + [0.1, -0.2])
     given = {
         "position": position,
         "position_px": position / SCALE,
@@ -30,14 +30,15 @@ def test_parts_of_a_uniform_gradient() -> None:
         "ellipse_angle": np.zeros(FRAMES),
     }
     trial = trial_of(inputs_of(FRAMES, SCALE, "infinitesimal"), contact, FRAMES, **given)
-    names = ("divergence", "curl", "shear", "strain", "principal_strains", "principal_angle", "rigid_residual")
-    trial.requested = frozenset(names)
+    names = ("divergence", "curl", "shear", "strain_rate", "principal_strains", "principal_angle", "rigid_residual")
+    trial.requested = frozenset((*names, "strain_rate_std"))
     run(trial, DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
     found = {name: values_of(trial, name)[-1] for name in names}
     ux, uy, vx, vy = 3 * GRADIENT.ravel()
     symmetric = 1.5 * (GRADIENT + GRADIENT.T)
     strains, vectors = np.linalg.eigh(symmetric)
     parts = {"divergence": ux + vy, "curl": vx - uy, "shear": [ux - vy, uy + vx], "principal_strains": strains[::-1]}
+    parts["strain_rate"] = symmetric[[0, 1, 0], [0, 1, 1]] / trial.inputs.times[-1]
     for name, expected in parts.items():
         known = np.isfinite(found[name]).reshape(len(found[name]), -1).all(1)
         assert known.mean() > 0.9  # too few points lie within the gauge length at corners

@@ -83,15 +83,9 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     deviation[0] = 0
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
     place = np.linalg.norm(exact, axis=-1) + BORDER_MM * draw.standard_normal(len(points))
-    return trial_of(
-        given := inputs(),
-        contact(),
-        FRAMES,
-        position=given.on_glass(pixels),
-        position_px=pixels,
-        position_std_px=deviation,
-        in_contact=place < border,
-    )
+    given = inputs()
+    measured = {"position": given.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
+    return trial_of(given, contact(), FRAMES, **measured, in_contact=place < border)
 
 
 def measured(trial: RunContext, moved: DisplacementStage | None = None) -> RunContext:
@@ -155,3 +149,16 @@ def test_energy_reaches_the_border_where_displacement_does_not_vanish_there() ->
     between = values_of(found, "strain_energy_between_points")[-1]
     assert between < 0.97 * energy
     assert values_of(found, "strain_energy_std")[-1] > (energy - between) / 2
+
+
+def test_the_strain_rate_of_triangles_has_its_deviation() -> None:
+    """F = I + t G has the rate of strain sym(G) + t G' G."""
+    motion = Motion((0.002, 0.001), ((0.001, 0.0002), (0.0, 0.0008)), 0.05)
+    trial = tracked(motion, material(), 0)
+    trial.requested, trial.inputs.scene.fields.reference = frozenset(("strain_rate", "strain_rate_std")), "first_frame"
+    found = measured(trial)
+    gradient, frame = np.array(motion.gradient), np.arange(FRAMES)[:, None, None]
+    truth = 300 * ((gradient + gradient.T) / 2 + frame * gradient.T @ gradient)[:, None, [0, 1, 0], [0, 1, 1]]
+    z = (values_of(found, "strain_rate") - truth) / values_of(found, "strain_rate_std")
+    assert np.isfinite(z).mean() > 0.2  # triangles that touch long enough
+    np.testing.assert_allclose(np.sqrt(np.nanmean(z**2, axis=(0, 1))), 1, atol=0.2)

@@ -84,7 +84,7 @@ class DisplacementStage(Stage):
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
         *("kind", "fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
-        *("recording.times", "recording.first_frame"),
+        *("recording.times", "recording.first_frame", "contact.gross_radius_px"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
@@ -140,10 +140,14 @@ class DisplacementStage(Stage):
                 self.steady_position(np.array([then]))[0], self.results["position_px"][then : then + 1][0], noise
             )
         border = FrameEllipse.from_series(self.trial.stage(ContactStage).series)
-        self.border = border._replace(center=border.center - self._shaken)
+        self.border = self._onset_border = border._replace(center=border.center - self._shaken)
+        self._dilated = inputs.scene.fields.reference == "dilated_onset"
+        if self._dilated:
+            axes = border.semi_axes + inputs.scene.contact.gross_radius_px * inputs.mm_per_px
+            self._onset_border = self.border._replace(semi_axes=axes)
         begin = int(usable[0])
         here = self.steady_position(np.array([begin]))
-        depth = self.border.select(slice(begin, begin + 1)).inside(here)[0]
+        depth = self._onset_border.select(slice(begin, begin + 1)).inside(here)[0]
         self._doubtful = np.flatnonzero((abs(depth) < 3 * BORDER_MM) & (self._fixed is None))
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
@@ -157,11 +161,11 @@ class DisplacementStage(Stage):
                 gross = self.trial.stage(ContactStage).series["gross_contact_area"]
                 self.warnings.extend(plausibility.check_beginning(gross, first_frame))
             gauge = inputs.scene.fields.gauge_length_mm
-            moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self.border)
+            moves_in = advected(self.results["position"], common, self.onset, self.reference, gauge, self._onset_border)
             self.common_position, self.some_later = common, bool(self._later.any())
             self.onset_variance, self.of_onset = onset_errors(
                 *(inputs.engine, self.onset, self.reference, moves_in, (begin, len(self.trial) - 1)),
-                *(self._select_positions, self.border, self.trial.stage(ContactStage).faint_rim_mm),
+                *(self._select_positions, self._onset_border, self.trial.stage(ContactStage).faint_rim_mm),
             )
         else:
             self.onset_variance, self.of_onset = np.full(points, np.nan), np.zeros((points, 2, 2))
@@ -268,17 +272,20 @@ class DisplacementStage(Stage):
         `touch` holds the onset of each point and is updated.
         """
         position, covered = self.steady_position(indices), self.results["in_contact"][indices]
+        border = self._onset_border.select(indices)
+        if self._dilated:
+            covered = covered | (border.inside(position) > 0)
         variance = self.results["position_noise_px"][indices] ** 2
         usable = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
         if len(usable) == len(indices):
-            touching = touch.add_frames(indices, covered, position, variance, self.border.select(indices))
+            touching = touch.add_frames(indices, covered, position, variance, border)
         else:
             unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
             touching = Touching(np.full_like(position, np.nan), *unknown, *none)
             if len(usable):
                 frames = indices[usable]
                 gone_on = touch.add_frames(
-                    frames, covered[usable], position[usable], variance[usable], self.border.select(frames)
+                    frames, covered[usable], position[usable], variance[usable], border.select(usable)
                 )
                 for whole, part in zip(touching, gone_on, strict=True):
                     whole[usable] = part
@@ -304,7 +311,7 @@ class DisplacementStage(Stage):
         """
         position, displacement = moved.position[:, self._doubtful], moved.displacement[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
-        depth = self.border.select(indices).inside(position)
+        depth = self._onset_border.select(indices).inside(position)
         inwards = np.maximum(np.nan_to_num(depth - then), 0) + ELLIPSE_MM
         later = ndtr(-then / BORDER_MM) - ndtr(-(then + inwards) / BORDER_MM)
         share = np.minimum(1, BORDER_MM / inwards)

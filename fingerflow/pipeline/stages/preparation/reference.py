@@ -71,8 +71,9 @@ def resolve_reference(
     Raises FingerflowError for a frame outside the selection or an unusable one.
     """
     setting, first = scene.fields.reference, scene.recording.first_frame
-    if setting == "onset":
-        return Reference(None, _ONSET)
+    if setting in ("onset", "dilated_onset"):
+        rim = f"; the contact has a rim of {scene.contact.gross_radius_px} px here" if setting != "onset" else ""
+        return Reference(None, _ONSET + rim)
     usable = np.flatnonzero(status == FRAME_STATUS.index("usable"))
     frame = requested_frame(scene, times)
     if frame is None:

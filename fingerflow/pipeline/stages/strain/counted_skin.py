@@ -46,7 +46,7 @@ class CountedSkin:
             skins = _skins(results["status"], stage.seeded)
         both: list[list[NDArray[np.int32]]] = []
         for points, _ in skins:
-            plain, separate = _triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
+            plain, separate = triangulate(np.where(points[:, None], reference, np.nan)), self._advected(points)
             if stage.by_onsets:
                 distorted = self._distorted_by_onsets(plain, onset[plain].max(1, initial=0), reference)
                 plain, separate = plain[~distorted], np.concatenate([plain[distorted], separate])
@@ -85,7 +85,7 @@ class CountedSkin:
             return np.zeros((0, 3), np.int32)
         # Skin that came later may have left again, so the last frame does not show all of it.
         positions = stage.common_position if stage.some_later else self._position[slice(stage.last, stage.last + 1)][0]
-        triangles = _triangulate(np.where((points & (stage.onset >= 0))[:, None], positions, np.nan))
+        triangles = triangulate(np.where((points & (stage.onset >= 0))[:, None], positions, np.nan))
         return triangles[np.isin(triangles, stage.entered).any(1)]
 
     def _distorted_by_onsets(
@@ -150,7 +150,7 @@ def _skins(status: Values, seeded: NDArray[np.intp]) -> list[tuple[NDArray[np.bo
     return [*result, (present, status.shape[0])]
 
 
-def _triangulate(positions: Points) -> NDArray[np.int32]:
+def triangulate(positions: Points) -> NDArray[np.int32]:
     """Return Delaunay triangles (M, 3) of all points with finite positions; none if the points span no area."""
     finite = np.flatnonzero(np.isfinite(positions).all(-1)).astype(np.int32)
     if len(finite) < 3:
