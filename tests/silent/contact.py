@@ -98,7 +98,6 @@ def _faint(edge: float, width_mm: float, thinner_px: int = 999) -> Change:
     """Return a change that leaves ridges the share `edge` of their contrast at the border of the contact, which rises
     to all of it `width_mm` inside; the contrast beyond `thinner_px` from their edges remains.
     """
-    around = np.ones((thinner_px, thinner_px), np.uint8)
 
     def change(pictures: Pictures, press: Press) -> Pictures:
         y, x = (torch.from_numpy(line * press.mm_per_px) for line in np.mgrid[: pictures.shape[1], : pictures.shape[2]])
@@ -107,7 +106,7 @@ def _faint(edge: float, width_mm: float, thinner_px: int = 999) -> Change:
             if (ellipse := press.truth.ellipse(frame)) is not None:
                 inside = ellipse.distance(x, y).numpy()
                 share = edge + (1 - edge) * np.clip(inside / width_mm, 0, 1)
-                kept = cv2.dilate(picture, around) if thinner_px < 999 else 1.0
+                kept = cv2.dilate(picture, np.ones((thinner_px, thinner_px))) if thinner_px < 999 else 1.0
                 picture[:] = np.where(inside > -0.05, kept - (kept - picture) * share, picture)
         return result
 
@@ -211,9 +210,7 @@ def _small_contacts(few: bool) -> Iterator[Case]:
             some = (truth > 0.05) & (result["real_contact_area"].values > 0)
             off = ((gross - truth) / deviation)[some]
             worst, spread = float(np.abs(off).max()), float(np.sqrt(np.square(off).mean()))
-            largest = (
-                f"{np.max(np.abs(gross - truth)[some]):.2f} mm2 off, {spread:.1f} deviations RMS, {worst:.1f} worst"
-            )
+            largest = f"{np.max(np.abs(gross - truth)[some]):.2f} mm2 off, {spread:.1f} std RMS, {worst:.1f} worst"
             verdict = "right" if spread < 2 and worst < 4 else "wrong in silence"
             stated = f"{deviation[some].min():.2f} to {deviation[some].max():.2f} mm2"
             yield Case(f"{truth.max():.2f} mm2 of {name}", largest, "0", stated, verdict)
