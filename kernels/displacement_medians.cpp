@@ -1,4 +1,4 @@
-// Medians of displacements over an ellipse, and their deviations (fingerflow/ops/fields/displacement_medians.py has the
+// Medians of displacements over an ellipse, and their deviations (fingerflow/tracker/displacement_medians.py has the
 // equations). Each place of a lattice in the ellipse counts for the nearest point.
 // Layout: coordinates are in semi-axes from the ellipse's centre, so that the ellipse is the unit disc. Points are sorted
 // into square cells, about one a cell; rings of cells around a place are searched until none can hold a nearer point.

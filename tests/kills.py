@@ -20,6 +20,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,7 +31,6 @@ import numpy as np
 from fingerflow import cli, open_stream, synthetic
 from fingerflow.errors import FingerflowError
 from fingerflow.export import write_bundle
-from fingerflow.recordings.guard.idle import IdleLimit
 from fingerflow.results import patient_file
 from fingerflow.results.result import load_result
 from tests.small_trials import TINY_PRESS
@@ -189,9 +189,14 @@ def _fork(
         os.close(reading)
         _become(arguments, folder, told, number, moment, writing)
     os.close(writing)
-    with IdleLimit(process, 60.0), os.fdopen(reading, "rb") as answer:
-        facts = answer.read()
+    limit = threading.Timer(600.0, os.kill, (process, signal.SIGKILL))
+    limit.start()
+    try:
+        with os.fdopen(reading, "rb") as answer:
+            facts = answer.read()
         status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    finally:
+        limit.cancel()
     operations, modules = json.loads(facts) if facts else (0, [])
     for module in modules:  # imported once here instead of in each process
         with contextlib.suppress(Exception):

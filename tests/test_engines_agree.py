@@ -100,6 +100,9 @@ def test_fields_are_equal(said: Said) -> None:
     assert np.isfinite(reference).sum() > 30
     for other in (said.onnx["median_divergence"].values, *(live["median_divergence"] for live in said.played)):
         np.testing.assert_allclose(other, reference, rtol=0, atol=4e-4)  # NaN in the same frames
+    length = said.torch["global_displacement"].values
+    for other in (said.onnx["global_displacement"].values, *(live["global_displacement"] for live in said.played)):
+        np.testing.assert_allclose(other, length, rtol=0, atol=1e-3)  # mm
     for name in ("divergence", "curl"):
         for other in (said.onnx[name].values, *(live[name][:, :count] for live in said.played)):
             # Positions differ by up to 0.01 px: a point at the border may come into contact a frame earlier or
@@ -115,7 +118,8 @@ def test_deviations_are_equal(said: Said) -> None:
     """
     onnx, native = said.played
     count = said.torch.sizes["point"]
-    for name in ("median_divergence_std", "median_curl_std", "median_strain_std", "divergence_std", "curl_std"):
+    names = "median_divergence_std", "median_curl_std", "median_strain_std", "divergence_std", "curl_std"
+    for name in (*names, "global_displacement_std"):
         ours, theirs = onnx[name], native[name]
         assert np.mean(np.isfinite(ours) != np.isfinite(theirs)) < 0.01
         both = np.isfinite(ours + theirs) & (theirs > 0)

@@ -187,9 +187,10 @@ def _triangulated(part: SubFigure, low: TypicalPress, high: TypicalPress) -> Non
             show_contact(axes, press.result, press.scene, view, press.peak)
             axes.set_title(f"{friction} friction")
         places = to_pixels(press.result["position"].values[press.peak], matrix_of_view(press.result, "topography"))
+        x, y = np.nan_to_num(places).T
         corners = press.result["triangles"].values
         whole = np.isfinite(places[corners]).all((1, 2))
-        pair[1].triplot(Triangulation(*np.nan_to_num(places).T, corners[whole]), color=INK, linewidth=0.3)
+        pair[1].triplot(Triangulation(x, y, corners[whole]), color=INK, linewidth=0.3)
     describe(grid[0], "Contact and topography view at the largest force, with the triangles between tracked points.")
 
 

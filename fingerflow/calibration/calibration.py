@@ -5,13 +5,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.lens import Lens
 from fingerflow.schema.calibration_file import read_calibration
+from fingerflow.schema.json_value import json_value
 from fingerflow.schema.toml_value import toml_value
 from fingerflow.schema.views import View
 
@@ -40,19 +39,17 @@ class Calibration:
         """Return the text of a calibration file. Numbers have full precision, so reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
-            f"mm_per_px = {_toml_number(self.mm_per_px)}",
-            f"warnings = {toml_value(self.warnings)}",
+            f"mm_per_px = {_value(self.mm_per_px)}",
+            f"warnings = {_value(self.warnings)}",
         ]
         if self.lens is not None:
-            lines += [f"{name} = {_toml_number(value)}" for name, value in asdict(self.lens).items()]
+            lines += [f"{name} = {_value(value)}" for name, value in asdict(self.lens).items()]
         for name, view in self.views.items():
             lines += _section(f"[views.{toml_value(name)}]", {"rows": view.rows, "columns": view.columns})
         lines += _section("[hole]", {"radius_mm": self.hole_radius_mm, **asdict(self.hole)})
         for name, transform in (("affine", self.affine), ("similarity", self.similarity)):
             if transform is not None:
-                values = {"rms_px": transform.rms_px}
-                values |= {field: value.tolist() for field, value in vars(transform).items()}
-                lines += _section(f"[topography_to_contact.{name}]", values)
+                lines += _section(f"[topography_to_contact.{name}]", {"rms_px": transform.rms_px, **vars(transform)})
         for topography, contact in self.discs:
             lines += ["", "[[discs]]"]
             lines += _section("[discs.topography]", asdict(topography))
@@ -70,11 +67,9 @@ def is_calibration(path: Path) -> bool:
 
 
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
-    return ["", title, *(f"{name} = {_toml_number(value)}" for name, value in values.items())]
+    return ["", title, *(f"{name} = {_value(value)}" for name, value in values.items())]
 
 
-def _toml_number(value: Any) -> str:
-    """Format a number (Python or NumPy), or a list of numbers, as TOML at full precision."""
-    if isinstance(value, (tuple, list)):
-        return f"[{', '.join(map(_toml_number, value))}]"
-    return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
+def _value(value: Any) -> str:
+    """Format a Python or NumPy value as TOML at full precision."""
+    return toml_value(json_value(value))

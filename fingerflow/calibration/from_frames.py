@@ -49,8 +49,10 @@ def calibrate(
             f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
         )
     inputs = {"ring": ring, "target": target, "background": background}
-    frames = {name: _grey(frame) for name, frame in inputs.items() if frame is not None}
+    frames = {name: np.asarray(frame) for name, frame in inputs.items() if frame is not None}
     for name, frame in frames.items():
+        if frame.ndim != 2:
+            raise FingerflowError(f"the frame of the {name} is {frame.shape}; a grey one (height, width) is needed")
         if frame.shape != frames["ring"].shape:
             raise FingerflowError(
                 f"the frame of the ring has {_size(frames['ring'])} and that of the {name} {_size(frame)}; record all "
@@ -99,13 +101,6 @@ def _straight_radius(disc: Disc, lens: Lens, view: View) -> float:
     x, y = (lens.straighten(edge + disc.center, view) - disc.center).T
     area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
     return float(np.sqrt(area / np.pi))
-
-
-def _grey(frame: ArrayLike) -> Array:
-    levels = np.asarray(frame)
-    if levels.ndim != 2:
-        raise FingerflowError(f"a calibration frame has the shape {levels.shape}; a grey one (height, width) is needed")
-    return levels
 
 
 def _size(frame: Array) -> str:

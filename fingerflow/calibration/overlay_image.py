@@ -56,6 +56,7 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
     if calibration.warnings:
         figure.suptitle("\n".join(f"warning: {warning}" for warning in calibration.warnings), color="red", fontsize=11)
     for axes in figure.axes:
+        axes.set(xticks=[], yticks=[])  # the layout would measure them though they are not drawn
         axes.set_axis_off()
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", dpi=80)

@@ -55,7 +55,12 @@ def match_discs(from_discs: list[Disc], to_discs: list[Disc]) -> list[tuple[Disc
     to_triples = _triangles(to_discs, [list(triple) for triple in permutations(range(len(to_discs)), 3)])
     from_triple, to_triple = _best_pair(from_discs, from_triples, to_discs, to_triples)
     pairs = [(from_discs[first], to_discs[second]) for first, second in zip(from_triple, to_triple, strict=True)]
-    return _largest_first_then_clockwise(pairs)
+    offsets = np.array([second.center for _, second in pairs])
+    offsets = offsets - offsets.mean(axis=0)
+    largest = int(np.argmax([first.radius_px * second.radius_px for first, second in pairs]))
+    # With the y axis pointing down, the angle from x towards y grows clockwise.
+    angles = np.arctan2(offsets[:, 1], offsets[:, 0])
+    return [pairs[index] for index in np.argsort((angles - angles[largest]) % (2 * np.pi))]
 
 
 def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
@@ -182,16 +187,6 @@ def _best_pair(
 
 def _log_radii_and_weights(discs: list[Disc]) -> tuple[Array, Array]:
     return np.log([disc.radius_px for disc in discs]), np.log([disc.significance for disc in discs])
-
-
-def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[Disc, Disc]]:
-    positions = np.array([second.center for _, second in pairs])
-    offsets = positions - positions.mean(axis=0)
-    largest = int(np.argmax([first.radius_px * second.radius_px for first, second in pairs]))
-    # With the y axis pointing down, the angle from x towards y grows clockwise.
-    angles = np.arctan2(offsets[:, 1], offsets[:, 0])
-    order = np.argsort((angles - angles[largest]) % (2 * np.pi))
-    return [pairs[index] for index in order]
 
 
 def _centres(discs: list[Disc]) -> str:

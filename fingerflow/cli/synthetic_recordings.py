@@ -2,7 +2,7 @@
 
 import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -103,11 +103,8 @@ def _simulate(
     if picture is not None:
         scene = synthetic.scene_of_print(kinds[scene_kind], picture, **({} if dpi is None else {"dpi": dpi}))
     else:
-        scene = (
-            kinds[scene_kind]()
-            if skin is None
-            else kinds[scene_kind](texture=synthetic.FingerprintTexture(pattern=skin))
-        )
+        texture: dict[str, Any] = {} if skin is None else {"texture": synthetic.FingerprintTexture(pattern=skin)}
+        scene = kinds[scene_kind](**texture)
     if friction is not None:
         if not isinstance(scene, synthetic.ChainPress):
             raise FingerflowError(

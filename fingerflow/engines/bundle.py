@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -14,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import EngineSettings
-from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.schema.recipe import GRAPHS as GRAPHS  # `choice` may not import the schema, and takes it from here
 from fingerflow.schema.recipe import parse_recipe
+from fingerflow.schema.text_file import check_file, read_text
 
 _AGAIN = "export the bundle again, or copy its folder again"
 _MOST_FACTS = 1 << 26  # bytes of bundle.json, which has some 100 kB for 700 points
@@ -57,36 +57,32 @@ class Bundle:
 def load_bundle(folder: Path) -> Bundle:
     """Load the deployment bundle of a folder and check the hash of every file that bundle.json lists.
 
-    Raise PlayerError for a missing, damaged or foreign file.
+    Raise FingerflowError for a missing, damaged or foreign file.
     """
     path = folder / "bundle.json"
     try:
-        facts = json.loads(_content(path, _MOST_FACTS))
-    except OSError as error:
-        raise PlayerError(
-            f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
-        ) from None
+        facts = json.loads(read_text(path, "name the folder that `fingerflow export` wrote", _MOST_FACTS))
     except (ValueError, RecursionError) as error:
-        raise PlayerError(f"{path}: is no JSON ({error}); {_AGAIN}") from None
+        raise FingerflowError(f"{path}: is no JSON ({error}); {_AGAIN}") from None
     if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
         stated = facts.get("format") if isinstance(facts, dict) else facts
-        raise PlayerError(
+        raise FingerflowError(
             f"{path}: its format is {str(stated)[:40]!r}, this player reads {BUNDLE_FORMAT}; use the player of the "
             "same bundle, or export it again"
         )
     for name, entry_type in {"fingerflow": str, "recipe": dict, "files": dict, "expected": dict}.items():
         if not isinstance(facts.get(name), entry_type):
-            raise PlayerError(f"{path}: has no proper entry {name!r}; {_AGAIN}")
+            raise FingerflowError(f"{path}: has no proper entry {name!r}; {_AGAIN}")
     try:
         recipe = parse_recipe(facts["recipe"], path)
+        for name, digest in facts["files"].items():
+            _check_hash(folder, name, digest)
     except FingerflowError as error:
-        raise PlayerError(f"{error}; {_AGAIN}") from None
+        raise FingerflowError(f"{error}; {_AGAIN}") from None
     size = {name: getattr(recipe.views, name) for name in ("height", "width", "bit_depth")}
     for name, number in {**size, "points": recipe.tracking.points}.items():
         if facts["expected"].get(name) != number:
-            raise PlayerError(f"{path}: its expected numbers are not of {name} {number}, that of its recipe; {_AGAIN}")
-    for name, digest in facts["files"].items():
-        _check_file(folder, name, digest)
+            raise FingerflowError(f"{path}: its expected numbers are not of {name} {number} of its recipe; {_AGAIN}")
     files: dict[str, Path] = {name: folder / f"{name}.onnx" for name in GRAPHS if f"{name}.onnx" in facts["files"]}
     return Bundle(
         folder=folder,
@@ -101,24 +97,14 @@ def load_bundle(folder: Path) -> Bundle:
     )
 
 
-def _check_file(folder: Path, name: str, digest: str) -> None:
-    """Raise PlayerError if the file of this name in a bundle has another SHA-256, or if the name leads out of it."""
+def _check_hash(folder: Path, name: str, digest: str) -> None:
+    """Raise FingerflowError if the file of this name has another SHA-256, or if the name leads out of the bundle."""
     if not _FILE_NAME.fullmatch(name):
-        raise PlayerError(f"{folder / 'bundle.json'}: {name[:80]!r} is no name of a file in its folder; {_AGAIN}")
-    try:
-        actual = hashlib.sha256(_content(folder / name)).hexdigest()
-    except OSError as error:
-        raise PlayerError(f"{folder / name}: cannot be read ({error.strerror}); {_AGAIN}") from None
+        raise FingerflowError(f"{folder / 'bundle.json'}: {name[:80]!r} is no name of a file in its folder")
+    check_file(folder / name)
+    actual = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     if actual != digest:
-        raise PlayerError(
+        raise FingerflowError(
             f"{folder / name}: its SHA-256 is {actual[:16]}..., bundle.json has {str(digest)[:16]}...: the file is "
-            f"damaged or belongs to another bundle; {_AGAIN}"
+            "damaged or belongs to another bundle"
         )
-
-
-def _content(path: Path, most: float = math.inf) -> bytes:
-    if path.exists() and not path.is_file():  # a pipe or a device, which is never read to its end
-        raise OSError(0, "it is no file")
-    if (size := path.stat().st_size) > most:
-        raise OSError(0, f"it has {size} bytes")
-    return path.read_bytes()

@@ -10,8 +10,6 @@ from fingerflow.engines.engine import Array, GlassLight
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.kernels.library import compiled, is_present
 
-_NOWHERE = np.float32(-1e4)
-
 
 def glass_light(empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
     """Compute the light of the empty glass and the black level (1, 1, H, W), as `ops.glass_light`, from counts (H, W).
@@ -53,29 +51,14 @@ def covers(density_margin: Array, points: Array, topography_to_contact: Array, c
     across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
     with np.errstate(invalid="ignore", over="ignore"):  # positions may be infinite
         x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
-    height, width = density_margin.shape[-2:]
-    known = np.isfinite(x) & np.isfinite(y)
-    column, row = (
-        (np.where(known, place, _NOWHERE) - np.float32((cell - 1) / 2)) / np.float32(cell) for place in (x, y)
-    )
-    inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
-    result: Array = (_at_places(density_margin, column, row) > 0) & inside
-    return result
-
-
-def _at_places(cells: Array, x: Array, y: Array) -> Array:
-    """Interpolate values on cells (K, 1, h, w) bilinearly at positions x and y (K, N), in units of cells.
-
-    Positions beyond the middle of the outermost cells are clamped to it.
-    """
-    height, width = cells.shape[-2:]
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    left, top = (np.clip(np.floor(at), 0, max(size - 2, 0)) for at, size in ((x, width), (y, height)))
-    first = (top * width + left).astype(np.intp)
-    # Index steps to the next cell, 0 if the grid has only one column or row.
-    right, down = min(1, width - 1), width * min(1, height - 1)
-    flat = cells.reshape(len(cells), -1)
-    a, b, c, d = (np.take_along_axis(flat, first + step, 1) for step in (0, right, down, down + right))
-    across, along = x - left, y - top
-    result: Array = (a * (1 - across) + b * across) * (1 - along) + (c * (1 - across) + d * across) * along
+    size = np.array(density_margin.shape[:-3:-1], np.float32)[:, None, None]  # width, height
+    position = (np.stack((x, y)) - np.float32((cell - 1) / 2)) / np.float32(cell)
+    inside: Array = np.all((position >= -0.5) & (position < size - 0.5), axis=0)  # False where it is not finite
+    # Interpolate bilinearly; beyond the middle of the outermost cells the nearest cell counts.
+    position = np.clip(np.where(inside, position, np.float32(0)), 0, size - 1)
+    first = np.minimum(np.floor(position), np.maximum(size - 2, 0))
+    (left, top), (right, below) = first.astype(int), np.minimum(first + 1, size - 1).astype(int)
+    cells, frame, (across, along) = density_margin[:, 0], np.arange(len(inside))[:, None], position - first
+    upper, lower = (cells[frame, row, left] * (1 - across) + cells[frame, row, right] * across for row in (top, below))
+    result: Array = (upper * (1 - along) + lower * along > 0) & inside
     return result

@@ -186,14 +186,9 @@ class GraphEngine:
             inputs = self._pad_points(start=start[None], found=found.points, position_std=np.sqrt(found.variance))
             masks = self._sessions["outliers"]({**self._neighbours(start), **inputs})
             found = reject_outliers(found, masks["off_neighbours"][:, :count], masks["uncertain"][:, :count])
-        inputs = self._pad_points(
-            start=start[None],
-            found=found.points,
-            found_covariance=found.covariance,
-            template_numbers=numbers[None],
-            inverse_warp=inverse_warp[None],
-        )
-        outputs = self._sessions["correct"]({**inputs, **self._support(start)})
+        tracked = {"start": start[None], "found": found.points, "found_covariance": found.covariance}
+        templates = {"template_numbers": numbers[None], "inverse_warp": inverse_warp[None]}
+        outputs = self._sessions["correct"]({**self._pad_points(**tracked, **templates), **self._support(start)})
         points, covariance, *others = (values[:, :count] for values in outputs.values())
         return Corrected(found._replace(points=points, covariance=covariance), *others)
 
@@ -245,14 +240,16 @@ class GraphEngine:
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
         count = len(reference)
-        arrays = {"reference": reference[None], "displacement": displacement, "covariance": covariance}
-        if covariance is None and self.fixed:
-            arrays["covariance"] = np.zeros((*displacement.shape, 2), np.float32)
+
+        def spread(covariance: Array | None, *shape: int) -> Array | None:
+            """Return a covariance; 0 in place of None where graphs have fixed shapes, which leave out no input."""
+            return np.zeros(shape, np.float32) if covariance is None and self.fixed else covariance
+
+        arrays: dict[str, Array | None] = {"reference": reference[None], "displacement": displacement}
+        arrays["covariance"] = spread(covariance, *displacement.shape, 2)
         if entered is not None:
-            spread = entered.covariance
-            if spread is None and self.fixed:
-                spread = np.zeros((*entered.gradient.shape, 2, 2), np.float32)
-            arrays |= {"among": entered.among, "gradient": entered.gradient, "gradient_covariance": spread}
+            arrays |= {"among": entered.among, "gradient": entered.gradient}
+            arrays["gradient_covariance"] = spread(entered.covariance, *entered.gradient.shape, 2, 2)
         inputs = self._pad_points(**arrays) | {f"ellipse_{name}": part for name, part in ellipse._asdict().items()}
         outputs = self._sessions["fields" if entered is None else "fields_entered"](inputs)
         for name in ("divergence", "curl", "strain", "shear", "divergence_std", "curl_std"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -38,18 +37,14 @@ from fingerflow.schema.pixel_types import COMPUTED_TYPES
 _UNKNOWN = np.float32(np.nan)
 
 
-@dataclass
 class _NativeTemplates:
     """Templates of N points: reference positions (1, N, 2), sampled grey levels of the windows around them, and
     statistics of these samples, which the kernel `prepare_templates` computes; key frame, and its noise.
     """
 
-    arrays: tuple[Array, Array, Array]
-    key: Array
-    noise: float
-
-    def __post_init__(self) -> None:
-        self.numbers: Array = self.arrays[2][0]
+    def __init__(self, arrays: tuple[Array, Array, Array], key: Array, noise: float) -> None:
+        self.arrays, self.key, self.noise = arrays, key, noise
+        self.numbers: Array = arrays[2][0]
 
     def update(self, rows: Array, updated: _NativeTemplates) -> None:
         for array, part in zip(self.arrays, updated.arrays, strict=True):
@@ -135,13 +130,9 @@ class NativeEngine:
         if len(start) > 1:  # a single point has no neighbour
             moved, deviation = found.points - start, np.sqrt(found.variance)
             found = reject_outliers(found, *tracking.find_outliers(self._neighbours(start), moved, deviation))
-        corrected = tracking.correct_points(
-            *(start, found.points, found.covariance, numbers, inverse_warp),
-            window=self.settings.window_px,
-            gauge_px=WARP_GAUGE_PX,
-        )
-        better = TrackedPoints(corrected.points, found.error, corrected.covariance, found.status, found.estimate)
-        return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
+        window, inputs = self.settings.window_px, (start, found.points, found.covariance, numbers, inverse_warp)
+        points, covariance, *others = tracking.correct_points(*inputs, window=window, gauge_px=WARP_GAUGE_PX)
+        return Corrected(TrackedPoints(points, found.error, covariance, found.status, found.estimate), *others)
 
     def search(self, templates: _NativeTemplates, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
         size, reach = tracking.sizes_of(self.settings.window_px, self.settings.search_px)
@@ -170,12 +161,11 @@ class NativeEngine:
         covariance: Array | None = None,
         entered: EnteredPoints | None = None,
     ) -> FrameFields:
-        reference, measure = reference[None], self.settings.strain
-        batch, count = displacement.shape[:2]
-        gradient, spread = self._gradients(reference, displacement, covariance, entered)
-        median, median_std, known_share = self._medians(reference, displacement, ellipse, covariance, entered)
+        points, (batch, count) = (reference[None], displacement, covariance), displacement.shape[:2]
+        gradient, spread = self._gradients(*points, entered)
+        median, median_std, known_share = self._medians(points, ellipse, entered)
         parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
-        fields = _fields(parts, measure)
+        fields = _fields(parts, self.settings.strain)
         shear = np.empty((batch, count, 2), np.float32)
         flat = shear.reshape(-1, 2)
         np.subtract(parts[0], parts[3], out=flat[:, 0])
@@ -213,17 +203,13 @@ class NativeEngine:
         return gradient, spread
 
     def _medians(
-        self,
-        reference: Array,
-        displacement: Array,
-        ellipse: FrameEllipse,
-        covariance: Array | None,
-        entered: EnteredPoints | None,
+        self, points: tuple[Array, Array, Array | None], ellipse: FrameEllipse, entered: EnteredPoints | None
     ) -> tuple[Array, Array | None, Array]:
         """Compute the medians of divergence, curl and strain over the contact ellipse of each of K frames, their
-        standard deviations, and the share of the ellipse in which the fields are known.
+        standard deviations, and the share of the ellipse in which the fields are known, from reference positions,
+        displacements and covariances of points.
         """
-        measure = self.settings.strain
+        measure, (reference, displacement, covariance) = self.settings.strain, points
         ellipses = np.empty((len(displacement), 6), np.float32)
         ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
         np.cos(ellipse.angle, out=ellipses[:, 4])

@@ -131,12 +131,8 @@ def _open_session(path: Path, provider: str, full: str, threads: int) -> ort.Inf
     if provider == CPU:
         _share_memory()
         options.add_session_config_entry("session.use_env_allocators", "1")
-    of_provider: dict[str, Any] = {}
-    if provider == "tensorrt":
-        of_provider = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
-    chosen: list[Any] = [(full, of_provider)]
-    if full != provider_named(CPU):
-        chosen.append(provider_named(CPU))
+    cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
+    chosen = [(full, cache if provider == "tensorrt" else {}), *([] if provider == CPU else [provider_named(CPU)])]
     try:
         session = ort.InferenceSession(path, options, providers=chosen)
     except Exception as error:

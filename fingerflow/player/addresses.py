@@ -44,5 +44,5 @@ def open_address(package: str, what: str, requested: str, *arguments: Any) -> An
         raise PlayerError(f"{what} {requested!r}: {error}; its form is {module.ADDRESS}") from None
     except ImportError as error:
         raise PlayerError(f"{what} {requested!r}: needs the package {error.name}: `pip install {error.name}`") from None
-    except Exception as error:  # a user's or library's code may raise anything
+    except (Exception, SystemExit) as error:  # a user's or library's code may raise anything
         raise PlayerError(f"{what} {requested!r}: cannot be opened ({first_line(error)})") from error

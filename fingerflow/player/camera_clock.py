@@ -11,9 +11,11 @@ log = logging.getLogger("fingerflow.player")
 EPOCH = time.time() - time.perf_counter()
 _MOST_AHEAD = 0.25  # s by which a stamp may advance more than arrivals do: frames that waited arrive together
 _MOST_JUMPS, _LEAST_PASSED = 3, 0.1  # frames in a row, and s, in which stamps run ahead before their unit is found
-_UNITS = (1e-3, 1e-6, 1e-9)  # s: what cameras count besides seconds
+_UNITS = (1e-3, 1e-6, 1e-9, 60.0, 3600.0, 86400.0)  # s: what stamps count besides seconds
 _LEAST = 1e-9  # s between two frames that arrive at once
-_WINDOW = 5.0  # s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it
+# s, window of the least offset; two quartz clocks drift apart by some 0.1 ms in it. Share of it by which stamps fall
+# behind arrivals where they are in a larger unit than s.
+_WINDOW, _LATE = 5.0, 0.97
 
 
 def unix_now() -> float:
@@ -31,17 +33,17 @@ class CameraClock:
     transfer itself cannot be told from the offset and does not.
 
     Stamps are compared with arrivals: between two frames they cannot advance by much more than arrivals do. Where they
-    do so from frame to frame, they count ms, us or ns and are converted, or are refused; where they do so once, or
-    where a stamp is missing or not after the one before, time advances by arrivals over that interval. So it never runs
-    backwards.
+    do so from frame to frame, they count ms, us or ns and are converted, or are refused; as are those that hardly
+    advance within 5 s, which may count minutes, hours or days. Where they run ahead once, or where a stamp is missing
+    or not after the one before, time advances by arrivals over that interval. So it never runs backwards.
 
     Attributes:
         has_stamps: whether the last frame had a usable time stamp of its camera.
     """
 
     def __init__(self) -> None:
-        self.has_stamps, self._unit = False, 1.0  # s, unit of the stamps; NaN if they are refused
-        self._warned = False
+        self.has_stamps = self._warned = False
+        self._unit = 1.0  # s, unit of the stamps; NaN if they are refused
         # Stamp, time and arrival of the last frame; stamp and arrival of the frame before stamps began to run ahead.
         self._last = self._time = self._arrival = math.nan
         self._ahead: tuple[float, float] | None = None
@@ -69,7 +71,11 @@ class CameraClock:
         if not usable:
             self._least, self._before, self._began = arrival - stamp, math.inf, arrival
             return self._time, arrival
-        if arrival - self._began > _WINDOW:
+        if (window := arrival - self._began) > _WINDOW:
+            late = arrival - stamp - self._least
+            if late > _LATE * (window - passed) + passed:
+                self._time += late
+                self._find_unit(window - late, window)
             self._before, self._least, self._began = self._least, math.inf, arrival
         self._least = min(self._least, arrival - stamp)
         return self._time, stamp + min(self._least, self._before)
@@ -81,8 +87,8 @@ class CameraClock:
         if not self._warned:
             self._warned = True
             log.warning(
-                "the camera's time stamp %.6f s is not after the one before, %.6f s, %.6f s passed between arrivals: "
-                "times there are those of arrivals", stamp, self._last, arrival - self._arrival,
+                "the camera's time stamp %.6f s does not follow the one before, %.6f s, as arrivals do, between which "
+                "%.6f s passed: times there are those of arrivals", stamp, self._last, arrival - self._arrival,
             )  # fmt: skip
         if stamp < self._last:
             self._ahead = None
@@ -90,9 +96,12 @@ class CameraClock:
         if self._ahead is None:
             self._ahead, self._jumps = (self._last, self._arrival), 0
         self._jumps += 1
-        advanced, passed = stamp - self._ahead[0], arrival - self._ahead[1]
-        if self._jumps < _MOST_JUMPS or passed < _LEAST_PASSED:
-            return
+        passed = arrival - self._ahead[1]
+        if self._jumps >= _MOST_JUMPS and passed >= _LEAST_PASSED:
+            self._find_unit(stamp - self._ahead[0], passed)
+
+    def _find_unit(self, advanced: float, passed: float) -> None:
+        """Find the unit of stamps that advance by `advanced` while `passed` s pass, or refuse them."""
         units = [unit for unit in _UNITS if 0.8 < advanced * unit / passed < 1.25]
         self._unit = units[0] if units else math.nan
         log.warning(

@@ -11,7 +11,6 @@ from typing import NamedTuple
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.sensors.sensor import ForceSample, ForceSensor
-from fingerflow.player.sources.source import ENDING
 
 log = logging.getLogger("fingerflow.player")
 
@@ -80,11 +79,11 @@ class SensorForces:
         while not self._stop.is_set():
             try:
                 sample = self._sensor.read()
-            except (Exception, *ENDING) as error:
+            except BaseException as error:
                 if not failed:
                     log.warning("%s: no force: %s", self._name, first_line(error))
                 failed = True
-                if isinstance(error, (PlayerError, *ENDING)):
+                if isinstance(error, PlayerError) or not isinstance(error, Exception):
                     break
                 self._stop.wait(_FAILED_WAIT)
                 continue
@@ -93,7 +92,7 @@ class SensorForces:
                 self._samples.append(sample)
         try:
             self._sensor.close()
-        except Exception as error:
+        except BaseException as error:
             log.warning("%s: closing: %s", self._name, first_line(error))
 
 

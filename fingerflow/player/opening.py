@@ -119,7 +119,7 @@ def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame 
             source = played.open_source(played.first)
         except FingerflowError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
         opened.pop_all()
     return Player(

@@ -94,7 +94,7 @@ class PageServer(ThreadingHTTPServer):
         opening: address that opens the page, with the token.
     """
 
-    daemon_threads = True
+    daemon_threads, request_queue_size = True, 128  # connections that wait to be accepted
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler], live: LiveData) -> None:
         self._live = live
@@ -166,7 +166,12 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
             # The body is not parsed; on a connection that stays open it would be taken for the next request.
             self.answer(400, "text/plain", b"requests have no body here")
-            self._discard_body()
+            # The rest of the body is discarded, as closing the connection earlier would lose the response.
+            self.connection.shutdown(socket.SHUT_WR)
+            self.connection.settimeout(_LINGER)
+            taken = 0
+            while taken < _MOST_BODY and (part := self.connection.recv(65536)):
+                taken += len(part)
             return True
         if len(hosts) != 1 or not self._means_this_computer(_name(hosts[0])):
             self.answer(421, "text/plain", b"this address is not served under that name")
@@ -198,14 +203,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing, because the page sends fifteen requests a second."""
-
-    def _discard_body(self) -> None:
-        """Read and discard the rest of a request's body, as closing the connection earlier would lose the response."""
-        self.connection.shutdown(socket.SHUT_WR)
-        self.connection.settimeout(_LINGER)
-        taken = 0
-        while taken < _MOST_BODY and (part := self.connection.recv(65536)):
-            taken += len(part)
 
     def _means_this_computer(self, name: str) -> bool:
         """Return whether a host name, from the Host header of a request, means this computer and can mean no other.

@@ -12,7 +12,6 @@ from fingerflow.player.condition import Condition
 from fingerflow.player.handover import Channel
 from fingerflow.player.latency import Latencies
 from fingerflow.player.outputs.output import LiveFrame, Output
-from fingerflow.player.sources.source import ENDING
 
 log = logging.getLogger("fingerflow.player")
 
@@ -143,7 +142,7 @@ class Sender:
                 self._send(message)
         try:
             self._output.close()
-        except (Exception, *ENDING) as error:
+        except BaseException as error:
             log.warning("%s: closing: %s", self.name, first_line(error))
 
     def _send(self, message: LiveFrame) -> None:
@@ -151,7 +150,7 @@ class Sender:
         frame = stamp._replace(written=unix_now())
         try:
             self._output.send(frame, {name: values[name] for name in self._values})
-        except (Exception, *ENDING) as error:
+        except BaseException as error:
             self._took = unix_now() - frame.written
             self.failed += 1
             if not self._fails:

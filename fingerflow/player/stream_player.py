@@ -28,7 +28,7 @@ from fingerflow.player.page_server import serve_page
 from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Sender
-from fingerflow.player.sources.source import ENDING, Source, close_within
+from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_distances import LONGEST
@@ -330,15 +330,15 @@ class Player:
                     frame = source.read()
                 except FingerflowError:
                     raise
-                except ENDING as error:
-                    raise PlayerError(
-                        f"{self.source_name}: its module ended the stream by {type(error).__name__}; return None after "
-                        "the last frame"
-                    ) from error
                 except Exception as error:
                     self._close_failed(source, error, attempt)
                     source, attempt = None, attempt + 1
                     continue
+                except BaseException as error:
+                    raise PlayerError(
+                        f"{self.source_name}: its module ended the stream by {type(error).__name__}; return None after "
+                        "the last frame"
+                    ) from error
                 self._waiting_since, attempt = None, 0
                 if frame is None:
                     break

@@ -37,7 +37,6 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
     Raises:
         FingerflowError: the result lacks a variable that is drawn.
     """
-    need(result, "gross_contact_area")
     curves = [_curve(result, "gross_contact_area", "gross")]
     if "real_contact_area" in result and np.isfinite(result["real_contact_area"].values).any():
         curves.append(_curve(result, "real_contact_area", "real"))
@@ -46,7 +45,6 @@ def contact_area(result: xr.Dataset, axes: Axes | None = None, against: str | No
 
 def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the semi-axes of the ellipse of the apparent contact; arguments as for `contact_area`."""
-    need(result, "ellipse_semi_axes")
     curves = [_curve(result, "ellipse_semi_axes", f"semi-{name}", k) for k, name in enumerate(("major", "minor"))]
     return _start_at_zero(_draw(result, axes, against, curves, "Ellipse of the gross contact", "semi-axis"))
 
@@ -56,15 +54,13 @@ def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str
 
     Arguments as for `contact_area`.
     """
-    need(result, "median_divergence")
-    names = [name for name in ("divergence", "curl") if f"median_{name}" in result]
+    names = ["divergence", *(["curl"] if "median_curl" in result else [])]
     curves = [_curve(result, f"median_{name}", name) for name in names]
     return _draw(result, axes, against, curves, "Divergence and curl", "median")
 
 
 def median_strain(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Draw the median strain components over the apparent contact; arguments as for `contact_area`."""
-    need(result, "median_strain")
     curves = [_curve(result, "median_strain", name, k) for k, name in enumerate(("exx", "eyy", "exy"))]
     return _draw(result, axes, against, curves, "Strain")
 
@@ -81,9 +77,7 @@ def strain_energy(result: xr.Dataset, axes: Axes | None = None, against: str | N
 
 def forces(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw normal and tangential force, by default against time; arguments as for `contact_area`."""
-    names = [name for name in ("normal_force", "tangential_force") if name in result]
-    if not names:
-        need(result, "normal_force")
+    names = [name for name in ("normal_force", "tangential_force") if name in result] or ["normal_force"]
     curves = [_curve(result, name, name.removesuffix("_force")) for name in names]
     return _draw(result, axes, against, curves, "Forces", "force")
 
@@ -95,7 +89,6 @@ def load_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Draw the share of points that are tracked, by default against time; arguments as for `contact_area`."""
-    need(result, "tracked_share")
     drawn = _draw(result, axes, against, [_curve(result, "tracked_share", "tracked")], "Points tracked", "points")
     drawn.set_ylim(0, 103)
     return drawn
@@ -106,7 +99,6 @@ def forward_backward(result: xr.Dataset, axes: Axes | None = None, against: str 
 
     The frame in which points are seeded is compared with itself and left out.
     """
-    need(result, "forward_backward_median")
     name, values, std, variable = _curve(result, "forward_backward_median")
     curve = name, np.where(values > 0, values, np.nan), std, variable
     return _start_at_zero(_draw(result, axes, against, [curve], "Forward-backward distance", "distance"))
@@ -139,8 +131,9 @@ def need(result: xr.Dataset, *names: str) -> None:
 
 def _curve(result: xr.Dataset, name: str, legend: str = "", component: int | None = None) -> _Curve:
     """Return one variable of a result, or its component number `component`, as a curve in its display unit, with its
-    standard deviations if the result has them.
+    standard deviations if the result has them; raise FingerflowError if it lacks the variable.
     """
+    need(result, name)
 
     def shown(of: str) -> Values:
         values = VARIABLES[name].shown_values(result[of].values)
@@ -157,7 +150,6 @@ def _start_at_zero(axes: Axes) -> Axes:
 
 def _draw_one(result: xr.Dataset, axes: Axes | None, against: str | None, name: str, title: str) -> Axes:
     """Draw a figure with the curve of a single variable."""
-    need(result, name)
     return _draw(result, axes, against, [_curve(result, name)], title)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,10 @@ def principal(frame: xr.Dataset) -> tuple[Values, Values]:
     return np.stack((middle + radius, middle - radius), 1), np.arctan2(2 * exy, exx - eyy) / 2
 
 
+def _component(variable: str, number: int, frame: xr.Dataset) -> Values:
+    return np.asarray(frame[variable].values[:, number])
+
+
 #: Quantities of `field_map`, by name.
 QUANTITIES: dict[str, Quantity] = {
     "divergence": Quantity("Divergence", "divergence"),
@@ -85,9 +90,7 @@ QUANTITIES: dict[str, Quantity] = {
     "major_strain": Quantity("Major principal strain", "strain", lambda frame: principal(frame)[0][:, 0]),
     "minor_strain": Quantity("Minor principal strain", "strain", lambda frame: principal(frame)[0][:, 1]),
     **{
-        f"{component}{suffix}": Quantity(
-            f"{words} {component}", variable, lambda frame, variable=variable, k=k: frame[variable].values[:, k]
-        )
+        f"{component}{suffix}": Quantity(f"{words} {component}", variable, partial(_component, variable, k))
         for variable, suffix, words in (("strain", "", "Strain"), ("strain_rate", "_rate", "Strain rate"))
         for k, component in enumerate(LABELS["strain_component"])
     },

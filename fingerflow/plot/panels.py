@@ -24,16 +24,15 @@ def panel_letter(number: int) -> str:
     return before + letters[number % len(letters)]
 
 
-def row_of_panels(count: int, width_mm: float, height: float = 1.05) -> tuple[Figure, Sequence[SubFigure]]:
+def row_of_panels(count: int, width_mm: float) -> tuple[Figure, Sequence[SubFigure]]:
     """Return a figure with lettered panels in a row, or in a column where panels in a row would be under 50 mm wide.
 
     Args:
         count: of panels.
         width_mm: of the figure, as set by `figure_style`.
-        height: of a panel in a row, as a share of its width.
     """
     row = width_mm >= count * _BESIDE_MM
-    figure = new_figure(height / count if row else 0.75 * count)
+    figure = new_figure(1.05 / count if row else 0.75 * count)
     parts: Any = figure.subfigures(1, count) if row else figure.subfigures(count, 1)
     for number, part in enumerate(parts):
         letter_panel(part, number)

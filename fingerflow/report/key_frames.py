@@ -36,7 +36,12 @@ def key_frames(result: xr.Dataset) -> list[KeyFrame]:
         frames += _press_frames(result, usable)
     if len(frames) < 2:
         frames += _contact_frames(result, usable)
-    return _select_spaced(frames, result.sizes["frame"])
+    chosen: list[KeyFrame] = []
+    for frame in frames:  # in order of preference
+        apart = all(abs(frame[0] - earlier) > _APART * result.sizes["frame"] for earlier, _ in chosen)
+        if apart and len(chosen) < _MOST:
+            chosen.append(frame)
+    return sorted(chosen)
 
 
 def _usable_frames(result: xr.Dataset) -> NDArray[np.bool_]:
@@ -90,14 +95,3 @@ def _largest_and_half(values: NDArray[np.floating], name: str) -> list[KeyFrame]
     top = int(np.argmax(values))
     half = int(np.argmax(values >= values[top] / 2))
     return [(top, f"largest {name}"), (half, f"half of the largest {name}")]
-
-
-def _select_spaced(candidates: list[KeyFrame], count: int) -> list[KeyFrame]:
-    """Select, in order of preference as given, up to five candidate frames more than 2 % of the recording's `count`
-    frames apart, and return them sorted by time.
-    """
-    chosen: list[KeyFrame] = []
-    for frame in candidates:
-        if len(chosen) < _MOST and all(abs(frame[0] - earlier) > _APART * count for earlier, _ in chosen):
-            chosen.append(frame)
-    return sorted(chosen)

@@ -74,11 +74,6 @@ class _Figures:
     overwrite: bool
     brief: bool
 
-    @property
-    def wide_mm(self) -> float:
-        """Return the width (mm) of figures with several panels."""
-        return (self.files and self.files.width_mm) or TWO_COLUMNS_MM
-
     def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
         figure = axes.get_figure(root=True)
         assert isinstance(figure, Figure)
@@ -100,7 +95,8 @@ class _Figures:
 
         If the normal force varies, a second panel is against the other of force and time, but for a brief page.
         """
-        there = [(draw, variable) for draw, variable in drawings if _has_values(self.result, variable)]
+        result = self.result
+        there = [(draw, name) for draw, name in drawings if name in result and np.isfinite(result[name].values).any()]
         if not there:
             return Section(title, [("", list(before), "grid")]) if before else None
         first, *_ = plot.abscissa(self.result)
@@ -244,7 +240,8 @@ def _sections(make: _Figures, scene: Scene | None, frames: Sequence[KeyFrame]) -
     sections.append(_maps(make, result, frames, max(most, 0)))
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
         trial = SlipTrial.read(result, "Partial slip")
-        slip = make.whole(trial_figure(trial, make.wide_mm), "partial-slip", verdict_line(trial))
+        wide_mm = (make.files and make.files.width_mm) or TWO_COLUMNS_MM
+        slip = make.whole(trial_figure(trial, wide_mm), "partial-slip", verdict_line(trial))
         sections.append(Section(verdict_line(trial), [("", [slip], "strip")]))
     quality: list[tuple[Draw, str]] = [
         (plot.tracked_share, "tracked_share"),
@@ -289,10 +286,6 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[KeyFrame], first:
     ]
     note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
     return Section("Maps on the skin", panels, (note,), first)
-
-
-def _has_values(result: xr.Dataset, variable: str) -> bool:
-    return variable in result and bool(np.isfinite(result[variable].values).any())
 
 
 def _calibration_picture(scene: Scene | None) -> str | None:

@@ -28,15 +28,14 @@ def practice_tables(result: xr.Dataset, scene: Scene | None) -> dict[str, Rows]:
     """
     settings = json.loads(result.attrs["settings"])
     rig = json.loads(scene.as_json())["rig"] if scene is not None else settings.get("rig") or {}
-    resolution = [] if scene is None else [("image resolution", _resolution(scene))]
-    hardware = [("camera", _stated(rig, "camera")), *resolution, *_optics(result, settings, rig)]
+    hardware = [("camera", _stated(rig, "camera"))]
+    if scene is not None:
+        with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
+            height, width = recording.frame_shape
+            depth = f", {recording.bit_depth} bit" if recording.bit_depth else ""
+        hardware.append(("image resolution", f"{width} × {height} px{depth}"))
+    hardware += _optics(result, settings, rig)
     return {"Hardware": hardware, "Analysis": _analysis(result, settings, rig)}
-
-
-def _resolution(scene: Scene) -> str:
-    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
-        height, width = recording.frame_shape
-        return f"{width} × {height} px" + (f", {recording.bit_depth} bit" if recording.bit_depth else "")
 
 
 def _optics(result: xr.Dataset, settings: Mapping[str, Any], rig: Mapping[str, Any]) -> Rows:

@@ -199,7 +199,9 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
         slopes = [float(stats.theilslopes(y[one], x[one]).slope) for one in of_one if np.ptp(x[one])]
         ends, slope = np.quantile(x[both], (0.01, 0.99)), float(np.mean(slopes))
         axes.plot(ends, slope * ends + np.median(y[both] - slope * x[both]), color=RED, linewidth=1.2)
-        axes.set_title(f"slope {format_uncertainty(slope, np.std(slopes, ddof=1))}, R² = {correlation.value**2:.2f}")
+        axes.set_title(
+            f"slope {format_uncertainty(slope, float(np.std(slopes, ddof=1)))}, R² = {correlation.value**2:.2f}"
+        )
     axes.set(xlabel=metric_label(first), ylabel=metric_label(second))
     size = f"{correlation.trials} trials of {np.unique(trials.participant).size} participants"
     return finished(

@@ -1,9 +1,12 @@
 """Write output files atomically, and protect inputs and unrelated files from being overwritten."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.unfinished import finish, remove, unfinished
@@ -79,6 +82,13 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """
     with written_atomically(path) as part:
         write(part)
+
+
+def write_csv(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write a table, columns (R,) by name, to a CSV file by `write_atomically`."""
+    rows, header = np.column_stack(list(columns.values())), ",".join(columns)
+    settings = {"delimiter": ",", "fmt": "%.9g", "comments": "", "encoding": "utf-8"}
+    write_atomically(path, lambda part: np.savetxt(part, rows, header=header, **settings))
 
 
 @contextmanager

@@ -116,10 +116,9 @@ class MemoryStore(Store):
         return np.full(shape, *_fill(variable))
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
-        values, (empty, dtype) = self._values[name], _fill(self._variables[name])
-        shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
-        more = np.full(shape, empty if fill is None else fill, dtype)
-        self._values[name] = np.concatenate((values[:], more), axis=axis)
+        values, empty = self._values[name], _fill(self._variables[name])[0]
+        widths = [(0, (size - before) * (k == axis)) for k in range(len(values.shape))]
+        self._values[name] = np.pad(values[:], widths, constant_values=empty if fill is None else fill)
 
     def check_room(self, needed: float) -> None:
         check_memory(needed)

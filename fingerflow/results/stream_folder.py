@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, PlayerError, first_line
-from fingerflow.results.atomic_write import keep_others, write_atomically, written_atomically
+from fingerflow.results.atomic_write import keep_others, write_atomically, write_csv
 from fingerflow.results.patient_file import PatientFile
 from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.schema.variable_record import LABELS
@@ -84,10 +84,7 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
             parts = enumerate(LABELS[dims[1]])
             columns |= {unit.heading(f"{name}_{part}"): unit.factor * records[name][:, i] for i, part in parts}
     keep_others(Path(table), lambda _: False, overwrite)
-    with written_atomically(Path(table)) as part, open(part, "x", encoding="utf-8") as file:
-        file.write(",".join(columns) + "\n")
-        for row in zip(*(column.tolist() for column in columns.values()), strict=True):
-            file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+    write_csv(Path(table), columns)
 
 
 class Sink:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.results.store import labelled
 from fingerflow.results.stream_folder import StreamResults, read_results
-from fingerflow.schema.variable_record import Variable
 from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
 
 Array = NDArray[Any]
@@ -36,7 +35,16 @@ def open_stream(folder: str | Path) -> xr.Dataset:
     folder = Path(folder)
     results = read_results(folder)
     try:
-        return _labelled(results, _warnings(folder))
+        restarts = [int(event["points"]) for event in results.events if event["event"] == "restart"]
+        fields = results.header["recipe"].get("fields", {})
+        gauge = {"gauge_length_mm": fields["gauge_length_mm"]} if fields else {}
+        arrays = {
+            name: (variable.dims, values, variable.attributes() | (gauge if name in _WITH_GAUGE else {}))
+            for name, values in _values(results, restarts).items()
+            if (variable := _VARIABLES.get(name)) is not None
+        }
+        time, frame = (np.array(results.records[name]) for name in ("time", "frame"))
+        return labelled(arrays, time, frame, _about(results.header, _warnings(folder)))
     except KeyError as error:
         raise FingerflowError(f"{folder}: header.json does not state {error}; copy the folder again") from None
 
@@ -47,17 +55,6 @@ def _warnings(folder: Path) -> list[str]:
         return [str(sentence) for sentence in json.loads((folder / "summary.json").read_bytes())["warnings"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
-
-
-def _labelled(results: StreamResults, warnings: list[str]) -> xr.Dataset:
-    chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
-    arrays = {
-        name: (variable.dims, values, _attributes(variable, results.header))
-        for name, values in _values(results, chosen).items()
-        if (variable := _VARIABLES.get(name)) is not None
-    }
-    time, frame = (np.array(results.records[name]) for name in ("time", "frame"))
-    return labelled(arrays, time, frame, _about(results.header, warnings))
 
 
 def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
@@ -96,12 +93,6 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
 def _medians(values: Array) -> Array:
     """Return the median (F,) of the finite values in each row of an array (F, N); NaN for a row without any."""
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
-
-
-def _attributes(variable: Variable, header: dict[str, Any]) -> dict[str, Any]:
-    fields = header["recipe"].get("fields", {})
-    gauge = {"gauge_length_mm": fields["gauge_length_mm"]} if fields and variable.name in _WITH_GAUGE else {}
-    return {**variable.attributes(), **gauge}
 
 
 def _about(header: dict[str, Any], warnings: list[str]) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def is_numeric(cells: Sequence[str]) -> bool:
     """Return whether all non-empty cells of a line are numbers; False if all cells are empty."""
     try:
         for cell in filter(None, cells):
-            float(cell.replace(",", "."))
+            float(cell.replace(",", ".") if cell.isascii() and "_" not in cell else "none")
     except ValueError:
         return False
     return any(cells)

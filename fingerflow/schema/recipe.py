@@ -1,15 +1,13 @@
 """Recipe of a deployment bundle: settings of the exported graphs, in a TOML file with keys as those of a scene."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from fingerflow.errors import FingerflowError
 from fingerflow.schema.key_types import BOTH, number, several
 from fingerflow.schema.keys import SceneTable, key, keys_of, table
-from fingerflow.schema.scene import line_number
+from fingerflow.schema.scene import line_number, parse_toml
 from fingerflow.schema.scene_check import TableCheck
 from fingerflow.schema.scene_tables import ContactCells, EngineSettings, GaugeSettings, PointSettings
 from fingerflow.schema.text_file import read_text
@@ -94,11 +92,7 @@ def load_recipe(path: Path) -> Recipe:
             the file, the line and the key.
     """
     text = read_text(path, "recipes are TOML files such as export/exact.toml")
-    try:
-        written = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FingerflowError(f"{path} is no TOML file: {error}") from None
-    return parse_recipe(written, path, text)
+    return parse_recipe(parse_toml(text, path), path, text)
 
 
 def parse_recipe(written: Mapping[str, Any], path: Path = Path("recipe"), text: str = "") -> Recipe:

@@ -37,13 +37,8 @@ def scene_of_text(text: str, path: Path, reader: Reader = "process") -> Scene:
     :func:`load_scene`.
     """
     path = path.resolve()
-    try:
-        written = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None
-    return _scene(
-        SceneCheck(written, path.parent, reader), path, lambda keys: f"{path}, line {line_number(text, keys)}"
-    )
+    written = SceneCheck(parse_toml(text, path), path.parent, reader)
+    return _scene(written, path, lambda keys: f"{path}, line {line_number(text, keys)}")
 
 
 def scene_from(written: Mapping[str, Any], path: Path, origin: str, reader: Reader = "process") -> Scene:
@@ -123,6 +118,14 @@ _SLIPS = {
     r"\\": "write / in place of \\ in a path",
     r"^[^\"#]*=\s*\"[^\"]*$": "a quotation mark is missing",
 }
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """Return the tables of the text of a TOML file; raise FingerflowError where it is none."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None
 
 
 def toml_remedy(text: str, error: Exception) -> str:

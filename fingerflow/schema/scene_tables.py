@@ -73,7 +73,7 @@ class CalibrationSettings:
 
     file: Path | None = key("from `fingerflow calibrate`; in place of the other keys", type=File(calibration=True),
         sample="calibration.toml")
-    mm_per_px: float = key("of the contact view", type=number(above=0, most=1), unit="mm/px", sample=0.02,
+    mm_per_px: float = key("of the contact view", type=number(least=1e-6, most=1), unit="mm/px", sample=0.02,
         label="scale")
     topography_to_contact: tuple[Row, Row] = key("affine map of px, topography view to contact view",
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), TRANSFORM, label="map from topography to contact view")
@@ -158,11 +158,12 @@ class PointSettings:
     points: int = key("most points that are tracked", 700, number(least=3), label="number of points")
     window_px: int = key("side of the window that is compared", 25, number(least=5, most=255, odd=True),
         label="side of windows")
-    min_distance_px: float = key("least distance between two points", 6.0, POSITIVE, label="distance between points")
+    min_distance_px: float = key("least distance between two points", 6.0, number(above=0, most=1000),
+        label="distance between points")
     forward_backward_limit_px: float = key("largest distance after tracking forward and back", 1.0, POSITIVE,
         label="limit of forward-backward error")
-    search_px: int = key("reach of the search for points that a jolt has carried away; 0 for none", 8, FROM_0,
-        label="search for lost points")
+    search_px: int = key("reach of the search for points that a jolt has carried away; 0 for none", 8,
+        number(least=0, most=255), label="search for lost points")
     gain_offset: bool = key("whether windows are compared up to gain and offset of the light", True,
         label="allow for changes of light")
 
@@ -204,9 +205,9 @@ class FieldSettings(GaugeSettings):
         label="displacement counts from")
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = key("measure of strain; as_printed: Willemet et "
         "al. 2021, equation 1", "green_lagrange", label="measure of strain")
-    young_modulus_mpa: float = key("of the skin", 1.0, POSITIVE, label="Young's modulus")
+    young_modulus_mpa: float = key("of the skin", 1.0, number(above=0, most=1e6), label="Young's modulus")
     poisson_ratio: float = key("of the skin", 0.4, number(above=-1, below=0.5), label="Poisson's ratio")
-    depth_mm: float = key("of skin over which strain energy is integrated", 2.0, POSITIVE,
+    depth_mm: float = key("of skin over which strain energy is integrated", 2.0, number(above=0, most=1000),
         label="depth for strain energy")
     rate_window_s: float = key("over which rates are fitted", 0.05, POSITIVE, label="time window of rates")
 

@@ -6,7 +6,6 @@ Only the standard library is imported, because an exported bundle contains this 
 
 from collections.abc import Iterable
 from math import pi
-from operator import truediv
 from typing import Any
 
 from fingerflow.schema.variable_record import (
@@ -82,9 +81,14 @@ def _real_area_std(real_area: Any) -> Any:
     return (0.025**2 * real_area ** (4 / 3) + 0.01**2) ** 0.5
 
 
+def _ratio(part: Any, whole: Any) -> Any:
+    """Return the ratio of two areas, NaN where there is none."""
+    return part / (whole / (whole > 0))
+
+
 def _ratio_std(real_area: Any, real_std: Any, gross_area: Any, gross_std: Any) -> Any:
     """Return the standard deviation of the ratio of two areas with independent errors."""
-    return (real_std**2 + (real_area / gross_area * gross_std) ** 2) ** 0.5 / gross_area
+    return (real_std**2 + (_ratio(real_area, gross_area) * gross_std) ** 2) ** 0.5 / gross_area
 
 
 def _ellipse_std(lengths: Any) -> Any:
@@ -146,7 +150,7 @@ CONTACT = (
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area"),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",
-        equation="real_contact_area / gross_contact_area", formula=truediv,
+        equation="real_contact_area / gross_contact_area", formula=_ratio,
         of=("real_contact_area", "gross_contact_area")),
     Variable("contact_area_ratio_std", FRAME, "1", "standard deviation of contact_area_ratio",
         equation="√(σ²(real) + ratio² σ²(gross)) / gross_contact_area", formula=_ratio_std,

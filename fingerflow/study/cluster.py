@@ -139,6 +139,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     try:
         import dask
         from distributed import Client, LocalCluster, Security
+        from distributed.utils import get_mp_context
     except ImportError as error:
         raise FingerflowError(
             f"a study runs on Dask, which is not installed ({error}): pip install 'dask[distributed]' cryptography"
@@ -179,7 +180,10 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
-                    _preload_modules()
+                    # Modules are loaded in the process from which workers are forked, not again in each worker.
+                    context = get_mp_context()
+                    if context.get_start_method() == "forkserver":
+                        context.set_forkserver_preload(["fingerflow.study.preload"])
                     # A scheduler executes what it receives. Without a certificate, which only this process and its
                     # workers have, every user of this computer could run commands as the user who started the study.
                     security = Security.temporary()
@@ -206,15 +210,6 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             client.close(timeout=5)
             if cluster is not None:
                 cluster.close(timeout=10)
-
-
-def _preload_modules() -> None:
-    """Preload modules in the process from which workers are forked, so that each worker does not import them again."""
-    from distributed.utils import get_mp_context
-
-    context = get_mp_context()
-    if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["fingerflow.study.preload"])
 
 
 def _deployment(name: str) -> Callable[[], Any]:

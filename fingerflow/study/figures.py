@@ -160,7 +160,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, floor, float(means.min()) - margin), min(high, float(means.max()) + margin))
     counts = rows.groupby("normal_force_N")["trials"].sum()
-    evenly = counts.index.get_indexer(np.linspace(*counts.index[[0, -1]], 3), method="nearest")
+    evenly = counts.index.get_indexer(np.linspace(counts.index[0], counts.index[-1], 3), method="nearest")
     shown_n = counts.iloc[np.unique(evenly)]
     above = axes.secondary_xaxis("top")
     above.set_xticks(

@@ -64,7 +64,12 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
             raise FingerflowError(f"{file} exists already; remove it or name another folder")
     if not folder.is_dir():
         raise FingerflowError(f"{folder} is no folder; name the one that holds the recordings")
-    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not _is_ignored(file, folder)]
+    files = [
+        file
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+        and not any(part.startswith(".") or part in _WRITTEN for part in file.relative_to(folder).parts)
+    ]
     scenes = {file: scene for file in files if file.suffix == ".toml" and (scene := _read_scene(file))}
     rows, shared = _scene_rows(folder, scenes) if scenes else _recording_rows(folder, files)
     answered: list[dict[str, str]] = []
@@ -72,7 +77,9 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     if answers is not None:
         answered, matched = matching(rows, answers)
         for row, answer_row in zip(rows, answered, strict=True):
-            row.update({name: value for name, value in answer_row.items() if _adds(value, row.get(name))})
+            for name, value in answer_row.items():
+                if value and spelled_alike(value) != spelled_alike(row.get(name, "")):
+                    row[name] = value
     columns = (name for row in rows for name in row)
     names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *columns)))
     if not any(FORCES in row for row in rows):
@@ -88,14 +95,6 @@ def init_study(folder: Path, answers: Path | None = None) -> tuple[int, list[str
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []
     lacking += [f"{matched}{answered.count({})} of {len(rows)} trials have no answer"] if {} in answered else []
     return len(rows), lacking
-
-
-def _adds(value: str, guess: str | None) -> bool:
-    return bool(value) and spelled_alike(value) != spelled_alike(guess or "")
-
-
-def _is_ignored(file: Path, folder: Path) -> bool:
-    return any(part.startswith(".") or part in _WRITTEN for part in file.relative_to(folder).parts)
 
 
 def _read_scene(file: Path) -> dict[str, Any]:

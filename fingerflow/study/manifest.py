@@ -13,7 +13,7 @@ from typing import Any
 from fingerflow.errors import FingerflowError, did_you_mean
 from fingerflow.models.observer.psychometric import FORCED_CHOICE, GUESSES
 from fingerflow.schema.keys import SceneTable
-from fingerflow.schema.scene import Scene, scene_from
+from fingerflow.schema.scene import Scene, parse_toml, scene_from
 from fingerflow.schema.scene_tables import SCENE
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.trial_columns import OF_RESULTS
@@ -95,10 +95,7 @@ def load_manifest(path: str | Path) -> Manifest:
     path = Path(path).resolve()
     if path.is_dir():
         path = path / "study.toml"
-    try:
-        written = tomllib.loads(read_text(path, "`fingerflow study init FOLDER` writes study.toml"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FingerflowError(f"{path} is not valid TOML: {error}; correct it there") from None
+    written = parse_toml(read_text(path, "`fingerflow study init FOLDER` writes study.toml"), path)
     _refuse_unknown(path, written, ("study", "scene"))
     study, shared = written.get("study", {}), written.get("scene", {})
     if not isinstance(study, dict) or not isinstance(shared, dict):
@@ -252,8 +249,10 @@ def _entry(row: Mapping[str, str], label: str, number: str) -> TrialEntry:
     settings |= {name: _parse_cell(cell) for name, cell in row.items() if "." in name and cell}
     trial = row.get(TRIAL) or number
     parts = (row[PARTICIPANT], row[CONDITION], trial)
+    # Unique as a file name: characters but letters, digits, dots and dashes become %xx.
+    name = "_".join(re.sub(r"[^\w.-]|_", lambda match: f"%{ord(match[0]):02x}", part, flags=re.ASCII) for part in parts)
     return TrialEntry(
-        name="_".join(_file_name(part) for part in parts),
+        name=name,
         origin=label,
         participant=row[PARTICIPANT],
         trial=trial,
@@ -280,13 +279,8 @@ def _parse_cell(cell: str) -> Any:
     """Parse a cell of the table of trials as a TOML value; a cell that is no TOML value stays text."""
     try:
         return tomllib.loads(f"value = {cell}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return cell
-
-
-def _file_name(text: str) -> str:
-    """Return a text as a unique file name: characters but letters, digits, dots and dashes become %xx."""
-    return re.sub(r"[^\w.-]|_", lambda character: f"%{ord(character[0]):02x}", text, flags=re.ASCII)
 
 
 def _merged(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,6 @@ def write_study_report(
     manifest: Manifest,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: bool = True,
     figure_files: FigureFiles = PNG,
 ) -> Path:
     """Write the page of a study (`index.html`), `statistics.json`, figures, and a report of each trial.
@@ -57,12 +56,8 @@ def write_study_report(
     frame, curves = pd.read_parquet(trials_path), pd.read_csv(curves_path).map(plain_cell)
     sample = read_sample(frame)
     waiting = {entry.name: replace(manifest, trials=(entry,)) for entry in _without_pages(manifest)}
-
-    def of_error(name: str, error: BaseException) -> str:
-        return f"{name}: {error}"
-
     written = run_on_workers(
-        write_page, waiting.items(), len(waiting), of_error, scheduler, workers, progress and bool(waiting)
+        write_page, waiting.items(), len(waiting), "{}: {}".format, scheduler, workers, progress=bool(waiting)
     )
     failed = [failure for failure in written if failure]
     figures = write_figures(frame, sample, curves, manifest.results / "figures", manifest.design, figure_files)

@@ -244,13 +244,14 @@ class _Trial:
             deviation = self._values("gross_contact_area_std")
             if deviation is not None:
                 errors = [_interpolated(deviation / self._gross, moment) for moment in moments]
-                numbers["unloading_area_ratio_std"] = float(np.hypot(*errors)) * fallen / grown
+                numbers["unloading_area_ratio_std"] = float(np.linalg.norm(errors)) * fallen / grown
         return numbers
 
     def _full_slip(self, stuck: Series, ratio: Series) -> dict[str, float]:
         """Return time, T/N and displacement of full slip, from the verdict on the loss of the stuck area."""
         stated = self._result[_JUDGED].attrs.get("verdict")
-        verdict = {name: np.nan if value is None else value for name, value in json.loads(stated or "{}").items()}
+        judged = json.loads(stated or "{}")
+        verdict: dict[str, Any] = {name: np.nan if value is None else value for name, value in judged.items()}
         loss, load = verdict.get("loss_frame", -1), verdict.get("loss_load_ratio", np.nan)
         if loss < 1 or not load > 0:
             return {}

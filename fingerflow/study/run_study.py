@@ -94,12 +94,9 @@ def run_study(
     threads = threads_each(scheduler, workers_for(len(planned), workers))
     run = partial(run_trial, codes=all_codes(), threads=threads)
     tasks = ((entry.name, (replace(manifest, trials=(entry,)), redo)) for entry, redo, _ in planned)
-
-    def failed_outcome(name: str, error: BaseException) -> tuple[str, TrialRow]:
-        return name, _outcome_of_error(error, name, manifest)
-
+    failed = partial(_outcome_of_error, manifest)
     try:
-        for name, outcome in run_on_workers(run, tasks, len(planned), failed_outcome, scheduler, workers, progress):
+        for name, outcome in run_on_workers(run, tasks, len(planned), failed, scheduler, workers, progress):
             summary.outcomes[name] = outcome
     except Interrupted as stop:
         summary.interrupted = str(stop)
@@ -134,9 +131,9 @@ def _plan_trial(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Pl
     return entry, "row", "the table has other columns now; the result is kept"
 
 
-def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> TrialRow:
-    """Return the outcome "failed" of the trial `name`, whose worker was killed or which raised `error`; if `error` is a
-    FingerflowError, raise it again.
+def _outcome_of_error(manifest: Manifest, name: str, error: BaseException) -> tuple[str, TrialRow]:
+    """Return the name and the outcome "failed" of the trial `name`, whose worker was killed or which raised `error`; if
+    `error` is a FingerflowError, raise it again.
     """
     from distributed import KilledWorker
 
@@ -147,7 +144,7 @@ def _outcome_of_error(error: BaseException, name: str, manifest: Manifest) -> Tr
         )
         outcome = TrialRow(FAILED, reason, passing=True)
         write_row(manifest.results / name, outcome)
-        return outcome
+        return name, outcome
     if isinstance(error, FingerflowError):
         raise error
-    return TrialRow(FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)
+    return name, TrialRow(FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)

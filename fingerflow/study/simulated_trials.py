@@ -104,11 +104,6 @@ class Design:
         """Return the mask (P,) of those of the P participants who have the softer skin."""
         return np.arange(self.participants) >= self.participants // 2
 
-    def load_angle(self, amplitude: Values) -> Values:
-        """Return the mean angle (degrees) between force and surface normal at vibration amplitudes in µm."""
-        high, low = self.angle
-        return np.asarray(high + (low - high) * self._share(amplitude))
-
     def _share(self, amplitude: Values) -> Values:
         return np.asarray(np.asarray(amplitude) / max(max(self.amplitudes), 1e-9))
 
@@ -156,7 +151,8 @@ def draw_presses(design: Design) -> Presses:
     force, time = _draw_kinematics(design, draw, participant)
     hold = draw.uniform(*design.hold, count)
     friction = design.friction_for(amplitude)
-    angle = np.radians(design.load_angle(amplitude)) * draw.gamma(4.0, 0.25, count)
+    still, vibrating = design.angle
+    angle = np.radians(still + (vibrating - still) * design._share(amplitude)) * draw.gamma(4.0, 0.25, count)
     length = np.minimum(_lognormal(draw, *design.displacement, count), 0.5)
     direction = draw.uniform(0, 2 * math.pi, count)
     divergence, area = _peak_values(design, soft, amplitude, force)

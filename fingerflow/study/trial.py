@@ -24,7 +24,7 @@ from fingerflow.results.result import open_result, read_own
 from fingerflow.study.cache_keys import Keys, all_codes, code_digest, describe_file, trial_keys
 from fingerflow.study.manifest import Manifest
 from fingerflow.study.row import DESCRIBED, READ, measure
-from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
+from fingerflow.study.trial_files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
 _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")
@@ -60,7 +60,8 @@ def run_trial(task: tuple[Manifest, Part], codes: Mapping[str, str], threads: in
         keys = trial_keys(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return entry.name, TrialRow(MEASURED, "was done by another run meanwhile")
-        path, earlier = folder / result_name(keys), None
+        # Other inputs, settings or code give another name.
+        path, earlier = folder / f"result-{keys.result}.h5", None
         if redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
             earlier = folder / stored.result
         if redo == "row" and earlier == path:

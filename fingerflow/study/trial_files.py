@@ -43,13 +43,6 @@ class TrialRow:
     made: Mapping[str, Any] = field(default_factory=dict)
 
 
-def result_name(keys: Keys) -> str:
-    """Return the file name of a trial's result, which contains the digest `keys.result`, so that other inputs, settings
-    or code give another name.
-    """
-    return f"result-{keys.result}.h5"
-
-
 def has_result(folder: Path, trial: TrialRow) -> bool:
     """Return True if the result file that a trial's `row.json` names is in its folder and was not modified since it was
     written.

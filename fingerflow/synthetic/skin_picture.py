@@ -120,20 +120,13 @@ def scene_of_print(scene_class: type[Kind], picture: Path, dpi: float = DPI) -> 
             f"{picture} shows {texture.size[0]:.1f} x {texture.size[1]:.1f} mm at {dpi:g} dpi, and the contact needs "
             f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
         )
-    middle = _contact_centroid(texture)
-    right, down = np.clip(-middle, high - half, low + half).tolist()
-    return replace(plain, texture=replace(texture, centre=(right, down)))
-
-
-def _contact_centroid(texture: PictureTexture) -> Plane:
-    """Return the centroid (x, y), mm, of the touching ridges in a fingerprint image, relative to the centre of the
-    image.
-    """
-    rows, columns = texture._levels[2]
-    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
+    # Centroid of the touching ridges, relative to the centre of the image.
+    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in texture._levels[2])
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
     touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
-    return np.array([float(x[touching].mean()), float(y[touching].mean())])
+    middle = np.array([float(x[touching].mean()), float(y[touching].mean())])
+    centre = tuple(np.clip(-middle, high - half, low + half).tolist())
+    return replace(plain, texture=replace(texture, centre=centre))
 
 
 @lru_cache(maxsize=4)
@@ -161,7 +154,9 @@ def _levels(picture: Path, dpi: float) -> tuple[Tensor, Tensor, tuple[int, int]]
     period = distance * dpi / MM_PER_INCH
     mean = gaussian_filter(plane, 0.75 * period)
     spread = np.sqrt(gaussian_filter((plane - mean) ** 2, 1.5 * period))
-    glass = gaussian_filter(_upper_envelope(plane, period), 2 * period)
+    # The brightest grey level within one ridge distance shows glass or a valley.
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(period) + 1,) * 2)
+    glass = gaussian_filter(np.asarray(cv2.dilate(plane, around), dtype=np.float64), 2 * period)
     dark = np.quantile(plane, 0.03)
     contrast = np.maximum(glass - dark, 0.2 * (glass.max() - dark) + 1e-9)
     touching = (np.minimum(mean, glass - LEAST * contrast) - plane) / contrast
@@ -178,14 +173,6 @@ def _edge_weights(count: int, period: float) -> Plane:
     """
     inward = np.minimum(np.arange(count), np.arange(count)[::-1])
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
-
-
-def _upper_envelope(plane: Plane, period: float) -> Plane:
-    """Return for each pixel of a fingerprint image the brightest grey level within one ridge distance, `period` px,
-    which shows glass or a valley.
-    """
-    size = 2 * round(period) + 1
-    return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:

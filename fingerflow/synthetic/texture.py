@@ -85,7 +85,6 @@ def texture_image(
     shape: tuple[int, int],
     mm_per_px: float,
     mapping: Mapping | None = None,
-    dtype: torch.dtype = torch.float64,
 ) -> Tensor:
     """Return the camera's image of a texture, evaluated at the exact material position of every pixel centre.
 
@@ -95,15 +94,12 @@ def texture_image(
         mm_per_px: size of a pixel; pixel (0, 0) has its centre at 0 mm.
         mapping: from position in the image to material position, both (x, y) in mm; None where they are the same. To
             move the image by d, map (x, y) to (x - d_x, y - d_y).
-        dtype: of the evaluation and of the result.
 
     Returns:
-        (1, 1, H, W) contrast.
+        (1, 1, H, W) contrast, float64.
     """
-    rows, columns = shape
-    y, x = torch.meshgrid(
-        torch.arange(rows, dtype=dtype) * mm_per_px, torch.arange(columns, dtype=dtype) * mm_per_px, indexing="ij"
-    )
+    down, right = (torch.arange(size, dtype=torch.float64) * mm_per_px for size in shape)
+    y, x = torch.meshgrid(down, right, indexing="ij")
     if mapping is not None:
         x, y = mapping(x, y)
     return texture(x, y)[None, None]

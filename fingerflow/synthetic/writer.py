@@ -17,27 +17,10 @@ from fingerflow.schema.scene_template import scene_text
 from fingerflow.schema.text_file import read_text
 from fingerflow.schema.unfinished import unfinished as hidden
 from fingerflow.schema.views import View
-from fingerflow.synthetic.camera import Camera
-from fingerflow.synthetic.chain_press import ChainPress
-from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.frame_threads import each_frame
-from fingerflow.synthetic.linear_slip import LinearSlip
-from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
-from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import SyntheticScene
-from fingerflow.synthetic.skin_picture import PictureTexture
-from fingerflow.synthetic.slide import Slide
-from fingerflow.synthetic.texture import RidgeTexture
 
-#: Classes that may occur in the settings of a synthetic scene.
-KINDS = {
-    scene_class.__name__: scene_class
-    for scene_class in (
-        *(Press, ChainPress, Slide, PartialSlip, LinearSlip, Camera, Bump),
-        *(RidgeTexture, FingerprintTexture, PictureTexture),
-    )
-}
 FILE = "File"
 REFERENCE_PICTURES = 8
 _REGION_FRAMES = 12  # number of frames whose contacts determine the region
@@ -159,8 +142,12 @@ def _truth_text(scene: SyntheticScene, folder: Path) -> str:
 def _rebuild_part(folder: Path, settings: dict[str, Any]) -> Any:
     if settings["kind"] == FILE:
         return folder / settings["name"]
-    arguments = {name: _to_tuples(value) for name, value in settings.items() if name != "kind"}
-    return KINDS[settings["kind"]](**arguments)
+    from fingerflow import synthetic  # which imports this module
+
+    part: Any = getattr(synthetic, settings["kind"], None)
+    if not hasattr(part, "__dataclass_fields__"):
+        raise KeyError(settings["kind"])
+    return part(**{name: _to_tuples(value) for name, value in settings.items() if name != "kind"})
 
 
 def _to_tuples(value: Any) -> Any:

@@ -14,6 +14,7 @@ from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
+from fingerflow.tracker.displacement_medians import displacement_length, displacement_medians
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches, interpolate_displacement
 from fingerflow.tracker.slip_flag import SlipFlag
@@ -34,6 +35,8 @@ RESULTS = (
     *("divergence", "divergence_std", "curl", "curl_std", "point_strain", "entered"),
     *("median_divergence", "median_divergence_std", "median_curl", "median_curl_std"),
     *("median_strain", "median_strain_std"),
+    *("global_displacement_vector", "global_displacement_vector_std"),
+    *("global_displacement", "global_displacement_std"),
     *("slip_residual", "slip_flag"),
 )
 
@@ -141,7 +144,7 @@ class FrameResults:
         self, points: Array, noise: Array, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
         """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
-        of contact, and the medians over the contact ellipse; return them by result name.
+        of contact, and their medians and that of the displacement over the contact ellipse; return them by result name.
 
         `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
         by curved displacement.
@@ -166,6 +169,11 @@ class FrameResults:
         assert fields.divergence_std is not None
         assert fields.curl_std is not None
         assert fields.median_std is not None
+        onset = self._entries.of_onset
+        square = of_displacement + (onset[:, 0, 0] + onset[:, 1, 1]) / 2
+        reach = self._engine.settings.gauge_length_mm / 2
+        vector, vector_std = displacement_medians(position, moved, square, ellipse, reach)
+        length, length_std = displacement_length(vector, vector_std)
         median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
         return {
             **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
@@ -174,4 +182,6 @@ class FrameResults:
             **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
             **{"median_curl": median[1], "median_curl_std": median_std[1]},
             **{"median_strain": median[2:], "median_strain_std": median_std[2:]},
+            **{"global_displacement_vector": vector[0], "global_displacement_vector_std": vector_std[0]},
+            **{"global_displacement": length[0], "global_displacement_std": length_std[0]},
         }

@@ -60,7 +60,9 @@ class Draft:
     def create(cls, recording: Recording) -> "Draft":
         """Return a new draft for a recording, with two default views; keys that the user must set are absent."""
         height, width = recording.frame_shape
-        path = _free(recording.path.absolute().parent / "scene.toml")
+        path, number = recording.path.absolute().parent / "scene.toml", 2
+        while path.exists():
+            path, number = path.with_stem(f"scene-{number}"), number + 1
         text = scene_text(frames=recording.path.name, calibration="")
         draft = cls(path, text, None)
         draft.set(("views",), _default_views("press", height, width))
@@ -136,7 +138,8 @@ class Draft:
         elif last in table:
             del table[last]
             for outer, name in reversed(around):
-                if not len(outer[name]) and not _is_needed(name):
+                # A table that `process` requires stays in the file even if empty.
+                if not len(outer[name]) and not (name in SCENE and "process" in SCENE[name].needed_by):
                     del outer[name]
 
     def _uncomment(self, table: str, key: str) -> None:
@@ -208,13 +211,10 @@ def list_names(folder: Path) -> tuple[list[str], list[str]]:
     """
     try:
         paths = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=lambda path: path.name)
-        folders = {path.name for path in paths if path.is_dir()}
+        folders, files = ([path.name for path in paths if path.is_dir() == wanted] for wanted in (True, False))
+        return folders[:_MOST_FILES], files[:_MOST_FILES]
     except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
         raise FingerflowError(f"{folder}: cannot be read ({error}); choose another folder") from None
-    names = [path.name for path in paths]
-    return [path for path in names if path in folders][:_MOST_FILES], [path for path in names if path not in folders][
-        :_MOST_FILES
-    ]
 
 
 def files_beside(path: Path) -> list[str]:
@@ -238,21 +238,8 @@ def _default_views(kind: str, height: int, width: int) -> dict[str, Any]:
     return {name: {"rows": rows, "columns": [0, width]} for name in KINDS[kind].views}
 
 
-def _is_needed(table: str) -> bool:
-    """Return True if `process` requires a table, which then stays in the file even if empty."""
-    return table in SCENE and "process" in SCENE[table].needed_by
-
-
-def _free(path: Path) -> Path:
-    """Return a path at which no file exists: the given path, or the same with a number after the stem."""
-    free, number = path, 2
-    while free.exists():
-        free, number = path.with_stem(f"{path.stem}-{number}"), number + 1
-    return free
-
-
 def _parsed(text: str, path: Path) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)
-    except TOMLKitError as error:
+    except (TOMLKitError, ValueError, RecursionError) as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}; {toml_remedy(text, error)}") from None

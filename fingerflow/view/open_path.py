@@ -27,14 +27,9 @@ def open_path(path: Path | None) -> tuple[Draft | None, Path | None]:
         result = path.parent / RESULT
         return Draft.read(path), result if result.is_file() and is_result(result) else None
     if path.is_file() and is_result(path):
-        return _open_draft(path), path
+        try:
+            return Draft.read(scene_of(path)), path
+        except FingerflowError:  # the scene file of the result cannot be read
+            return None, path
     with open_recording(path) as recording:
         return Draft.create(recording), None
-
-
-def _open_draft(result: Path) -> Draft | None:
-    """Return a draft of the scene file from which a result was computed, or None if that file cannot be read."""
-    try:
-        return Draft.read(scene_of(result))
-    except FingerflowError:
-        return None

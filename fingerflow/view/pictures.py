@@ -1,7 +1,5 @@
 """Frames of a recording as 8-bit grey images for display, all with one contrast."""
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +32,10 @@ class Pictures:
         self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """Return the 8-bit image (h, w) of a frame of the recording, given by its index in the file."""
-        return self.convert(self.recording[frame])
-
-    def convert(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
-        """Convert a frame (H, W) to an 8-bit image (h, w), subsampled by `every`, with the recording's contrast."""
-        shown = frame[:: self.every, :: self.every]
+        """Return a frame of the recording, given by its index in the file, as an 8-bit image (h, w), subsampled by
+        `every`, with the recording's contrast.
+        """
+        shown = self.recording[frame][:: self.every, :: self.every]
         if shown.dtype == np.uint8:
             return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)
         grey = (shown.astype(np.float32) - self._low) * self._scale

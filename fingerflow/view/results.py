@@ -81,8 +81,9 @@ class Results:
         Raises:
             FingerflowError: no such frame or key.
         """
-        self._within(frame)
         data = self.data
+        if not 0 <= frame < data.sizes["frame"]:
+            raise FingerflowError(f"frame {frame} is not among the {data.sizes['frame']} of {self.path}")
         numbers: dict[str, Any] = {name: values[frame] for name, values in self._courses.items()}
         numbers["time"], numbers["text"] = float(data["time"][frame]), self._text_of_frame(frame)
         numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
@@ -263,10 +264,6 @@ class Results:
         if part not in LABELS[last]:
             raise FingerflowError(f"{key}: the components are {', '.join(LABELS[last])}")
         return values[..., LABELS[last].index(part)]
-
-    def _within(self, frame: int) -> None:
-        if not 0 <= frame < self.data.sizes["frame"]:
-            raise FingerflowError(f"frame {frame} is not among the {self.data.sizes['frame']} of {self.path}")
 
 
 def course_median(values: Values) -> Values:

@@ -5,6 +5,7 @@ import re
 import socket
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Self
 
@@ -36,7 +37,6 @@ _REPORT_MAY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "frame-ancestors 'none'"
 )
-Answer = Callable[[Request], Any]
 
 
 class Served:
@@ -132,34 +132,52 @@ def application(session: Session) -> Starlette:
         rules = {"Content-Security-Policy": _REPORT_MAY}
         return Response(status_code=404) if page is None else Response(page, media_type="text/html", headers=rules)
 
+    # Answered also while another request, which takes long, holds the lock of the session.
+    at_once = ("ready", "variables", "percent", "folder", "end", "progress")
+
+    def route(path: str, act: Callable[[Any], Any], model: type[Body] | None = None) -> Route:
+        """Return a route that calls `act` with the fields of the body of a POST, if it has a `model`, or with a GET."""
+
+        def answer(sent: Any) -> Any:
+            with session.lock if path.removeprefix("/api/") not in at_once else nullcontext():
+                return act(sent)
+
+        async def endpoint(request: Request) -> Response:
+            if model is not None:
+                return _response(await run_in_threadpool(answer, parse_body(await request.body(), model)))
+            bodies.refuse_zero_bytes(request.query_params.multi_items())
+            return _response(await run_in_threadpool(answer, request))
+
+        return Route(path, endpoint, methods=["GET" if model is None else "POST"])
+
     routes = [
-        Route("/api/ready", _get(lambda _: session.ready())),
-        Route("/api/variables", _get(_variables)),
-        Route("/api/percent", _post(_switch_unit, Body), methods=["POST"]),
-        Route("/api/setup", _get(lambda _: session.setup())),
-        Route("/api/folder", _get(lambda request: session.folder(request.query_params.get("at", "")))),
-        Route("/api/frame", _get(frame)),
-        Route("/api/points", _get(lambda _: session.points())),
-        Route("/api/forces", _get(lambda _: session.forces())),
-        Route("/api/calibration.png", _get(calibration)),
-        Route("/api/edit", _post(session.edit, bodies.EditBody), methods=["POST"]),
-        Route("/api/calibrate", _post(session.calibrate, bodies.CalibrateBody), methods=["POST"]),
-        Route("/api/write", _post(session.write, bodies.WriteBody), methods=["POST"]),
-        Route("/api/process", _post(session.process, bodies.ProcessBody), methods=["POST"]),
-        Route("/api/end", _post(session.end, bodies.EndBody), methods=["POST"]),
-        Route("/api/report", _post(session.report, Body), methods=["POST"]),
-        Route("/api/progress", _get(lambda request: session.progress(request.query_params.get("of", "")))),
-        Route(f"/{session.report_name}", _get(report)),
-        Route("/api/result", _get(lambda _: session.result())),
-        Route("/api/result/frame", _get(result_frame)),
-        Route("/api/result/range", _get(lambda request: session.result_range(request.query_params.get("key", "")))),
-        Route("/api/result/triangles", _get(lambda _: session.triangles())),
-        Route("/api/result/courses", _get(lambda request: session.courses(request.query_params.getlist("key")))),
-        Route("/api/result/history", _post(session.history, bodies.HistoryBody), methods=["POST"]),
-        Route("/api/result/table", _post(session.table, bodies.TableBody), methods=["POST"]),
+        route("/api/ready", lambda _: session.ready()),
+        route("/api/variables", _variables),
+        route("/api/percent", _switch_unit, Body),
+        route("/api/setup", lambda _: session.setup()),
+        route("/api/folder", lambda request: session.folder(request.query_params.get("at", ""))),
+        route("/api/frame", frame),
+        route("/api/points", lambda _: session.points()),
+        route("/api/forces", lambda _: session.forces()),
+        route("/api/calibration.png", calibration),
+        route("/api/edit", session.edit, bodies.EditBody),
+        route("/api/calibrate", session.calibrate, bodies.CalibrateBody),
+        route("/api/write", session.write, bodies.WriteBody),
+        route("/api/process", session.process, bodies.ProcessBody),
+        route("/api/end", session.end, bodies.EndBody),
+        route("/api/report", session.report, Body),
+        route("/api/progress", lambda request: session.progress(request.query_params.get("of", ""))),
+        route(f"/{session.report_name}", report),
+        route("/api/result", lambda _: session.result()),
+        route("/api/result/frame", result_frame),
+        route("/api/result/range", lambda request: session.result_range(request.query_params.get("key", ""))),
+        route("/api/result/triangles", lambda _: session.triangles()),
+        route("/api/result/courses", lambda request: session.courses(request.query_params.getlist("key"))),
+        route("/api/result/history", session.history, bodies.HistoryBody),
+        route("/api/result/table", session.table, bodies.TableBody),
         Mount("/", StaticFiles(directory=_PAGE, html=True)),
     ]
-    handlers: Mapping[Any, Any] = {FingerflowError: _refused}
+    handlers: Mapping[Any, Any] = {FingerflowError: _refused, OSError: _refused}
     return Starlette(routes=routes, exception_handlers=handlers)
 
 
@@ -173,21 +191,6 @@ def _switch_unit(_: object) -> dict[str, dict[str, object]]:
     """
     os.environ[IN_PERCENT] = "0" if os.environ.get(IN_PERCENT) == "1" else "1"
     return _variables(_)
-
-
-def _get(answer: Answer) -> Callable[[Request], Any]:
-    async def endpoint(request: Request) -> Response:
-        bodies.refuse_zero_bytes(request.query_params.multi_items())
-        return _response(await run_in_threadpool(answer, request))
-
-    return endpoint
-
-
-def _post(act: Callable[[Mapping[str, Any]], Any], model: type[Body]) -> Callable[[Request], Any]:
-    async def endpoint(request: Request) -> Response:
-        return _response(await run_in_threadpool(act, parse_body(await request.body(), model)))
-
-    return endpoint
 
 
 def _response(answer: Any) -> Response:

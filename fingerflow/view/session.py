@@ -37,10 +37,13 @@ Facts = dict[str, Any]
 class Session:
     """State of the page on the server (edited scene, result, open files, running commands), shared by all browser
     windows; its methods answer the requests of the page.
+
+    Attributes:
+        lock: to be held during all calls but those that another one, which takes long, must not delay.
     """
 
     def __init__(self, draft: Draft | None, result: Path | None) -> None:
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._draft = draft
         self._pictures: dict[tuple[Path, float | None], Pictures] = {}
         self._preview: tuple[str, Previewer] | None = None
@@ -72,7 +75,7 @@ class Session:
         """Stop running commands and close files."""
         for run in self._runs.values():
             run.end()
-        with self._lock:
+        with self.lock:
             self._close_result()
             for pictures in self._pictures.values():
                 pictures.recording.close()
@@ -82,35 +85,34 @@ class Session:
 
     def setup(self) -> Facts:
         """Return the draft of the scene file for the page: values, validation problems and recording properties."""
-        with self._lock:
-            self.progress("process")  # a run may have ended while no page was open
-            draft = self._draft
-            if draft is None:
-                return {"draft": None, "result": self._result_path is not None}
-            facts: Facts = {
-                "draft": str(draft.path),
-                "values": draft.values(),
-                "kind": draft.scene_kind(),
-                "problems": draft.problems(),
-                "stored": draft.is_stored,
-                "text": draft.text,
-                "forms": forms(),
-                "kinds": list(KINDS),
-                "files": files_beside(draft.path),
-                "channels": self._channels(),
-                "calibration_picture": _calibration_picture(draft) is not None,
-                "result": self._result_path is not None,
-            }
-            try:
-                pictures = self._pictures_of_draft()
-            except FingerflowError as error:
-                facts["recording"], facts["recording_error"] = None, reword(str(error))
-            else:
-                facts["recording"] = _recording_facts(pictures)
-                if pictures.recording.times is None:
-                    problem, key = "is needed: the recording does not state it (Hz)", "recording.frame_rate"
-                    facts["problems"].append({"key": key, "field": field_name(key), "said": problem})
-            return facts
+        self.progress("process")  # a run may have ended while no page was open
+        draft = self._draft
+        if draft is None:
+            return {"draft": None, "result": self._result_path is not None}
+        facts: Facts = {
+            "draft": str(draft.path),
+            "values": draft.values(),
+            "kind": draft.scene_kind(),
+            "problems": draft.problems(),
+            "stored": draft.is_stored,
+            "text": draft.text,
+            "forms": forms(),
+            "kinds": list(KINDS),
+            "files": files_beside(draft.path),
+            "channels": self._channels(),
+            "calibration_picture": _calibration_picture(draft) is not None,
+            "result": self._result_path is not None,
+        }
+        try:
+            pictures = self._pictures_of_draft()
+        except FingerflowError as error:
+            facts["recording"], facts["recording_error"] = None, reword(str(error))
+        else:
+            facts["recording"] = _recording_facts(pictures)
+            if pictures.recording.times is None:
+                problem, key = "is needed: the recording does not state it (Hz)", "recording.frame_rate"
+                facts["problems"].append({"key": key, "field": field_name(key), "said": problem})
+        return facts
 
     def folder(self, at: str) -> Facts:
         """Return the folders and files in a folder, which is given relative to that of the scene file."""
@@ -124,53 +126,49 @@ class Session:
         """Return the image of a frame (index in the file) and, if requested, the contact predicted in it, as packed
         bytes.
         """
-        with self._lock:
-            pictures = self._pictures_of_draft()
-            if not 0 <= frame < len(pictures.recording):
-                raise FingerflowError(
-                    f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
-                )
-            facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
-            arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
-            if contact:
-                try:
-                    facts["numbers"], maps = self._contact_facts(self._previewer(), frame)
-                except FingerflowError as error:
-                    facts["why_no_contact"] = reword(str(error))
-                else:
-                    arrays |= maps
-            return packed(facts, arrays)
+        pictures = self._pictures_of_draft()
+        if not 0 <= frame < len(pictures.recording):
+            raise FingerflowError(
+                f"frame {frame} is not among the {len(pictures.recording)} of {pictures.recording.path}"
+            )
+        facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
+        arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
+        if contact:
+            try:
+                facts["numbers"], maps = self._contact_facts(self._previewer(), frame)
+            except FingerflowError as error:
+                facts["why_no_contact"] = reword(str(error))
+            else:
+                arrays |= maps
+        return packed(facts, arrays)
 
     def points(self) -> bytes:
         """Return the positions (N, 2) px of the points that `process` would track, with their frame and warnings, as
         packed bytes.
         """
-        with self._lock:
-            points, frame, warnings = self._previewer().chosen()
-            first = self._previewer().scene.recording.first_frame
-            facts = {"frame": frame + first, "warnings": [*map(reword, warnings)]}
-            return packed(facts, {"points": points.astype(np.float32)})
+        points, frame, warnings = self._previewer().chosen()
+        first = self._previewer().scene.recording.first_frame
+        facts = {"frame": frame + first, "warnings": [*map(reword, warnings)]}
+        return packed(facts, {"points": points.astype(np.float32)})
 
     def forces(self) -> bytes:
         """Return the forces of the edited scene at the times of its frames, with its calibration and warnings, as
         packed bytes.
         """
-        with self._lock:
-            previewer = self._previewer()
-            scene = previewer.scene
-            facts = {
-                "first_frame": scene.recording.first_frame,
-                "warnings": [*map(reword, previewer.warnings)],
-                "mm_per_px": scene.calibration.mm_per_px,
-                "topography_to_contact": scene.calibration.topography_to_contact,
-            }
-            return packed(facts, {"time": previewer.times, **previewer.forces()})
+        previewer = self._previewer()
+        scene = previewer.scene
+        facts = {
+            "first_frame": scene.recording.first_frame,
+            "warnings": [*map(reword, previewer.warnings)],
+            "mm_per_px": scene.calibration.mm_per_px,
+            "topography_to_contact": scene.calibration.topography_to_contact,
+        }
+        return packed(facts, {"time": previewer.times, **previewer.forces()})
 
     def calibration_picture(self) -> bytes | None:
         """Return the overlay image that `fingerflow calibrate` wrote beside the draft's calibration file, or None."""
-        with self._lock:
-            path = None if self._draft is None else _calibration_picture(self._draft)
-            return None if path is None else path.read_bytes()
+        path = None if self._draft is None else _calibration_picture(self._draft)
+        return None if path is None else path.read_bytes()
 
     def calibrate(self, request: Mapping[str, Any]) -> Facts:
         """Calibrate from image files with the views of the draft, as `fingerflow calibrate` does, and return `setup()`.
@@ -180,25 +178,24 @@ class Session:
         """
         from fingerflow.calibration import FILE, calibrate_files
 
-        with self._lock:
-            draft = self._drafted()
-            folder, stated = draft.path.parent, draft.table("views")
-            names = "ring", "target", "background", "chessboard"
-            files: dict[str, Any] = {name: folder / str(request[name]) for name in names if request.get(name)}
-            if "ring" not in files:
-                raise FingerflowError("name the picture of the ring: it gives the scale")
-            ranges = {"contact": stated.get("contact", stated.get("camera"))}
-            ranges["topography"] = "target" in files and stated.get("topography")
-            views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
-            radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners")
-            calibration = calibrate_files(
-                **files, views=views, hole_radius_mm=radius, output=folder / FILE, corners=corners and tuple(corners)
-            )
-            for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
-                draft.set(("calibration", key), None)
-            draft.set(("calibration", "file"), FILE)
-            warnings = [*map(reword, calibration.warnings)]
-            return {**self.setup(), "calibrated": {"mm_per_px": calibration.mm_per_px, "warnings": warnings}}
+        draft = self._drafted()
+        folder, stated = draft.path.parent, draft.table("views")
+        names = "ring", "target", "background", "chessboard"
+        files: dict[str, Any] = {name: folder / str(request[name]) for name in names if request.get(name)}
+        if "ring" not in files:
+            raise FingerflowError("name the picture of the ring: it gives the scale")
+        ranges = {"contact": stated.get("contact", stated.get("camera"))}
+        ranges["topography"] = "target" in files and stated.get("topography")
+        views = {name: View(pixels["rows"], pixels["columns"]) for name, pixels in ranges.items() if pixels}
+        radius, corners = float(request.get("hole_radius_mm") or 2.75), request.get("corners")
+        calibration = calibrate_files(
+            **files, views=views, hole_radius_mm=radius, output=folder / FILE, corners=corners and tuple(corners)
+        )
+        for key in ("mm_per_px", "topography_to_contact", "intrinsics", "distortion"):
+            draft.set(("calibration", key), None)
+        draft.set(("calibration", "file"), FILE)
+        warnings = [*map(reword, calibration.warnings)]
+        return {**self.setup(), "calibrated": {"mm_per_px": calibration.mm_per_px, "warnings": warnings}}
 
     def edit(self, request: Mapping[str, Any]) -> Facts:
         """Set keys of the draft from `{"set": [[key, value], ...]}`; a value {"toml": text} is parsed as TOML.
@@ -206,27 +203,25 @@ class Session:
         Raises:
             FingerflowError: keys that cannot be set, after all others were set.
         """
-        with self._lock:
-            draft, refused = self._drafted(), []
-            for key, value in request["set"]:
-                try:
-                    if key == "kind":
-                        draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
-                    else:
-                        draft.set(tuple(str(key).split(".")), _shown_value(value))
-                except FingerflowError as error:
-                    refused.append(str(error))
-            if refused:
-                raise FingerflowError("; ".join(refused))
-            return self.setup()
+        draft, refused = self._drafted(), []
+        for key, value in request["set"]:
+            try:
+                if key == "kind":
+                    draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
+                else:
+                    draft.set(tuple(str(key).split(".")), _shown_value(value))
+            except FingerflowError as error:
+                refused.append(str(error))
+        if refused:
+            raise FingerflowError("; ".join(refused))
+        return self.setup()
 
     def write(self, request: Mapping[str, Any]) -> Facts:
         """Write the scene file; raise NeedsLeaveError before overwriting content that the page has not read."""
-        with self._lock:
-            name = request.get("to")
-            to = None if not name else self._drafted().path.parent / str(name)
-            self._drafted().write(to, bool(request.get("replace")))
-            return self.setup()
+        name = request.get("to")
+        to = None if not name else self._drafted().path.parent / str(name)
+        self._drafted().write(to, bool(request.get("replace")))
+        return self.setup()
 
     # Processing.
 
@@ -235,32 +230,33 @@ class Session:
 
         With `all`, also request the variables computed only on request: principal strains, shear.
         """
-        with self._lock:
-            draft = self._drafted()
-            if not draft.is_stored:
-                raise FingerflowError("the scene file differs from what is on this page; write it first")
-            self._refuse_two()
-            scene, to = load_scene(draft.path), draft.path.parent / RESULT
-            arguments: list[str | Path] = ["process", draft.path, "--output", to]
-            self._close_result()  # some systems cannot replace an open file
-            if is_result(to) and _same_frames(to, scene):  # reuses results that are still valid
+        draft = self._drafted()
+        if not draft.is_stored:
+            raise FingerflowError("the scene file differs from what is on this page; write it first")
+        self._refuse_two()
+        scene, to = load_scene(draft.path), draft.path.parent / RESULT
+        arguments: list[str | Path] = ["process", draft.path, "--output", to]
+        self._close_result()  # some systems cannot replace an open file
+        if is_result(to):
+            with open_result(to) as earlier:
+                recorded = json.loads(earlier.attrs["settings"])["recording"]
+            if recorded == json.loads(scene.as_json())["recording"]:  # reuses results that are still valid
                 arguments += ["--from", to]
-            if request.get("all"):
-                from fingerflow.view.preview import all_of_default_stages
+        if request.get("all"):
+            from fingerflow.view.preview import all_of_default_stages
 
-                for name in all_of_default_stages(scene):
-                    arguments += ["--variable", name]
-            self._runs["process"] = Command(arguments, to)
-            return self.progress("process")
+            for name in all_of_default_stages(scene):
+                arguments += ["--variable", name]
+        self._runs["process"] = Command(arguments, to)
+        return self.progress("process")
 
     def report(self, request: Mapping[str, Any]) -> Facts:
         """Start `fingerflow report`, which writes `report.html` and `overlay.mp4` into the scene's folder."""
         del request
-        with self._lock:
-            self._refuse_two()
-            result, scene = self._opened_result().path, self._result_scene().path
-            self._runs["report"] = Command(["report", scene, "--result", result], scene.parent / "report.html")
-            return self.progress("report")
+        self._refuse_two()
+        result, scene = self._opened_result().path, self._result_scene().path
+        self._runs["report"] = Command(["report", scene, "--result", result], scene.parent / "report.html")
+        return self.progress("report")
 
     def report_page(self) -> bytes | None:
         """Return the HTML report that was written in this session, or None."""
@@ -291,75 +287,66 @@ class Session:
 
     def result(self) -> Facts:
         """Return metadata of the result, the views of its scene and properties of its recording."""
-        with self._lock:
-            result = self._opened_result()
-            facts = result.facts()
-            try:
-                scene = self._result_scene()
-                facts["views"] = {
-                    name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()
-                }
-                facts["kind"], facts["scene"] = scene.kind, str(scene.path)
-                facts["recording"] = _recording_facts(self._shown_pictures(scene.recording.frames, None))
-            except FingerflowError as error:
-                facts["recording"], facts["recording_error"] = None, str(error)
-            return facts
+        result = self._opened_result()
+        facts = result.facts()
+        try:
+            scene = self._result_scene()
+            facts["views"] = {name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()}
+            facts["kind"], facts["scene"] = scene.kind, str(scene.path)
+            facts["recording"] = _recording_facts(self._shown_pictures(scene.recording.frames, None))
+        except FingerflowError as error:
+            facts["recording"], facts["recording_error"] = None, str(error)
+        return facts
 
     def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
         """Return the values of a frame of the result as packed bytes, with its image if the recording can be read."""
-        with self._lock:
-            result = self._opened_result()
-            numbers, arrays = result.frame(frame, shown)
-            facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
-            try:
-                scene = self._result_scene()
-                pictures = self._shown_pictures(scene.recording.frames, None)
-                facts["every"], facts["shape"] = pictures.every, pictures.recording.frame_shape
-                number = frame + scene.recording.first_frame
-                arrays["picture"] = pictures.picture(number)
-                if contact:
-                    self._result_preview = self._result_preview or _make_previewer(scene)
-                    arrays |= self._contact_facts(self._result_preview, number)[1]
-            except FingerflowError as error:
-                facts["why_no_picture"] = str(error)
-            return packed(facts, arrays)
+        result = self._opened_result()
+        numbers, arrays = result.frame(frame, shown)
+        facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
+        try:
+            scene = self._result_scene()
+            pictures = self._shown_pictures(scene.recording.frames, None)
+            facts["every"], facts["shape"] = pictures.every, pictures.recording.frame_shape
+            number = frame + scene.recording.first_frame
+            arrays["picture"] = pictures.picture(number)
+            if contact:
+                self._result_preview = self._result_preview or _make_previewer(scene)
+                arrays |= self._contact_facts(self._result_preview, number)[1]
+        except FingerflowError as error:
+            facts["why_no_picture"] = str(error)
+        return packed(facts, arrays)
 
     def result_range(self, key: str) -> Facts:
         """Return the limits of the colour scale for a key (variable, or variable:component)."""
-        with self._lock:
-            return {"key": key, "range": self._opened_result().value_range(key)}
+        return {"key": key, "range": self._opened_result().value_range(key)}
 
     def triangles(self) -> bytes:
         """Return the corners of the result's triangles as packed bytes."""
-        with self._lock:
-            return packed({}, {"triangles": self._opened_result().triangles()})
+        return packed({}, {"triangles": self._opened_result().triangles()})
 
     def courses(self, keys: Sequence[str]) -> bytes:
         """Return time series of the result for the variables or components that keys name, as packed bytes."""
-        with self._lock:
-            result = self._opened_result()
-            return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
+        result = self._opened_result()
+        return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
 
     def history(self, request: Mapping[str, Any]) -> bytes:
         """Return the time series of a variable at one point with its status, or the median over several points, with
         the number of points at which it is known, as packed bytes.
         """
         key, points = request["key"], [int(point) for point in request["points"]]
-        with self._lock:
-            result = self._opened_result()
-            values = result.point_courses(key, points)
-            arrays = {"values": course_median(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
-            if len(points) == 1 and "status" in result.data:
-                arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
-            return packed({"key": key, "points": points}, arrays)
+        result = self._opened_result()
+        values = result.point_courses(key, points)
+        arrays = {"values": course_median(values), "known": np.isfinite(values).sum(axis=1).astype(np.int32)}
+        if len(points) == 1 and "status" in result.data:
+            arrays["status"] = result.point_courses("status", points)[:, 0].astype(np.uint8)
+        return packed({"key": key, "points": points}, arrays)
 
     def table(self, request: Mapping[str, Any]) -> str:
         """Return CSV text of the time series, or of the frame, that the page displays."""
-        with self._lock:
-            result = self._opened_result()
-            if request["of"] == "frame":
-                return result.table_of_frame(int(request["frame"]), request.get("shown"))
-            return result.table_of_courses(request["keys"], [int(k) for k in request["points"]], request.get("shown"))
+        result = self._opened_result()
+        if request["of"] == "frame":
+            return result.table_of_frame(int(request["frame"]), request.get("shown"))
+        return result.table_of_courses(request["keys"], [int(k) for k in request["points"]], request.get("shown"))
 
     # What is opened.
 
@@ -455,17 +442,11 @@ def _calibration_picture(draft: Draft) -> Path | None:
     return picture if picture is not None and picture.is_file() else None
 
 
-def _same_frames(result: Path, scene: Scene) -> bool:
-    """Return True if a result file was computed with the recording settings that a scene has now."""
-    with open_result(result) as earlier:
-        return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
-
-
 def _shown_value(value: Any) -> Any:
     """Return a value sent by the page as a Python value; TOML text is parsed, or kept as text if invalid."""
     if not isinstance(value, dict) or "toml" not in value:
         return value
     try:
         return tomlkit.parse(f"value = {value['toml']}")["value"]
-    except TOMLKitError:
+    except (TOMLKitError, ValueError, RecursionError):
         return str(value["toml"])

@@ -27,7 +27,7 @@ def test_a_bundle_has_by_default_what_the_engine_opens(tmp_path: Path) -> None:
     ("text", "named"),
     [
         ("", "views"),
-        ("[views\n", "no TOML"),
+        ("[views\n", "is not valid TOML"),
         ("[views]\nheight = 512\nwidth = 640\nbit_depth = 20\n", "views.bit_depth"),
         ("[views]\nheight = 512\nwidth = 640\n[tracking]\nwindow_px = 20\n", "20 is even"),
         ("[views]\nheight = 512\nwidth = 640\n[tracking]\npoint = 20\n", "tracking.point"),

@@ -20,8 +20,10 @@ from fingerflow.kernels import tracking
 from fingerflow.kernels.contact import contact_threshold
 from fingerflow.kernels.kernel import Kernel
 from fingerflow.kernels.library import compiled
+from fingerflow.kernels.result_records import FrameEllipse
 from fingerflow.kernels.tensors import twin
 from fingerflow.kernels.tracking_limits import NUMBERS
+from fingerflow.tracker.displacement_medians import displacement_medians
 from tests.embedded import CASES, scene
 
 
@@ -118,6 +120,8 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
     grey = random.normal(100, 20, (6, 200, 81)).astype(np.float32)
     engine = NativeEngine(EngineSettings(median_px=3, gross_radius_px=8, cell_px=4, window_px=9, search_px=3))
     lit = (frames, (glass, black))
+    doubles = (values.astype(np.float64) for values in (moved, moved - points, deviation))
+    ellipse = FrameEllipse(np.full((2, 2), 100.0), np.full((2, 2), 80.0), np.zeros(2))
     windows = {"then": grey[0], "around": grey[2:], "now": grey[1]}
     return {
         "contact_of_frames": call(engine.contact, *lit, np.full(2, 0.5, np.float32)),
@@ -138,6 +142,7 @@ def calls_on_arrays(tall: Tensor, light: Tensor) -> dict[str, Call]:
             compiled("shift_windows"), **windows, shift=np.zeros((200, 2)), weight=np.ones((200, 81)), noise=1.0
         ),
         "detect_points": call(engine.detect, frame, everywhere[0, 0], 20),
+        "displacement_medians": call(displacement_medians, *doubles, ellipse, 40.0),
     }
 
 

@@ -21,7 +21,6 @@ from fingerflow.ops.contact.illumination_gain import illumination_gain
 from fingerflow.ops.contact.otsu import histogram
 from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 from fingerflow.ops.fields.area_medians import area_medians
-from fingerflow.ops.fields.displacement_medians import displacement_medians
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.ops.fields.triangle_strain import triangle_strain
 from fingerflow.ops.filters.halving import halved_image
@@ -408,25 +407,6 @@ def _area_medians(measure: str, *given: Any) -> Any:
     return area_medians(reference, displacement, FrameEllipse(*ellipse), **settings)
 
 
-def moved_contacts() -> Iterator[Call]:
-    """Yield calls with 0 to 700 points, of which some coincide, are lost, or lie outside the ellipse."""
-    for points in (0, 1, 40, 700):
-        position, center = 12 * random(9, points, 2).double(), 6 + 0.5 * random(9, 2, seed=2).double()
-        position[:, ::7] = position[:, :1].clone()
-        displacement = 0.01 * position.flip(2) + random(9, points, 2, seed=3).double()
-        displacement[random(9, points, seed=4) < 0.1] = torch.nan
-        axes = 0.5 + 5 * random(9, 2, seed=5).double()
-        center[0, 0], axes[1, 0] = 1000.0, torch.nan
-        yield (
-            _displacement_medians,
-            (position, displacement, random(9, points, seed=6).double(), center, axes, center[:, 0]),
-        )
-
-
-def _displacement_medians(*given: Tensor) -> Any:
-    return displacement_medians(*given[:3], FrameEllipse(*given[3:]), reach=1.0, border_std=0.05)
-
-
 def strains_of_triangles() -> Iterator[Call]:
     solid = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.45}
     for measure, (points, unknown) in product(STRAIN_MEASURES, ((3, 0.0), (700, 0.6), (701, 0.1), (700, 0.0))):
@@ -487,7 +467,6 @@ TWINS = {
         )
         for dtype, gauge, unit in product((torch.float32, torch.float64), (2.5, 40.0), (1e-6, 1.0, 1e6))
     },
-    "displacement_medians": Twin(moved_contacts, (1e-9, 1e-12)),
     "area_medians": Twin(partial(area_fields, False), (1e-4, 1e-4), AREA, in_double=True),
     # A position equally far from two points may have the field of either: one rank of 800.
     "area_medians of points apart": Twin(partial(area_fields, True), (0.0, 1e-3), AREA, in_double=True),

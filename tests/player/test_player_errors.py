@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import sys
+from asyncio import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
 
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.errors import PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import read_results
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
@@ -140,7 +141,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
         _rewritten(stream.bundle, files={name: "0"})
         assert "is no name of a file in its folder" in said()
     os.mkfifo(stream.bundle / "pipe")
-    for name, problem in (("pipe", "it is no file"), ("nowhere", "No such file"), ("track.onnx", "has 0...")):
+    for name, problem in (("pipe", "is a pipe, not a file"), ("nowhere", "no such file"), ("track.onnx", "has 0...")):
         _rewritten(stream.bundle, files={name: 0})
         assert problem in said()
     for entry, wrong in (("files", []), ("recipe", None), ("expected", 1), ("fingerflow", {})):
@@ -169,13 +170,13 @@ def test_hostile_bundles_end_in_a_sentence(stream: Stream) -> None:
         path.write_text(text)
         try:
             load_bundle(stream.bundle)
-        except PlayerError as error:
+        except FingerflowError as error:
             messages.append(str(error))
     assert max(map(len, messages)) < 2000
     assert len(messages) > 0.9 * len(texts) > 200  # a few values are right
     path.write_bytes(b"{")
     os.truncate(path, 1 << 32)
-    with pytest.raises(PlayerError, match="it has 4294967296 bytes"):
+    with pytest.raises(FingerflowError, match="has more than 67108864 bytes"):
         load_bundle(stream.bundle)
 
 
@@ -216,7 +217,7 @@ def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, sai
     assert len(ended.results.records) == 2
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, GeneratorExit, CancelledError])
 def test_a_camera_that_ends_its_program_ends_the_stream(stream: Stream, error: type[BaseException]) -> None:
     def make() -> Any:
         given = iter([frame(), frame()])

@@ -310,7 +310,9 @@ def test_a_table_of_the_scalars_and_no_overwriting(stream: Stream) -> None:
         "median_divergence (µm/mm),median_divergence_std (µm/mm),median_curl (µm/mm),median_curl_std (µm/mm),"
         "median_strain_exx (µm/mm),median_strain_eyy (µm/mm),median_strain_exy (µm/mm),"
         "median_strain_std_exx (µm/mm),median_strain_std_eyy (µm/mm),median_strain_std_exy (µm/mm),"
-        "slip_residual (µm),slip_flag"
+        "global_displacement_vector_x (µm),global_displacement_vector_y (µm),"
+        "global_displacement_vector_std_x (µm),global_displacement_vector_std_y (µm),"
+        "global_displacement (µm),global_displacement_std (µm),slip_residual (µm),slip_flag"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(FingerflowError, match="exists"):

@@ -214,12 +214,14 @@ def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path
         ("import os; os.abort()", "crashed"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGPROF)", "did not come to an end within 10 s"),
         ("print(chr(34) + 'it is wrong' + chr(34), flush=True)", "it is wrong"),
+        ("import time; time.sleep(600)", "did not come to an end"),
     ):
         script = tmp_path / "walk.py"
         script.write_text(f"import sys\nprint(chr(34) + 'ready' + chr(34), flush=True)\nfor _ in sys.stdin: {body}\n")
         with monkeypatch.context() as patch:
             patch.setattr(child_process.child_reader, "__file__", str(script))
             patch.setattr(child_process, "_child", child_process._ChildProcess())
+            patch.setattr(child_process, "_MOST_SECONDS", 5.0)
             message = rf"a\.h5: is damaged, or no hdf5 file: .*{said}.*copy or export it again"
             with pytest.raises(FingerflowError, match=message):
                 open_recording(tmp_path / "a.h5")

@@ -65,7 +65,6 @@ def test_delimited_text(tmp_path, kind):
     check(forces)
     assert list(forces.channels) == ["normal", "tangential", "trigger"]
     assert forces.units["trigger"] == "V"
-    assert forces.trigger_time is None
 
 
 @pytest.mark.parametrize(

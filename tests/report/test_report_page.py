@@ -191,17 +191,18 @@ def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
 @pytest.mark.long
 def test_figures_of_the_page_are_written_as_files_with_their_captions(trial: Trial, tmp_path: Path) -> None:
     scene, result = trial
-    text = told(write_report(result, scene, tmp_path, figure_files=FigureFiles(("svg",), 120.0)))
+    files = FigureFiles(("svg",), 120.0)
+    text = told(write_report(result, scene, tmp_path, brief=True, figure_files=files))
     folder = tmp_path / "figures"
     names = {path.stem for path in folder.glob("*.svg")}
-    assert {"gross_contact_area-time", "map-divergence-15", "picture-contact-15", "position_std_px"} <= names
+    assert {"gross_contact_area-normal_force", "map-divergence-15", "picture-contact-15", "normal_force"} <= names
     assert names == {path.stem for path in folder.glob("*.txt")}
     assert text.count("<figcaption>") == len(names)
-    caption = (folder / "median_divergence-time.txt").read_text(encoding="utf-8")
+    caption = (folder / "median_divergence-normal_force.txt").read_text(encoding="utf-8")
     assert "Bands: ± 2 standard deviations, by the errors of the points, " in caption.replace("\n", " ")
     known = int(np.isfinite(result["median_divergence"]).sum())
     assert f"n = {known} frames." in caption
     assert f"n = {known} frames.</figcaption>" in text
     (folder / "normal_force.svg").write_text("years of work")
     with pytest.raises(FingerflowError, match=r"normal_force\.svg exists and was not written"):
-        write_report(result, scene, tmp_path, figure_files=FigureFiles(("svg",)))
+        write_report(result, scene, tmp_path, brief=True, figure_files=files)

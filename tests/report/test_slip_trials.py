@@ -12,7 +12,7 @@ from fingerflow import load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
-from fingerflow.report import write_report
+from fingerflow.report import write_overlay, write_report
 from fingerflow.report.slip_trials import SlipTrial
 from fingerflow.report.view_painter import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
@@ -22,17 +22,27 @@ Printed = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.long
 
 
+@pytest.fixture(scope="module")
+def fading(slip_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file of the result of the trial `fading`."""
+    path: Path = tmp_path_factory.mktemp("slip") / "fading.h5"
+    names = ["stuck_ratio", "stuck_ratio_std", "printed_stuck_ratio"]
+    save_result(process(load_scene(slip_trials / "fading" / "scene.toml"), names), path)
+    return path
+
+
 def test_two_trials_and_one_that_is_not_there(
-    command: Command, slip_trials: Path, tmp_path: Path, capsys: Printed
+    command: Command, slip_trials: Path, fading: Path, tmp_path: Path, capsys: Printed
 ) -> None:
-    scenes = [str(slip_trials / name / "scene.toml") for name in ("abrupt", "nothing", "fading")]
+    """The command takes the scene of a trial, and the result of another."""
+    scenes = [*(str(slip_trials / name / "scene.toml") for name in ("abrupt", "nothing")), str(fading)]
     assert command("slip", *scenes, "--figure", tmp_path / "figures") == 0
-    abrupt, nothing, fading, count, figures = capsys.readouterr().out.splitlines()
+    abrupt, nothing, faded, count, figures = capsys.readouterr().out.splitlines()
     assert abrupt.startswith(f"{scenes[0]}: vanishes abruptly (as printed: vanishes abruptly; ")
     assert "collapse" in abrupt
     assert nothing.startswith(f"{scenes[1]}: not judged: ")
     assert "there is no such file" in nothing
-    assert fading.startswith(f"{scenes[2]}: diminishes (as printed: vanishes abruptly; ")
+    assert faded.startswith(f"{scenes[2]}: diminishes (as printed: vanishes abruptly; ")
     assert count == (
         "2 trials: vanishes abruptly 1, diminishes 1, inconclusive 0; "
         "as printed: vanishes abruptly 2, diminishes 0, inconclusive 0; not judged: 1"
@@ -54,7 +64,8 @@ def test_the_stuck_part_in_page_and_video(command: Command, slip_trials: Path, t
     """
     scene = load_scene(slip_trials / "abrupt" / "scene.toml")
     result = process(scene, ["stuck_ratio", "ellipse_angle", "tracked_share"])
-    page = write_report(result, scene, tmp_path).read_text(encoding="utf-8")
+    page = write_report(result, scene, tmp_path, brief=True).read_text(encoding="utf-8")
+    write_overlay(result, scene, tmp_path / "overlay.mp4")
     assert "Partial slip: vanishes abruptly" in page
     assert ">stuck part<" in page  # in the legend of the image
     save_result(result, tmp_path / "result.h5")
@@ -79,17 +90,15 @@ def test_the_stuck_part_in_page_and_video(command: Command, slip_trials: Path, t
         assert len(video) == 120
 
 
-def test_a_verdict_survives_the_disk(slip_trials: Path, tmp_path: Path) -> None:
-    result = process(load_scene(slip_trials / "fading" / "scene.toml"), ["stuck_ratio", "stuck_ratio_std"])
-    save_result(result, tmp_path / "result.h5")
-    trial, again = (SlipTrial.read(some, "one") for some in (result, load_result(tmp_path / "result.h5")))
+def test_a_verdict_survives_the_disk(fading: Path) -> None:
+    result = load_result(fading)
+    found = SlipTrial.read(result, "one")
     series = (result[name].values for name in ("stuck_ratio", "load_ratio", "time", "stuck_ratio_std"))
     expected = judge_trial(*series)
-    for found in (trial, again):
-        assert isinstance(found.verdict, TrialVerdict)
-        assert repr(found.verdict) == repr(expected)  # NaN is not equal to itself
-        assert isinstance(found.fit, FrictionFit)
-        slow = expected.loading()
-        fit = fit_friction(result["stuck_ratio"].values[slow], result["load_ratio"].values[slow])
-        assert found.fit.mu_s == fit.mu_s
-        assert found.fit.mu_s_interval == fit.mu_s_interval
+    assert isinstance(found.verdict, TrialVerdict)
+    assert repr(found.verdict) == repr(expected)  # NaN is not equal to itself
+    assert isinstance(found.fit, FrictionFit)
+    slow = expected.loading()
+    fit = fit_friction(result["stuck_ratio"].values[slow], result["load_ratio"].values[slow])
+    assert found.fit.mu_s == fit.mu_s
+    assert found.fit.mu_s_interval == fit.mu_s_interval

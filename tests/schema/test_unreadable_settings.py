@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 
 from fingerflow.engines.bundle import load_bundle
-from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.errors import FingerflowError
 from fingerflow.results.stream_folder import read_results
 from fingerflow.schema.calibration_file import read_calibration
+from fingerflow.schema.recipe import load_recipe
 from fingerflow.schema.scene import load_scene
+from fingerflow.study.manifest import load_manifest
 
 DEEP = "[" * 200_000
 
@@ -25,17 +27,18 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, read: Callable[[Path], Any]) -
         read(tmp_path / "a.toml")
 
 
-@pytest.mark.parametrize("read", [load_scene, read_calibration])
-def test_nesting_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any]) -> None:
-    (tmp_path / "a.toml").write_text(f"a = {DEEP}")
-    with pytest.raises(FingerflowError, match=r"a\.toml: .*recursion"):
+@pytest.mark.parametrize("read", [load_scene, read_calibration, load_recipe, load_manifest])
+@pytest.mark.parametrize(("value", "said"), [(DEEP, "recursion"), ("9" * 5000, "digits")])
+def test_values_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any], value: str, said: str) -> None:
+    (tmp_path / "a.toml").write_text(f"a = {value}")
+    with pytest.raises(FingerflowError, match=rf"a\.toml:? .*{said}"):
         read(tmp_path / "a.toml")
 
 
 @pytest.mark.parametrize(("read", "name"), [(load_bundle, "bundle.json"), (read_results, "header.json")])
 def test_nesting_in_what_the_player_reads(tmp_path: Path, read: Callable[[Path], Any], name: str) -> None:
     (tmp_path / name).write_text(DEEP)
-    with pytest.raises(PlayerError, match=r"recursion.*copy"):
+    with pytest.raises(FingerflowError, match=r"recursion.*copy"):
         read(tmp_path)
 
 

@@ -10,18 +10,13 @@ from distributed import LocalCluster
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.run_study import run_study
-from tests.study.lab import write_files, write_lab, write_one_press
-
-
-@pytest.fixture(scope="session")
-def one_press(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_one_press(tmp_path_factory.mktemp("one") / "press")
+from tests.study.lab import write_files, write_lab
 
 
 @pytest.fixture
-def lab(one_press: Path, tmp_path: Path) -> Path:
+def lab(tiny_press: Path, tmp_path: Path) -> Path:
     folder = tmp_path / "lab"
-    write_files(folder, one_press)
+    write_files(folder, tiny_press)
     return folder
 
 
@@ -32,10 +27,10 @@ def study(lab: Path) -> Manifest:
 
 
 @pytest.fixture(scope="session")
-def undisturbed(one_press: Path, tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Manifest:
+def undisturbed(tiny_press: Path, tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Manifest:
     """Return the same study in another folder, run once: the reference of tables and results."""
     folder = tmp_path_factory.mktemp("undisturbed") / "lab"
-    write_lab(folder, one_press)
+    write_lab(folder, tiny_press)
     study = load_manifest(folder)
     assert not run_study(study, scheduler, progress=False).interrupted
     return study

@@ -1,4 +1,4 @@
-"""Folder of small recordings as in a lab: two participants, two conditions, and one press per trial."""
+"""Folder of small recordings as in a lab: two participants, two conditions, one or two presses in each."""
 
 import shutil
 from pathlib import Path
@@ -6,16 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from fingerflow.study.init import init_study
-from fingerflow.synthetic import write_recording
-from tests.small_trials import TINY_PRESS
 
-TRIALS = [(participant, condition, trial) for participant in (1, 2) for condition in (0, 2) for trial in (1, 2)]
-
-
-def write_one_press(folder: Path) -> Path:
-    """Write the recording of which all trials are copies, and return its folder."""
-    write_recording(folder, TINY_PRESS)
-    return folder
+TRIALS = [(1, 0, 1), (1, 0, 2), (1, 2, 1), (1, 2, 2), (2, 0, 1), (2, 2, 1)]  # participant, condition, trial
 
 
 def write_files(folder: Path, press: Path) -> None:

@@ -47,7 +47,7 @@ def test_a_reference_is_one_trial_of_the_participant(study: Manifest, lab: Path)
 
 def test_scene_files_become_a_shared_scene_and_columns(study: Manifest, lab: Path) -> None:
     assert [entry.name for entry in study.trials][:3] == ["01_0_1", "01_0_2", "01_2_3"]
-    assert [entry.answer for entry in study.trials] == [False, True] * 4
+    assert [entry.answer for entry in study.trials] == [False, True] * 3
     scene = study.build_scene(study.trials[2])
     assert scene.recording.frames == lab / "p01/2um/trial3/frames.npy"
     assert scene.background.frames == lab / "p01/2um/trial3/empty.npy"
@@ -95,8 +95,8 @@ def test_wrong_rows_and_columns_are_named(
 def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> None:
     edit(lab / "trials.csv", ("p02/2um/trial3/frames.npy", "p02/2um/gone.npy"))
     changed = load_manifest(lab)
-    with pytest.raises(FingerflowError, match=r"trials.csv, row 8: .*recording.frames .*gone.npy.* does not exist"):
-        changed.build_scene(changed.trials[6])
+    with pytest.raises(FingerflowError, match=r"trials.csv, row 7: .*recording.frames .*gone.npy.* does not exist"):
+        changed.build_scene(changed.trials[5])
 
 
 def test_the_design_is_a_forced_choice_unless_it_is_named(study: Manifest, lab: Path) -> None:
@@ -129,7 +129,7 @@ def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: s
 def test_recordings_without_scenes(lab: Path) -> None:
     for scene in lab.rglob("scene.toml"):
         scene.unlink()
-    assert init_study(lab, lab / "answers.csv") == (8, ["[scene] in study.toml"])
+    assert init_study(lab, lab / "answers.csv") == (6, ["[scene] in study.toml"])
     manifest = load_manifest(lab)
     assert manifest.trials[0].settings["forces"] == {"file": "p01/0um/trial1/forces.csv"}
     assert {entry.condition for entry in manifest.trials} == {"0", "2"}

@@ -119,7 +119,7 @@ def test_tables_agree_with_the_truth_of_pictures(presses: Presses) -> None:
         assert truth.medians(press.n_frames - 1).displacement_x == pytest.approx(presses.shift[number, 0], abs=1e-9)
 
 
-def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
+def test_rendered_presses_are_measured_as_drawn(tmp_path: Path, scheduler: str) -> None:
     """A study of two pairs by its commands returns the numbers that were drawn and finds the pairs; an
     interrupted call continues.
     """
@@ -129,7 +129,7 @@ def test_rendered_presses_are_measured_as_drawn(tmp_path: Path) -> None:
     init_study(tmp_path, tmp_path / "answers.csv")
     study = load_manifest(tmp_path)
     assert study.design == "forced choice"
-    run_study(study, workers=1, progress=False)
+    run_study(study, scheduler, progress=False)
     table = pd.read_csv(write_tables(study)[0].with_suffix(".csv"))
     assert (table["status"] == "measured").all()
     drawn = draw_presses(design)

@@ -82,9 +82,10 @@ def test_a_stream_equals_the_recording_bit_for_bit(
         np.testing.assert_array_equal(records[name][1:frames], recorded[name].values[1:frames], err_msg=name)
     calm = _without_passing_touch(recorded)[:frames]
     assert calm.sum() > 25
-    medians = recorded["median_divergence"].values.astype(np.float32)
-    np.testing.assert_array_equal(records["median_divergence"][:frames][calm], medians[:frames][calm])
-    assert np.isfinite(medians[:frames][calm]).sum() > 25
+    for name in ("median_divergence", "global_displacement"):
+        medians = recorded[name].values.astype(np.float32)
+        np.testing.assert_array_equal(records[name][:frames][calm], medians[:frames][calm])
+        assert np.isfinite(medians[:frames][calm]).sum() > 25
 
 
 @pytest.mark.parametrize("before", ["tracked", "lost"])

@@ -1,4 +1,8 @@
-"""Segmentation of the apparent (gross) contact: the region spanned by ridges in contact, with the gaps between them."""
+"""Segmentation of the apparent (gross) contact: the region spanned by ridges in contact, with the gaps between them.
+
+The method is of this package; docs/methods/contact.md states its accuracy. Compiled twin:
+`kernels/apparent_contact.cpp`.
+"""
 
 import functools
 import math

@@ -1,6 +1,9 @@
 """Reduce images to means over square cells, and interpolate between cells.
 
 Cell (row i, column j) of side c px has its centre at (x, y) = (c j + (c - 1) / 2, c i + (c - 1) / 2) px.
+
+Interpolation is bilinear. There are no twins of single functions: `kernels/apparent_contact.cpp` and
+`kernels/covered.cpp` contain their compiled forms.
 """
 
 from collections.abc import Sequence

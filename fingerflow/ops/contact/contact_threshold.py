@@ -1,4 +1,8 @@
-"""Contact threshold: the relative intensity loss at the edges of the ridges in contact."""
+"""Contact threshold: the relative intensity loss at the edges of the ridges in contact.
+
+The method is of this package; it starts from the threshold of Otsu 1979. Compiled twin:
+`kernels/contact_threshold.cpp`.
+"""
 
 from functools import partial
 

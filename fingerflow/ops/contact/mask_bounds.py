@@ -1,4 +1,7 @@
-"""Bounding rectangle of masks."""
+"""Bounding rectangle of masks.
+
+No compiled twin.
+"""
 
 from torch import Tensor
 

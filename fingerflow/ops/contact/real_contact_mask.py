@@ -1,4 +1,7 @@
-"""Real contact mask: pixels darker than a share of the empty glass's light, smoothed by a majority filter."""
+"""Real contact mask: pixels darker than a share of the empty glass's light, smoothed by a majority filter.
+
+A majority filter is the median of a mask. Compiled twin: `kernels/real_contact_mask.cpp`.
+"""
 
 from functools import partial
 

@@ -1,4 +1,7 @@
-"""Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points."""
+"""Medians of divergence, curl and strain over the contact ellipse, from displacements of scattered points.
+
+Compiled twin: `kernels/area_medians.cpp`.
+"""
 
 import math
 from functools import partial
@@ -180,11 +183,17 @@ def _medians(
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
         return median, None, known_share
-    share = _closeness_weights(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * clear
+
+    def closeness(variance: Tensor) -> Tensor:
+        """Return the weights (B, 5, Q) with which errors at Q positions enter those of the medians: (1 - z^2)^2, 1 at
+        the median, 0 from two standard deviations of a fit on, whose square is `variance` (B, 5, Q).
+        """
+        return (1 - (fields - median[..., None]).square() / variance.clamp_min(_TINY)).clamp_min(0).square() * clear
+
     joint = torch.zeros_like(median)
+    share = closeness(limits.REACH**2 * _even_variance(fit, gradient, usable, covariance, radius, measure))
     if nearest is not None and std is not None:
-        away = (fields - median[..., None]).square() / (limits.REACH * std).square().clamp_min(_TINY)
-        share = torch.where(nearest, (1 - away).clamp_min(0).square() * clear, share)
+        share = torch.where(nearest, closeness((limits.REACH * std).square()), share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
     if nearest is not None and std is not None:
         joint = (share * torch.where(nearest & clear, std, 0.0)).sum(2)
@@ -238,31 +247,18 @@ def _fields(gradient: Tensor, measure: str) -> Tensor:
     return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
 
 
-def _closeness_weights(
-    fields: Tensor,
-    median: Tensor,
-    fit: PlaneFit,
-    gradient: Tensor,
-    usable: Tensor,
-    covariance: Tensor,
-    radius: float,
-    measure: str,
+def _even_variance(
+    fit: PlaneFit, gradient: Tensor, usable: Tensor, covariance: Tensor, radius: float, measure: str
 ) -> Tensor:
-    """Return the weights (B, 5, Q) with which the errors of five fields at Q positions enter the errors of the fields'
-    medians: 1 at a value equal to the median, 0 from two standard deviations of a fit on.
-
-    The median is (B, 5, 1). The weight is (1 - z^2)^2 for z < 1, else 0, with z the distance of the field from the
-    median in units of two standard deviations of a single fit. These are those of a fit among evenly spread points,
-    each with the mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
+    """Return the variance (B, 5, Q) of five fields at Q positions by a fit among evenly spread points, each with the
+    mean covariance, for which sum w^2 d d' is 0.4 sum w d d'.
     """
-    number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
+    number = usable.to(gradient.dtype).sum(2, keepdim=True).clamp_min(1)
     mean = symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
     slopes = symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
     sensitivity = _sensitivity(gradient, measure)
     by_slopes = products(sensitivity, slopes[:, None])
-    variance = (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
-    away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
-    return (1 - away).clamp_min(0).square()
+    return (products(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
 
 
 def _mean_derivatives(fit: PlaneFit, positions: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:

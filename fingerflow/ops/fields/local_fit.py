@@ -67,7 +67,10 @@ def local_gradients(
         border: one-sided fit, which `centroid_offset` shows.
     """
     queries = points if queries is None else queries
-    _check(points, values, queries, gauge_length, variance, minimum_points)
+    _check(points, values, queries, variance)
+    check_gauge_length(gauge_length)
+    if minimum_points < 3:
+        raise ValueError(f"minimum_points must be at least 3, which a plane needs, found {minimum_points}")
     inputs = (points, values, queries)
     dtype = working_dtype(*inputs)
     positions, measured, wanted = (tensor.to(dtype) for tensor in inputs)
@@ -126,21 +129,11 @@ def local_gradients(
     return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
 
 
-def _check(
-    points: Tensor,
-    values: Tensor,
-    queries: Tensor,
-    gauge_length: float,
-    variance: Tensor | None,
-    minimum_points: int,
-) -> None:
+def _check(points: Tensor, values: Tensor, queries: Tensor, variance: Tensor | None) -> None:
     check_scattered(points, values)
     if not queries.is_floating_point() or queries.dim() != 3 or queries.shape[-1] != 2:
         raise ValueError(f"queries must be floating (B, Q, 2), found {queries.dtype} {tuple(queries.shape)}")
     check_batches(points=points, values=values, queries=queries)
-    check_gauge_length(gauge_length)
-    if minimum_points < 3:
-        raise ValueError(f"minimum_points must be at least 3, which a plane needs, found {minimum_points}")
     if variance is not None:
         allowed = (tuple(values.shape[1:2]), (values.shape[1], values.shape[2], values.shape[2]))
         if not variance.is_floating_point() or tuple(variance.shape[1:]) not in allowed:

@@ -1,6 +1,8 @@
 """Local plane fits by a few matrix products: the form of `ops.fields.local_fit` for exported graphs and accelerators.
 
 Components precede points, (B, 2, N): ONNX runtimes are slow if the last axis is short.
+
+The equations are those of `ops.fields.local_fit`, where the source and the compiled twin are stated.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,7 @@
-"""Residual displacement after subtraction of the rigid motion of the finger: a measure of incipient slip."""
+"""Residual displacement after subtraction of the rigid motion of the finger: a measure of incipient slip.
+
+Orthogonal Procrustes problem in the plane, in closed form (Schönemann 1966). No compiled twin.
+"""
 
 import torch
 from torch import Tensor

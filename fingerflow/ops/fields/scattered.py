@@ -1,6 +1,7 @@
 """Input checks and dtypes shared by all operations on scattered points."""
 
 import math
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -47,7 +48,4 @@ def working_dtype(*tensors: Tensor) -> torch.dtype:
 
 def result_dtype(*tensors: Tensor) -> torch.dtype:
     """Return the dtype of a result: the widest of the tensors' dtypes."""
-    widest = tensors[0].dtype
-    for tensor in tensors[1:]:
-        widest = torch.promote_types(widest, tensor.dtype)
-    return widest
+    return reduce(torch.promote_types, (tensor.dtype for tensor in tensors))

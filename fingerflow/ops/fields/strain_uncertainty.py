@@ -1,6 +1,9 @@
 """Standard deviations of divergence, curl and strain from the covariance of a displacement gradient.
 
 The covariance (..., 2, 2, 2, 2) is that of `LocalFit`: [..., i, j, k, l] = cov(d u_i / d x_j, d u_k / d x_l).
+
+Variances are propagated to first order: g Σ gᵀ, with the derivatives g of a quantity by the gradient (JCGM 100:2008,
+equation 13). No twin of their own: `kernels/area_medians.cpp` and `engines.native` compute the same.
 """
 
 import torch

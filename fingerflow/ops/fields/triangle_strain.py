@@ -1,4 +1,8 @@
-"""Compute the strain of triangles between tracked points, and the strain energy of triangles in contact."""
+"""Compute the strain of triangles between tracked points, and the strain energy of triangles in contact.
+
+The displacement gradient is constant in a triangle (Turner et al., J. Aeronaut. Sci. 23, 1956); strain and energy
+density are those of Willemet et al. 2021 (`ops.fields.strain`). Compiled twin: `kernels/triangle_strain.cpp`.
+"""
 
 from typing import NamedTuple
 

@@ -1,4 +1,8 @@
-"""Weighted sums over the scattered points around each query position, from which a local fit is computed."""
+"""Weighted sums over the scattered points around each query position, from which a local fit is computed.
+
+They are the sums of the normal equations of `ops.fields.local_fit`; `kernels/local_fit.cpp` contains their compiled
+form.
+"""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,7 @@
-"""Sums over square windows, by additions only, so that a NaN affects only the windows that contain it."""
+"""Sums over square windows, by additions only, so that a NaN affects only the windows that contain it.
+
+A window of n is a sum of windows of powers of two, by the binary digits of n. No compiled twin.
+"""
 
 from torch import Tensor
 

@@ -1,4 +1,7 @@
-"""Noise of an image, estimated from the image itself."""
+"""Noise of an image, estimated from the image itself.
+
+Compiled twin, of the mean response: `kernels/noise.cpp`.
+"""
 
 import math
 

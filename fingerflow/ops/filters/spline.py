@@ -10,6 +10,8 @@ advantages over an exact interpolant:
   bias.
 - The gradient has at most 1/30 of the noise variance. The estimate stays at the Cramer-Rao bound at 5 grey levels, and
   no recursive filter has to run over the frame.
+
+Compiled twin, of the coefficients: `kernels/spline.cpp`.
 """
 
 import torch

@@ -1,6 +1,8 @@
 """Square windows around points: cut from the pixel grid, or sampled from the spline at fractional and warped positions.
 
 Points are passed as one flat list of P points from any of the images, each with the index of its image.
+
+No twin of their own: `kernels/templates.cpp` and `kernels/search.cpp` contain their compiled forms.
 """
 
 import torch

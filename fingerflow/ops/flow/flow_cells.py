@@ -7,6 +7,9 @@ pixel: 0.0182 and 0.0183 px on a whorl, 0.1533 and 0.1536 on a real picture with
 
 At pixels the flow is its best-fitting plane, plus the remainder interpolated bilinearly between the centres of known
 cells. The trend of the flow, the departure from which the smoothness term penalises, lies on cells too.
+
+Planes are fitted by weighted least squares, in closed form from the moments of the positions. `kernels/flow_cells.cpp`
+contains the compiled forms, `kernels/flow_course.cpp` that of the trend.
 """
 
 import math

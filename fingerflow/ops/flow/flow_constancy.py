@@ -4,6 +4,8 @@ Illumination changes that vary in space (contact that grows under the skin, shad
 hardly their gradient (Brox, Bruhn, Papenberg, Weickert, ECCV 2004, section 2). Both derivatives, multiplied by
 P / (2 pi), then join the image as channels of the data term, each of half the weight. A wave of period P weighs as
 much as before, longer ones less, shorter ones and noise more.
+
+No compiled twin.
 """
 
 import math

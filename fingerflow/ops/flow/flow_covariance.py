@@ -1,4 +1,7 @@
-"""Covariance of dense flow due to the noise of the images."""
+"""Covariance of dense flow due to the noise of the images.
+
+No compiled twin.
+"""
 
 import math
 

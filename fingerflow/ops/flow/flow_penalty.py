@@ -13,6 +13,8 @@ flow. The system is then the quadratic one with weights, which are updated at ev
 
 Factors are chosen so that the data weight is 1 for a mean squared residual equal to that of noise, and the smoothing
 weight is 1 for zero departure.
+
+No compiled twin.
 """
 
 from typing import Literal

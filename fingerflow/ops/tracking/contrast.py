@@ -1,4 +1,7 @@
-"""Contrast of ridges in the topographic view: background subtraction, contrast stretching, unsharp masking."""
+"""Contrast of ridges in the topographic view: background subtraction, contrast stretching, unsharp masking.
+
+No compiled twin.
+"""
 
 import kornia.filters
 import torch

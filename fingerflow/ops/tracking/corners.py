@@ -97,7 +97,9 @@ def detect_corners(
         )
     _check_frame(frame, window)
     response, larger = _eigenvalues(frame, window)
-    allowed = _inside(frame, border)
+    y, x = (torch.arange(size, device=frame.device) for size in frame.shape[-2:])
+    rows, columns = ((pixels >= border) & (pixels < len(pixels) - border) for pixels in (y, x))
+    allowed = rows[:, None] & columns  # at least `border` px inside the frame
     if mask is not None:
         allowed = allowed & mask
     spread = _noise_deviation(frame) if noise is None else torch.full_like(response[:, 0, 0, 0], noise)
@@ -210,14 +212,6 @@ def _noise_deviation(frame: Tensor) -> Tensor:
         return estimate_noise(torch.where(finite, values, mean))
     # Rounding turns noise below one grey level into a few isolated steps, which a mean absolute value underestimates.
     return (estimate_noise(frame).square() + 1 / 12).sqrt()
-
-
-def _inside(frame: Tensor, border: int) -> Tensor:
-    """Return a mask (1, 1, H, W) bool of the pixels that lie at least `border` px inside the frame."""
-    height, width = frame.shape[-2:]
-    y, x = torch.arange(height, device=frame.device), torch.arange(width, device=frame.device)
-    rows, columns = (y >= border) & (y < height - border), (x >= border) & (x < width - border)
-    return (rows[:, None] & columns)[None, None]
 
 
 @torch_op(shapes=lambda _, candidate, count, __: candidate.new_empty(candidate.shape[0], count, dtype=torch.int64))

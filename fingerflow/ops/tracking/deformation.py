@@ -14,6 +14,8 @@ and takes a third off that of a displacement with a period of 2 to 14 windows (t
 
 E also leaves a residual e'Qe (`Number.BENDING`) in the window, which would count as noise. It is subtracted from the
 covariance, down to the contribution of the key frame's noise.
+
+Compiled twin: `kernels/deformation.cpp`.
 """
 
 import torch

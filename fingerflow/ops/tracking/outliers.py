@@ -1,4 +1,7 @@
-"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than their neighbours."""
+"""Detection of tracked points that deviate from their neighbours, or are far more uncertain than their neighbours.
+
+Compiled twin: `kernels/outliers.cpp`.
+"""
 
 import torch
 from torch import Tensor

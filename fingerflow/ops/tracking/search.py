@@ -1,4 +1,7 @@
-"""Exhaustive search for windows that moved too far for Lucas-Kanade registration."""
+"""Exhaustive search for windows that moved too far for Lucas-Kanade registration.
+
+Normalised cross-correlation by Fourier transforms (Lewis 1995). Compiled twin: `kernels/search.cpp`.
+"""
 
 import torch
 from torch import Tensor

@@ -6,6 +6,8 @@ taken that is signal (Wiener filter): with E the mean square of the difference a
 noise alone gives it, that is 1 - 2 V / E, or 0 if this is negative. V follows from the covariance of the points by
 Hutchinson's (1990) estimator: noise of this size and random sign is corrected as the points are. The signs are a hash
 of a point's position: neither the order of the points nor the state of a random generator changes the result.
+
+No compiled twin of its own: it calls `correct_points`.
 """
 
 import torch

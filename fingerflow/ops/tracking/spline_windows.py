@@ -4,6 +4,8 @@ A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, with the patch of
 weights of s: those of the cubic B-spline, convolved with the smoothing that yields its coefficients
 (`ops.filters.spline`). No image of coefficients is formed. The weights at the whole positions -2 to 2 are functions of
 the shift within (-1, 1): with u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 4 v^3) / 6.
+
+`kernels/templates.cpp` contains the compiled forms.
 """
 
 import torch

@@ -16,6 +16,8 @@ grad T + grad D, with the residual D = M - a T - b. Linearised, and since a root
 directions differ by the sum of D grad D. Over a window this is half the difference of D^2 between opposite edges.
 
 A step has a fixed cost and no data-dependent branch, so this portable form is the one that is exported.
+
+Compiled twin: `kernels/templates.cpp`.
 """
 
 from typing import Any, NamedTuple

@@ -1,8 +1,7 @@
 """Tracking of points between two images by Lucas-Kanade: templates of one image are registered in the other."""
 
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -138,24 +137,13 @@ def track_points(
 _Passed = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 
 
-def _like_passed(
-    previous: Tensor,
-    current: Tensor,
-    points: Tensor,
-    guess: Tensor,
-    warp: Tensor | None,
-    noise: Tensor,
-    window: int,
-    passes: int,
-    *settings: float,
-) -> _Passed:
+def _like_passed(*arguments: Any) -> _Passed:
+    previous, _, points, _, warp, _, _, passes, *_ = arguments
     dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
     position, matrix = points.new_empty(points.shape, dtype=dtype), points.new_empty((*points.shape, 2), dtype=dtype)
     status = points.new_empty(points.shape[:2], dtype=torch.uint8)
-    if warp is not None:
-        deformation: Tensor | None = torch.empty_like(warp)
-    else:
-        deformation = torch.empty_like(matrix) if passes == 2 else None
+    deformation = warp if warp is not None else matrix if passes == 2 else None
+    deformation = None if deformation is None else torch.empty_like(deformation)
     return position, position.new_empty(points.shape[:2]), matrix, status, deformation
 
 
@@ -181,9 +169,22 @@ def in_passes(
     depends on data.
     """
     dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
-    start, guess = points.to(dtype), guess.to(dtype)
-    limits_of = (forward_backward_limit, mismatch_limit)
-    find = partial(_find, previous, current, noise.to(dtype), window, gain_offset, *limits_of)
+    start, guess, noise = points.to(dtype), guess.to(dtype), noise.to(dtype)
+
+    def find(points: Tensor, warp: Tensor | None, near: Tensor) -> tuple[TrackedPoints, Tensor]:
+        """Register points (B, N, 2) of the image `previous` in the image `current`, near predicted positions `near`;
+        also return the statistics of the points' templates.
+        """
+        inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
+        if _compiled.serves(previous, current, points, inverse, variance, near) and previous.dtype == current.dtype:
+            *_, numbers, tracked, error, covariance, status, estimate = _compiled(
+                *(previous, current, points, inverse, variance, window, int(gain_offset), limits.ROUNDS, near, None),
+                *(rounding_variance(previous), forward_backward_limit, mismatch_limit),
+            )
+            return TrackedPoints(tracked, error, covariance, status, estimate), numbers
+        templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
+        shares: dict[str, Any] = {"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit}
+        return find_templates(templates, current, near, noise=noise, **shares), templates.numbers
 
     def one_pass(positions: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[TrackedPoints, Tensor]:
         track, numbers = find(positions, deformation, near)
@@ -217,38 +218,6 @@ def in_passes(
     return *track[:4], warp
 
 
-def _find(
-    previous: Tensor,
-    current: Tensor,
-    noise: Tensor,
-    window: int,
-    gain_offset: bool,
-    forward_backward_limit: float,
-    mismatch_limit: float,
-    points: Tensor,
-    warp: Tensor | None,
-    near: Tensor,
-) -> tuple[TrackedPoints, Tensor]:
-    """Register the points (B, N, 2) of the image `previous` in the image `current`, near predicted positions `near`;
-    also return the statistics of the points' templates.
-    """
-    inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
-    if _compiled.serves(previous, current, points, inverse, variance, near) and previous.dtype == current.dtype:
-        *_, numbers, tracked, error, covariance, status, estimate = _compiled(
-            *(previous, current, points, inverse, variance, window, int(gain_offset), limits.ROUNDS, near, None),
-            *(rounding_variance(previous), forward_backward_limit, mismatch_limit),
-        )
-        return TrackedPoints(tracked, error, covariance, status, estimate), numbers
-    templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
-    tracks = find_templates(
-        *(templates, current, near),
-        forward_backward_limit=forward_backward_limit,
-        mismatch_limit=mismatch_limit,
-        noise=noise,
-    )
-    return tracks, templates.numbers
-
-
 def _search_lost(
     find: Callable[[Tensor, Tensor | None, Tensor], tuple[TrackedPoints, Tensor]],
     images: tuple[Tensor, Tensor],
@@ -267,7 +236,7 @@ def _search_lost(
     plus the accuracy of a search, the point gets the status FORWARD_BACKWARD.
 
     Args:
-        find: `_find` as a function of points, their deformation and predictions.
+        find: registration of points, given their deformation and predictions (`in_passes`).
     """
     lost = tracks.status >= TrackStatus.NOT_CONVERGED
     if not lost.any():

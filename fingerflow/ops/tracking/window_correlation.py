@@ -2,6 +2,8 @@
 
 Samples are Keys' cubic convolution (1981) of the recorded pixels, not a spline. The comparison (`tracker.window_match`)
 thus shares no arithmetic with the registration that found the points.
+
+Compiled twin: `kernels/window_correlation.cpp`.
 """
 
 import math

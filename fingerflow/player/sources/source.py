@@ -28,7 +28,6 @@ class Source(Protocol):
         """Close the file or camera."""
 
 
-ENDING = (KeyboardInterrupt, SystemExit)  # what a module of a user may raise outside of the main thread
 OpenSource = Callable[[int], Source]  # function from the number of the next frame to the opened source
 
 
@@ -54,7 +53,7 @@ def close_within(seconds: float, source: Source) -> None:
     def close() -> None:
         try:
             source.close()
-        except Exception as error:
+        except BaseException as error:
             log.warning("closing the source: %s", first_line(error))
 
     closing = threading.Thread(target=close, name="close", daemon=True)

@@ -24,9 +24,8 @@ class Forces:
     """Force channels that share one series of sample times.
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
-    "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `trigger_time`: s on
-    the clock of `times`, None until `align` has found it. `scales`: factors from the numbers in the file to `units`, 1
-    if left out. `warnings`: sentences for the user; `resample` adds to them.
+    "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `scales`: factors
+    from the numbers in the file to `units`, 1 if left out. `warnings`: sentences for the user; `resample` adds to them.
 
     Raises FingerflowError for times that are not finite or do not increase, and for channels of another length.
     """
@@ -36,7 +35,6 @@ class Forces:
     channels: Mapping[str, Samples]
     units: Mapping[str, str]
     trigger: str | None = None
-    trigger_time: float | None = None
     scales: Mapping[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
@@ -84,7 +82,7 @@ class Forces:
         before = int(rising[0])
         part = (trigger_level - signal[before]) / (signal[before + 1] - signal[before])
         instant = self.times[before] + part * (self.times[before + 1] - self.times[before])
-        return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
+        return replace(self, times=self.times - instant, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
         """Return all channels, by name, resampled at the times of the frames after a low-pass filter that ends at half
@@ -103,7 +101,12 @@ class Forces:
             raise FingerflowError(
                 f"{self.path}: frame times are one finite number a frame, in s; an array {targets.shape} was given"
             )
-        self._check_overlap(targets)
+        first, last = self.times[0], self.times[-1]
+        if not ((targets >= first) & (targets <= last)).any():
+            raise FingerflowError(
+                f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {targets.min():g} to "
+                f"{targets.max():g} s: no frame is covered. Align both to the trigger first."
+            )
         within = int(np.sum((self.times >= targets.min()) & (self.times <= targets.max())))
         lasts, span = float(np.ptp(self.times)), float(np.ptp(targets))
         sparse = (_rate(self.times) or 0.0) < (_rate(targets) or 0.0) and lasts > _LONGEST * span
@@ -160,14 +163,6 @@ class Forces:
         result = np.full((len(values), targets.size), np.nan)
         result[:, covered] = at_frames
         return result
-
-    def _check_overlap(self, targets: Samples) -> None:
-        first, last = self.times[0], self.times[-1]
-        if not ((targets >= first) & (targets <= last)).any():
-            raise FingerflowError(
-                f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {targets.min():g} to "
-                f"{targets.max():g} s: no frame is covered. Align both to the trigger first."
-            )
 
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings:

@@ -50,7 +50,12 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
     rate = np.pi * (PASS_BAND + STOP_BAND) * nyquist  # rad/s, cutoff frequency in the middle of the transition band
     middle = (times[0] + times[-1]) / 2  # the origin in the middle keeps angles and their rounding errors small
     angles = rate * (times - middle)
-    of_samples = np.stack((times, np.sin(angles), np.cos(angles), _sample_durations(times)))
+    # A sample represents the time between the midpoints to its neighbours. A gap ends the record as its ends do, so no
+    # sample represents more than twice the median step.
+    steps = np.diff(times)
+    steps = np.minimum(steps, 2 * np.median(steps))
+    durations = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
+    of_samples = np.stack((times, np.sin(angles), np.cos(angles), durations))
     around_frames = sliding_window_view(of_samples, width, axis=1)
     rows = sliding_window_view(values, width, axis=1)
     result = np.empty((len(values), len(targets)))
@@ -58,13 +63,16 @@ def low_pass(times: Samples, values: Samples, targets: Samples, nyquist: float) 
         batch = groups[start : start + _FRAMES_AT_ONCE]
         heads = np.array([frames[0] for frames in batch])
         samples = begin[heads, None] + np.arange(width)
-        near, sine, cosine, stretches = around_frames[:, begin[heads]]
-        offset = near - targets[heads, None]
+        neighbours, sine, cosine, stretches = around_frames[:, begin[heads]]
+        offset = neighbours - targets[heads, None]
         window = polyval(1 - (offset / half_width) ** 2, _window_polynomial())
         window *= (samples >= first[heads, None]) & (samples < last[heads, None])
         # Compute sin(a - b) from the sines and cosines of samples and frames, not from those of each pair.
         angle = rate * (targets[heads, None] - middle)
-        sinc = _sinc(sine * np.cos(angle) - cosine * np.sin(angle), offset * rate)
+        sine, angle = sine * np.cos(angle) - cosine * np.sin(angle), offset * rate
+        near = np.abs(angle) < _NEAR
+        sinc = sine / np.where(near, 1.0, angle)
+        sinc[near] = np.sinc(angle[near] / np.pi)
         weights = _exact_moments(sinc * window * stretches, window, offset, interior[heads])
         for frames, weight in zip(batch, weights, strict=True):
             for part in range(0, len(frames), _FRAMES_AT_ONCE):
@@ -100,17 +108,6 @@ def _group_frames(
     return alone + np.split(frames[order], np.flatnonzero(new) + 1)
 
 
-def _sample_durations(times: Samples) -> Samples:
-    """Return the duration in s that each sample represents, from midpoint to midpoint between neighbouring samples.
-
-    A gap ends the record as its ends do, so no sample represents more than twice the median step.
-    """
-    steps = np.diff(times)
-    steps = np.minimum(steps, 2 * np.median(steps))
-    stretches: Samples = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
-    return stretches
-
-
 def kernel_half_width(nyquist: float) -> float:
     """Return half the length, s, of the low-pass kernel for a Nyquist frequency (Hz), from its transition width by
     Kaiser's rule.
@@ -131,14 +128,6 @@ def _window_polynomial() -> Samples:
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
     interpolant = Chebyshev.interpolate(lambda square: i0(beta * np.sqrt(square)) / i0(beta), _WINDOW_DEGREE, (0, 1))
     return np.asarray(interpolant.convert(kind=Polynomial).coef)
-
-
-def _sinc(sine: Samples, angle: Samples) -> Samples:
-    """Return sin(x) / x, given `sine` = sin(x) and `angle` = x; it is accurate also near x = 0."""
-    near = np.abs(angle) < _NEAR
-    quotient = sine / np.where(near, 1.0, angle)
-    quotient[near] = np.sinc(angle[near] / np.pi)
-    return quotient
 
 
 def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:

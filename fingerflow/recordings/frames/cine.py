@@ -86,7 +86,11 @@ def open_frames(path: Path) -> FileRecording:
         if setup[name]
     ]
     rate = setup["dFrameRate"] or setup["FrameRate"] or setup["FrameRate16"] or None
-    stamps = _seconds_from_trigger(blocks.get(TIME_ONLY), trigger)[:whole]
+    # TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
+    # double would round the difference to 0.2 us.
+    stored = blocks.get(TIME_ONLY, b"")
+    ticks = np.frombuffer(stored, "<u8", len(stored) // 8)[:whole]
+    stamps = ((ticks >> 2).astype(np.int64) - (trigger >> 2)) / 2.0**30  # s from the trigger
     times, rate, complaints = _times(stamps, first_number, None if rate is None else float(rate))
     start = float(first_number) if times is None or rate is None else float(times[0] * rate)
     if len(stamps) < whole:
@@ -230,19 +234,6 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
             break
         count -= 1
     return count
-
-
-def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
-    """Return the time stamps of the frames, s from the trigger, decoded from the TIME64 values that the camera
-    recorded; empty without any.
-
-    TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
-    double would round the difference to 0.2 us.
-    """
-    if not block:
-        return np.empty(0)
-    stamps = np.frombuffer(block, "<u8", len(block) // 8)
-    return ((stamps >> 2).astype(np.int64) - (trigger >> 2)) / 2.0**30
 
 
 def _times(

@@ -127,14 +127,16 @@ def _sort_files(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
     """Return the image files of a folder ordered by number, with None for missing numbers, and a list of warnings."""
     files, numbers = _numbered(list_images(folder))
     if len(numbers) < 2:
-        return list(files), ()
-    whole = all(number == int(number) for number in numbers)
-    warnings: tuple[str, ...] = ()
-    if not whole:
-        warnings = (
-            f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "
-            "they are not used; give the frame rate in recording.frame_rate",
+        unlike = (
+            f"names of images, from {files[0].name} to {files[-1].name}, differ in more than numbers: check the order"
         )
+        return list(files), (unlike,) if len({_NUMBER.sub("", file.stem) for file in files}) > 1 else ()
+    whole = all(number == int(number) for number in numbers)
+    decimals = (
+        f"the names of the images, as {files[0].name}, have decimal numbers, which order them: if these are times, "
+        "they are not used; give the frame rate in recording.frame_rate"
+    )
+    warnings = () if whole else (decimals,)
     finest = Decimal(1).scaleb(min(int(number.normalize().as_tuple().exponent) for number in numbers))
     counts = [int(number / finest) if not whole else int(number) for number in numbers]
     steps = np.diff(counts)

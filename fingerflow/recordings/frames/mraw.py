@@ -3,6 +3,7 @@
 Source: the headers that Photron FASTCAM Viewer writes; keys are quoted as they stand there.
 """
 
+import contextlib
 import math
 from functools import partial
 from pathlib import Path
@@ -119,7 +120,15 @@ class _Header:
         data = path.read_bytes()
         self.warnings: tuple[str, ...] = ()
         if path.suffix.lower() == ".cihx":
-            self._entries = _xml_entries(path, data)
+            # The XML part lies between binary blocks of the camera's software.
+            start, end = data.find(b"<cih>"), data.find(b"</cih>")
+            try:
+                root = ElementTree.fromstring(data[start : end + len(b"</cih>")].decode("utf-8", "replace"))
+            except ElementTree.ParseError as error:
+                raise FingerflowError(
+                    f"{path}: no readable <cih> section ({error}); export the recording again"
+                ) from None
+            self._entries = {name: root.findtext(location, "").strip() for name, location in XML_PLACES.items()}
         else:
             self._entries, whole = _text_entries(data)
             if not whole:
@@ -135,15 +144,10 @@ class _Header:
 
     def number(self, name: str, default: float | None = None) -> float:
         value = self.text(name, None if default is None else str(default))
-        try:
-            number = float(value)
-            if math.isfinite(number):
+        with contextlib.suppress(ValueError):
+            if math.isfinite(number := float(value)):
                 return number
-            raise ValueError
-        except ValueError:
-            raise FingerflowError(
-                f"{self.path}: {name!r} is {value!r}, which is not a number; correct the header"
-            ) from None
+        raise FingerflowError(f"{self.path}: {name!r} is {value!r}, which is not a number; correct the header")
 
     def integer(self, name: str, default: int | None = None) -> int:
         value = self.number(name, default)
@@ -168,16 +172,6 @@ def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
             # The first section is kept; later sections belong to other programs.
             entries.setdefault(name.strip(), value.strip())
     return entries, whole
-
-
-def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
-    # The XML part lies between binary blocks of the camera's software.
-    start, end = data.find(b"<cih>"), data.find(b"</cih>")
-    try:
-        root = ElementTree.fromstring(data[start : end + len(b"</cih>")].decode("utf-8", "replace"))
-    except ElementTree.ParseError as error:
-        raise FingerflowError(f"{path}: no readable <cih> section ({error}); export the recording again") from None
-    return {name: root.findtext(location, "").strip() for name, location in XML_PLACES.items()}
 
 
 def _layout(header: _Header) -> tuple[tuple[int, int], int, int, int]:

@@ -309,7 +309,9 @@ class _View(Recording):
         self._file = file
         self._indices = indices
         self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
-        self.frame_rate = _rate_of_view(file.frame_rate, indices)
+        if self.frame_rate is not None and len(indices) > 1:  # 150 Hz for every second frame of 300 Hz
+            step, *irregular = {abs(difference) for difference in _steps(indices)}
+            self.frame_rate = self.frame_rate / step if step > 0 and not irregular else None
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -323,11 +325,8 @@ class _View(Recording):
         return self._select_frames(self._file.doubtful)
 
     def _select_frames(self, entries: Mapping[int, str]) -> dict[int, str]:
-        return (
-            {position: entries[index] for position, index in enumerate(self._indices) if index in entries}
-            if entries
-            else {}
-        )
+        selected = enumerate(self._indices if entries else ())
+        return {position: entries[index] for position, index in selected if index in entries}
 
     def _read_frame(self, index: int) -> Frames:
         return self._file._read_frame(self._indices[index])
@@ -346,14 +345,6 @@ class _View(Recording):
 
     def close(self) -> None:
         self._file.close()
-
-
-def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
-    """Return the frame rate of selected frames: 150 Hz for every second frame of 300 Hz, None for uneven spacing."""
-    if rate is None or len(indices) < 2:
-        return rate
-    step, *irregular = {abs(difference) for difference in _steps(indices)}
-    return rate / step if step > 0 and not irregular else None
 
 
 def _steps(indices: Sequence[int]) -> set[int]:

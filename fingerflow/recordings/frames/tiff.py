@@ -28,20 +28,25 @@ def open_frames(path: Path) -> FileRecording:
     The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
     playback and is ignored. The bit depth is the tag BitsPerSample.
     """
-    complaints = _Complaints()
+    complaints: list[str] = []  # messages of tifffile about a damaged file
+
+    def collect(record: logging.LogRecord) -> bool:
+        complaints.append(record.getMessage())
+        return False
+
     logger = logging.getLogger("tifffile")
-    logger.addFilter(complaints)
+    logger.addFilter(collect)
     try:
         with ExitStack() as opened, reading(path, "TIFF"):
             file = opened.enter_context(tifffile.TiffFile(path))
             headers = _check_chain(path, file)
-            description, frames = _describe(path, file, headers, complaints.messages)
+            description, frames = _describe(path, file, headers, complaints)
             if isinstance(frames, np.ndarray):
                 return FileRecording(description, frames)
             opened.pop_all()
             return FileRecording(description, partial(_page, frames, description.frame_shape), file.close)
     finally:
-        logger.removeFilter(complaints)
+        logger.removeFilter(collect)
 
 
 def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
@@ -50,18 +55,6 @@ def _page(pages: Sequence[Any], shape: tuple[int, int], index: int) -> Frames:
     if image.size != shape[0] * shape[1]:
         raise DamagedFrame(f"is {image.shape} and not {shape}")
     return image.reshape(shape)
-
-
-class _Complaints(logging.Filter):
-    """Log filter that collects the messages of tifffile about a damaged file."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.messages: list[str] = []
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        self.messages.append(record.getMessage())
-        return False
 
 
 def _check_chain(path: Path, file: tifffile.TiffFile) -> set[int]:
@@ -143,7 +136,12 @@ def _describe(
         whole = max((number + 1 for number, state in enumerate(states) if not state), default=0)
         frames = frames[:whole]
         damaged = {number: state for number, state in enumerate(states[:whole]) if state}
-        pieces = _pieces({number: part for number, part in enumerate(frames) if number not in damaged})
+        pieces = sorted(  # first byte, end and frame of each strip or tile, the parts in which a page is stored
+            (offset, offset + length, number)
+            for number, part in enumerate(frames)
+            if number not in damaged
+            for offset, length in zip(part.dataoffsets, part.databytecounts, strict=True)
+        )
         for (begin, behind, number), (following, *_, successor) in pairwise(pieces):
             if begin < following < behind:
                 damaged |= dict.fromkeys((number, successor), "lies in the same bytes as another frame, or as itself")
@@ -180,17 +178,6 @@ def _describe(
             metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
         ),
         frames,
-    )
-
-
-def _pieces(pages: dict[int, Any]) -> list[tuple[int, int, int]]:
-    """Return the byte ranges in the file of all strips and tiles (parts in which a page is stored), as sorted tuples
-    (first byte, end, page number).
-    """
-    return sorted(
-        (offset, offset + length, number)
-        for number, page in pages.items()
-        for offset, length in zip(page.dataoffsets, page.databytecounts, strict=True)
     )
 
 

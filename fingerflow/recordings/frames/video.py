@@ -114,7 +114,11 @@ class VideoRecording(FileRecording):
         self._index = index
         self._container: Any = None
         self._decoded: Iterator[tuple[int, Any]] = iter(())
-        self._has_checksums = description.metadata["codec"] == "ffv1" and _has_checksums(description.path)
+        self._has_checksums = False
+        if description.metadata["codec"] == "ffv1":  # judged by the first five packets
+            with _open(self.path) as container, reading(self.path, "video"):
+                packets = islice(container.demux(video=0), 5)
+                self._has_checksums = any(slices_are_whole(bytes(packet)) for packet in packets)
         self._next = -1  # index of the frame that the decoder gives next; -1 if it is not open
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
@@ -306,12 +310,6 @@ def _first_picture(path: Path) -> tuple[bool, str]:
     matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
     upright = not matrices or np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1))
     return picture.interlaced_frame, "1" if upright else "display matrix"
-
-
-def _has_checksums(path: Path) -> bool:
-    """Return whether an FFV1 stream has checksums, judged by the first five packets."""
-    with _open(path) as container, reading(path, "video"):
-        return any(slices_are_whole(bytes(packet)) for packet in islice(container.demux(video=0), 5))
 
 
 def _lossy(codec: Any) -> str | None:

@@ -51,7 +51,13 @@ def check_stored_size(values: h5py.Dataset, path: Path) -> None:
             return _sources_there(values, path)
         if values.external:
             for name, offset, length in values.external:
-                _external_there(path.parent / os.fsdecode(name), offset + length, values.name, path)
+                file, needed = path.parent / os.fsdecode(name), offset + length
+                there = file.stat().st_size if file.is_file() else -1
+                if there < needed:
+                    state = "is not there" if there < 0 else f"has {there} of {needed} bytes"
+                    raise FingerflowError(
+                        f"{path}: the values of {values.name} lie in {file}, which {state}; copy it beside this file"
+                    )
             return
         if claimed and not stored:
             raise FingerflowError(f"{path}: {values.name} {values.shape} was created but never written; {again}")
@@ -100,10 +106,3 @@ def _sources_there(values: h5py.Dataset, path: Path) -> None:
                         f"{path}: the values of {values.name} lie in {source.dset_name} of {files[0]}, which is not in "
                         "it; copy that file again"
                     )
-
-
-def _external_there(file: Path, needed: int, name: str, path: Path) -> None:
-    there = file.stat().st_size if file.is_file() else -1
-    if there < needed:
-        state = "is not there" if there < 0 else f"has {there} of {needed} bytes"
-        raise FingerflowError(f"{path}: the values of {name} lie in {file}, which {state}; copy it beside this file")

@@ -18,20 +18,23 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard import child_reader
-from fingerflow.recordings.guard.idle import IdleLimit
 
-_MOST_IDLE_SECONDS = 120.0  # s without progress, which a disk that does not respond may cause
+_MOST_SECONDS = 600.0  # s for one file, also where a disk does not respond; its CPU time has a lower limit
 
 
-def check_in_child_process(path: Path, file_type: str) -> None:
-    """Check that a child process can read a file of a `file_type` (key of `child_reader.READERS`) without a crash.
+def check_in_child_process(path: Path, file_type: str) -> Any:
+    """Check that a child process can read a file of a `file_type` (key of `child_reader.READERS`) without a crash;
+    return the content of a MATLAB file, "" for any other.
 
     The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
     Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
     memory than a file of its size can need.
     """
-    _answer_about(path, file_type)
+    answer = _child.ask(path, file_type)
+    if answer and isinstance(answer, str):
+        raise FingerflowError(f"{path}: is damaged, or no {file_type} file: {answer}; copy or export it again")
+    return answer
 
 
 def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
@@ -41,15 +44,8 @@ def read_matlab_in_child_process(path: Path) -> dict[str, Any]:
     Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
     :func:`check_in_child_process`, and where the file cannot be read.
     """
-    answer = _answer_about(path, "MATLAB")
+    answer = check_in_child_process(path, "MATLAB")
     return dict(_decode_json(answer or child_reader.as_json(child_reader.read_matlab(str(path)))))
-
-
-def _answer_about(path: Path, file_type: str) -> Any:
-    answer = _child.ask(path, file_type)
-    if answer and isinstance(answer, str):
-        raise FingerflowError(f"{path}: is damaged, or no {file_type} file: {answer}; copy or export it again")
-    return answer
 
 
 def _decode_json(value: Any) -> Any:
@@ -89,9 +85,10 @@ class _ChildProcess:
                 raise
             if answer is not None:
                 return answer
-            status = process.wait()
+            timed_out = -process.wait() in (getattr(signal, "SIGPROF", 0), getattr(signal, "SIGKILL", 0))
             self._process = None
-        return f"the library {_end(status)} while its structure was gone through"
+        end = f"did not come to an end within {child_reader.CPU_SECONDS:g} s" if timed_out else "crashed"
+        return f"the library {end} while its structure was gone through"
 
     def _running(self) -> subprocess.Popen[str] | None:
         # A forked process shares the pipes of its parent, and must not read the parent's answers.
@@ -122,25 +119,22 @@ class _ChildProcess:
         """Send a line of text as request to the child process; return the answer, or None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
+        limit = threading.Timer(_MOST_SECONDS, process.kill)
+        limit.start()
         try:
-            with IdleLimit(process.pid, _MOST_IDLE_SECONDS):
-                if line is not None:
-                    process.stdin.write(line + "\n")
-                    process.stdin.flush()
-                answer = process.stdout.readline()
+            if line is not None:
+                process.stdin.write(line + "\n")
+                process.stdin.flush()
+            answer = process.stdout.readline()
         except OSError:
             return None
+        finally:
+            limit.cancel()
         return json.loads(answer) if answer.endswith("\n") else None
 
     def close(self) -> None:
         if self._process is not None and self._owner == os.getpid():
             self._process.communicate()  # closes the child's input, at which it ends
-
-
-def _end(status: int) -> str:
-    if status < 0 and -status in (getattr(signal, "SIGPROF", 0), getattr(signal, "SIGKILL", 0)):
-        return f"did not come to an end within {child_reader.CPU_SECONDS:g} s"
-    return "crashed"
 
 
 _child = _ChildProcess()

@@ -76,12 +76,12 @@ def interpolate_maps(result: xr.Dataset, variable: str, step_mm: float) -> xr.Da
     values = np.full((len(position), len(components), len(y), len(x)), np.nan, np.float32)
     corners = result["triangles"].values if "triangle" in dims else None
     for frame, points in enumerate(position):
-        of_frame = data[frame].values
-        of_frame = of_frame if parts else of_frame[:, None]
+        of_frame = data[frame].values.reshape(data.shape[1], -1)
         if corners is None:
-            values[frame] = _interpolate_points(points, of_frame, grid, reach).transpose(2, 0, 1)
+            gridded = _interpolate_points(points, of_frame, grid, reach)
         else:
-            values[frame] = _values_of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
+            gridded = _values_of_triangles(points[corners], of_frame, x, y)
+        values[frame] = gridded.transpose(2, 0, 1)
     unit = shown_unit(variable, str(data.attrs["units"]))
     values *= np.float32(unit.factor)
     coordinates = {"frame": result["frame"].values, "time": ("frame", result["time"].values), "y": y, "x": x}
@@ -120,29 +120,23 @@ def _interpolate_points(
 
 
 def _values_of_triangles(
-    points: NDArray[np.float64],
-    corners: NDArray[np.integer],
-    values: NDArray[np.floating],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
+    corners: NDArray[np.float64], values: NDArray[np.floating], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the values (H, W, C) at the grid positions (y, x) of one frame, each that of the triangle of points which
-    covers the position; NaN where none does.
+    """Return the values (H, W, C) at the grid positions (y, x) of one frame, each that of the triangle which covers the
+    position, of `corners` (M, 3, 2); NaN where none does.
     """
     gridded = np.full((len(y), len(x), values.shape[1]), np.nan)
-    for triangle, value in zip(points[corners], values, strict=True):
+    for triangle, value in zip(corners, values, strict=True):
         if not (np.isfinite(triangle).all() and np.isfinite(value).any()):
             continue
         low, high = triangle.min(0), triangle.max(0)
         columns = slice(np.searchsorted(x, low[0]), np.searchsorted(x, high[0], "right"))
         rows = slice(np.searchsorted(y, low[1]), np.searchsorted(y, high[1], "right"))
-        at = np.stack(np.meshgrid(x[columns], y[rows]), axis=-1)
-        side = [_cross(triangle[(k + 1) % 3] - triangle[k], at - triangle[k]) for k in range(3)]
-        inside = np.all([product >= 0 for product in side], axis=0) | np.all([product <= 0 for product in side], axis=0)
+        right, down = np.meshgrid(x[columns], y[rows])
+        sides = zip(triangle, np.roll(triangle, -1, axis=0) - triangle, strict=True)
+        products = np.array(
+            [across * (down - begin_y) - along * (right - begin_x) for (begin_x, begin_y), (across, along) in sides]
+        )
+        inside = (products >= 0).all(0) | (products <= 0).all(0)
         gridded[rows, columns][inside] = value
     return gridded
-
-
-def _cross(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = first[0] * second[..., 1] - first[1] * second[..., 0]
-    return result

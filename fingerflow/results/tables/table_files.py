@@ -9,9 +9,9 @@ import tifffile
 import xarray as xr
 
 from fingerflow.errors import FingerflowError
-from fingerflow.results.atomic_write import keep_others, write_atomically
+from fingerflow.results.atomic_write import keep_others, write_atomically, write_csv
 from fingerflow.results.tables.archives import is_nwb_result, is_zarr_result, save_nwb, save_zarr
-from fingerflow.results.tables.columns import Table, frame_table, point_table, track_table
+from fingerflow.results.tables.columns import frame_table, point_table, track_table
 from fingerflow.results.tables.grid_maps import ORIGIN as _ORIGIN
 from fingerflow.results.tables.grid_maps import described, interpolate_maps, map_table
 from fingerflow.results.tables.matlab import save_matlab
@@ -50,8 +50,7 @@ def export_table(
     if rows not in ROWS:
         raise FingerflowError(f"rows of {rows!r} are not known; choose {', '.join(ROWS)}")
     if path.suffix == ".csv":
-        table = ROWS[rows](result, variables)
-        write_atomically(path, lambda part: _write_csv(part, table))
+        write_csv(path, ROWS[rows](result, variables))
         return
     if path.suffix not in _COMPLETE:
         raise FingerflowError(f"{path}: a table is written as .csv, {', '.join(_COMPLETE)}, not {_suffix(path)}")
@@ -82,8 +81,7 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
         maps = interpolate_maps(result, variable, step_mm)
         write_atomically(path, lambda part: _write_tiff(part, maps))
     elif path.suffix == ".csv":
-        table = map_table(interpolate_maps(result, variable, step_mm))
-        write_atomically(path, lambda part: _write_csv(part, table))
+        write_csv(path, map_table(interpolate_maps(result, variable, step_mm)))
     else:
         raise FingerflowError(f"{path}: a map is written as .tif or .csv, not {_suffix(path)}")
 
@@ -102,11 +100,6 @@ def is_table(path: Path) -> bool:
             return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
     except Exception:  # a file of another kind may raise any exception
         return False
-
-
-def _write_csv(part: Path, table: Table) -> None:
-    rows = np.column_stack(list(table.values()))
-    np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=",".join(table), comments="", encoding="utf-8")
 
 
 def _write_tiff(part: Path, maps: xr.DataArray) -> None:

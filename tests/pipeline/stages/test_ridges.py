@@ -39,22 +39,20 @@ def test_period_and_offset(texture: Skin) -> None:
     press = replace(PRESS, texture=texture)
     skin, topography, matrix = _patch(press)
     assert 0.4 < ridges.period_px(skin) * press.mm_per_px < 0.56
-    assert ridges.offset_px(skin, topography, matrix) == 0
     inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
     for wrong in (np.eye(2, 3), inverse):
-        middle = np.array([240, 192, 1.0])
-        off = np.linalg.norm((matrix - wrong) @ middle)
-        assert ridges.offset_px(skin, topography, wrong) == pytest.approx(off, rel=0.5)
-        assert ridges.mirroring(skin, topography, wrong) == ""
+        off = np.linalg.norm((matrix - wrong) @ [240, 192, 1.0])
+        turned, offset_px = ridges.compare_views(skin, topography, wrong)
+        assert turned == ""
+        assert offset_px == pytest.approx(off, rel=0.5)
     mirrored = {"left to right": topography[:, ::-1], "top to bottom": topography[::-1], "": topography}
     mirrored["both ways"] = topography[::-1, ::-1]
     for turn, view in mirrored.items():
-        assert ridges.mirroring(skin, view, matrix) == turn
+        assert ridges.compare_views(skin, view, matrix) == (turn, 0)
     # Views of different skin, or without skin, give no offset.
     noise = np.random.default_rng(0).normal(size=topography.shape)
-    assert ridges.offset_px(skin, noise, matrix) == 0
-    assert ridges.mirroring(skin, noise, matrix) == ""
-    assert ridges.offset_px(skin, np.full_like(topography, 90), matrix) == 0
+    for view in (noise, np.full_like(topography, 90)):
+        assert ridges.compare_views(skin, view, matrix) == ("", 0)
 
 
 @pytest.mark.parametrize("width", [0.45, 0.55, 0.65])

@@ -3,12 +3,10 @@
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from fingerflow.kernels.result_records import FrameEllipse
-from fingerflow.ops.fields.displacement_medians import displacement_medians
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.displacement.common_frame import common_frame
 from fingerflow.pipeline.stages.displacement.vibration import vibration
@@ -23,6 +21,7 @@ from fingerflow.schema.variables import DISPLACEMENT, ENTRY
 from fingerflow.tracker.contact_border import BORDER_MM
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
+from fingerflow.tracker.displacement_medians import displacement_length, displacement_medians
 from fingerflow.tracker.entry import advected
 from fingerflow.tracker.onset import Touches, Touching
 
@@ -196,15 +195,9 @@ class DisplacementStage(Stage):
         square[:, self._doubtful] += self._entered_unseen(moved, batch.indices)
         self.results["displacement_std"][batch.indices] = np.sqrt(square)
         border, reach = self.border.select(batch.indices), self.inputs.scene.fields.gauge_length_mm / 2
-        medians = displacement_medians(
-            torch.from_numpy(moved.position),
-            torch.from_numpy(moved.displacement),
-            torch.from_numpy(square.astype(np.float64)),
-            FrameEllipse(*map(torch.from_numpy, border)),
-            reach=reach,
-            border_std=BORDER_MM,
+        self._vector[batch.indices], self._vector_std[batch.indices] = displacement_medians(
+            moved.position, moved.displacement, square.astype(np.float64), border, reach
         )
-        self._vector[batch.indices], self._vector_std[batch.indices] = (values.numpy() for values in medians)
         if "printed_global_displacement" in self.trial.requested:
             # Component by component (the lab's script takes the x median twice).
             self._printed[batch.indices] = np.linalg.norm(nanmedian(moved.displacement), axis=1)
@@ -215,13 +208,11 @@ class DisplacementStage(Stage):
         return moved
 
     def finish(self) -> None:
-        length = np.linalg.norm(self._vector, axis=1)
-        # Without a displacement its direction is unknown, and the error is that of any component.
-        direction = np.where(length[:, None] > 0, self._vector / np.maximum(length, 1e-12)[:, None], 0.5**0.5)
+        length, length_std = displacement_length(self._vector, self._vector_std)
         self.results.put("global_displacement_vector", self._vector, self._attributes)
         self.results.put("global_displacement_vector_std", self._vector_std)
         self.results.put("global_displacement", length, self._attributes)
-        self.results.put("global_displacement_std", np.linalg.norm(direction * self._vector_std, axis=1))
+        self.results.put("global_displacement_std", length_std)
         if "printed_global_displacement" in self.trial.requested:
             self.results.put("printed_global_displacement", self._printed, self._attributes)
 

@@ -78,7 +78,7 @@ def check_views(offset_px: float, mm_per_px: float) -> list[str]:
 
 def check_mirrored(mirroring: str) -> list[str]:
     """Return a warning if the topography view shows the ridges of the contact view only when turned over by
-    `mirroring`, as `ridges.mirroring` returns it.
+    `mirroring`, as `ridges.compare_views` returns it.
     """
     if not mirroring:
         return []

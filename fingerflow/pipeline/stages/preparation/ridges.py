@@ -66,27 +66,25 @@ def period_px(skin: SkinPatch) -> float:
     return float(band.sum() / (band @ at) / skin.scale)
 
 
-def offset_px(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> float:
-    """Return the distance, px of the contact view, between the skin ridges in the topography view, mapped by the
-    calibration, and the same ridges in the contact view; 0 if small or unknown.
-    """
-    correlation, reach = _correlation(skin, topography, topography_to_contact)
-    down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
-    best = correlation[down, across]
-    if not best >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * best:
-        return 0.0
-    return float(np.hypot(down - reach, across - reach)) / skin.scale
-
-
-def mirroring(skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]) -> str:
-    """Return how the topography view must be turned over to show the ridges of the contact view: "left to right", "top
-    to bottom" or "both ways"; "" if it shows them as it is, or where neither does.
+def compare_views(
+    skin: SkinPatch, topography: NDArray[np.number], topography_to_contact: NDArray[np.float64]
+) -> tuple[str, float]:
+    """Return how the topography view must be turned over to show the ridges of the contact view, "left to right", "top
+    to bottom" or "both ways", "" if it shows them as it is or neither does; and the distance, px of the contact view,
+    between its ridges, mapped by the calibration, and those of the contact view, 0 if small or unknown.
     """
     pictures = {"": topography, "left to right": topography[:, ::-1], "top to bottom": topography[::-1]}
     pictures["both ways"] = topography[::-1, ::-1]
-    best = {name: _correlation(skin, turned, topography_to_contact)[0].max() for name, turned in pictures.items()}
-    name = max(best, key=lambda turned: best[turned])
-    return name if best[name] >= _LEAST_CORRELATION and best[""] < _WEAKER * best[name] else ""
+    compared = {name: _correlation(skin, turned, topography_to_contact) for name, turned in pictures.items()}
+    peaks = {name: correlation.max() for name, (correlation, _) in compared.items()}
+    name = max(peaks, key=lambda turned: peaks[turned])
+    if peaks[name] >= _LEAST_CORRELATION and peaks[""] < _WEAKER * peaks[name]:
+        return name, 0.0
+    correlation, reach = compared[""]
+    if not peaks[""] >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * peaks[""]:
+        return "", 0.0
+    down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
+    return "", float(np.hypot(down - reach, across - reach)) / skin.scale
 
 
 def _correlation(

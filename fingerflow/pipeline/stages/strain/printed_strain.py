@@ -45,9 +45,9 @@ class PrintedStrainStage(Stage):
         gradient = triangle_gradients(self._reference, self._corners, torch.from_numpy(position) - self._reference)
         strain = green_lagrange(gradient, settings.strain)
         density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio).numpy()
-        inside = self.results["in_contact"][batch.indices][:, self._triangles].all(-1)
-        self._median[batch.indices] = nanmedian(np.where(inside[..., None], strain.numpy(), np.nan))
-        energy = settings.depth_mm * np.where(inside, density * self._areas, np.nan)
+        inside = np.all(self.results["in_contact"][batch.indices][:, self._triangles], axis=-1)[..., None]
+        self._median[batch.indices] = nanmedian(np.where(inside, strain.numpy(), np.nan))
+        energy = settings.depth_mm * np.where(inside[..., 0], density * self._areas, np.nan)
         self._energy[batch.indices] = np.where(np.isfinite(energy).any(1), np.nansum(energy, axis=1), np.nan)
 
     def finish(self) -> None:

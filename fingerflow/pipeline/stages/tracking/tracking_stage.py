@@ -108,9 +108,8 @@ class TrackingStage(Stage):
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
         self.warnings.extend(plausibility.check_clipped("topography", frame))
         if contact.skin is not None:
-            pair = contact.skin, frame, self.inputs.topography_to_contact
-            mirrored = plausibility.check_mirrored(ridges.mirroring(*pair))
-            views = mirrored or plausibility.check_views(ridges.offset_px(*pair), self.inputs.mm_per_px)
+            mirrored, offset_px = ridges.compare_views(contact.skin, frame, self.inputs.topography_to_contact)
+            views = plausibility.check_mirrored(mirrored) or plausibility.check_views(offset_px, self.inputs.mm_per_px)
             self.warnings.extend(views)
 
     def step(self, batch: Batch) -> Any:

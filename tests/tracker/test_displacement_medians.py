@@ -2,21 +2,13 @@
 
 import numpy as np
 import pytest
-import torch
 
+from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameEllipse
-from fingerflow.ops.fields.displacement_medians import displacement_medians
-from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker import displacement_medians as displacements
+from fingerflow.tracker.displacement_medians import displacement_medians
 
 REACH = 0.8
-
-
-def median_over_area(
-    position: np.ndarray, displacement: np.ndarray, variance: np.ndarray, ellipse: FrameEllipse
-) -> list[np.ndarray]:
-    tensors = map(torch.from_numpy, (position, displacement, variance))
-    seen = FrameEllipse(*map(torch.from_numpy, ellipse))
-    return [values.numpy() for values in displacement_medians(*tensors, seen, reach=REACH, border_std=BORDER_MM)]
 
 
 def contact(frames: int = 1, first: float = 7.0, second: float = 5.0, angle: float = 0.4) -> FrameEllipse:
@@ -35,7 +27,7 @@ def crowded(count: int, draw: np.random.Generator) -> np.ndarray:
 def test_an_odd_field_has_the_value_at_the_centre_however_points_crowd() -> None:
     position = crowded(500, np.random.default_rng(1))[None]
     displacement = 0.02 * (position - [3.0, -2.0]) + [0.1, -0.05]
-    median, _ = median_over_area(position, displacement, np.zeros(position.shape[:2]), contact())
+    median, _ = displacement_medians(position, displacement, np.zeros(position.shape[:2]), contact(), REACH)
     assert np.abs(np.median(displacement[0], axis=0) - [0.1, -0.05]).max() > 0.02
     # Points are 0.8 mm apart where they are few: the line of the median is known to a quarter of that.
     np.testing.assert_allclose(median[0], [0.1, -0.05], atol=0.02 * 0.8 / 2)
@@ -53,7 +45,7 @@ def test_the_deviation_covers_the_error() -> None:
         displacement = np.stack((field, field), axis=-1)[None] + 0.01 * draw.standard_normal((1, len(off), 2))
         size = 0.06 * draw.standard_normal()
         seen = contact(first=7 + size, second=5 + size)
-        median, deviation = median_over_area(position, displacement, np.full((1, len(off)), 1e-4), seen)
+        median, deviation = displacement_medians(position, displacement, np.full((1, len(off)), 1e-4), seen, REACH)
         z.append(median[0] / deviation[0])
     assert 0.6 < np.sqrt(np.square(z).mean()) < 1.2
     assert 0.62 < (np.abs(z) < 1).mean() < 0.9
@@ -71,5 +63,26 @@ def test_what_is_not_known_is_nan(missing: str) -> None:
         displacement[position[..., 0] < 3] = np.nan
     else:
         displacement[:] = np.nan
-    for values in median_over_area(position, displacement, np.zeros(position.shape[:2]), ellipse):
+    for values in displacement_medians(position, displacement, np.zeros(position.shape[:2]), ellipse, REACH):
         assert np.isnan(values).all()
+
+
+@pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
+@pytest.mark.parametrize("points", [0, 1, 40, 700])
+def test_the_compiled_library_gives_the_same(points: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some points coincide, are lost, or lie outside the ellipse; one contact is elsewhere, one has no size."""
+    draw = np.random.default_rng(points)
+    position, center, axes = (
+        12 * draw.random((9, points, 2)),
+        6 + draw.random((9, 2)) / 2,
+        0.5 + 5 * draw.random((9, 2)),
+    )
+    position[:, ::7] = position[:, :1]
+    displacement = 0.01 * position[:, :, ::-1] + draw.random((9, points, 2))
+    displacement[draw.random((9, points)) < 0.1] = np.nan
+    center[0, 0], axes[1, 0] = 1000.0, np.nan
+    given = position, displacement, draw.random((9, points)), FrameEllipse(center, axes, 6 * draw.random(9)), 1.0
+    compiled = displacement_medians(*given)
+    monkeypatch.setattr(displacements, "is_present", lambda: False)
+    np.testing.assert_allclose(compiled, displacement_medians(*given), rtol=1e-9, atol=1e-12)
+    assert points < 700 or np.isfinite(compiled).any()
