@@ -243,7 +243,8 @@ class _Trial:
             numbers["unloading_area_ratio"] = fallen / grown
             deviation = self._values("gross_contact_area_std")
             if deviation is not None:
-                errors = [_interpolated(deviation / self._gross, moment) for moment in moments]
+                areas = zip(moments, (fallen, grown), strict=True)
+                errors = [_interpolated(deviation, moment) / area for moment, area in areas]
                 numbers["unloading_area_ratio_std"] = float(np.linalg.norm(errors)) * fallen / grown
         return numbers
 
