@@ -4,7 +4,7 @@ import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import cv2
@@ -42,9 +42,10 @@ def one_thread() -> Iterator[None]:
 
 def describe() -> dict[str, dict[str, str | int | None]]:
     """Return machine, versions and threads of a run, and whether the compiled kernels are in use."""
+    installed = {name: next((one.version for one in distributions(name=name)), None) for name in _PACKAGES}
     return {
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
-        "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
+        "versions": {"python": platform.python_version(), **installed},
         "threads": {
             "torch": torch.get_num_threads(),
             "opencv": cv2.getNumThreads(),
@@ -56,16 +57,7 @@ def describe() -> dict[str, dict[str, str | int | None]]:
 
 def _processor() -> str:
     """Return the model name of the processor: on Linux from /proc/cpuinfo, which `platform` does not read."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

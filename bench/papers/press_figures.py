@@ -177,6 +177,18 @@ def _curl(study: PressStudy) -> Drawn:
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
 
 
+def _since_own_onset(name: str, *curves: tuple[str, str]) -> PrintedFigure[PressStudy]:
+    """Return figure `name`, such as "S8", by the analysis of this engine: its panels of trials, and the `curves` of
+    metrics by their letters.
+    """
+
+    def draw(study: PressStudy) -> Drawn:
+        panels = [*(_curve(study.own or study, *curve) for curve in curves), *_of_trials(study.own or study, name)]
+        return _sheet(name, panels, f"The same trials since each point's own onset: {_count(study)}.")
+
+    return PrintedFigure(f"{name}, own onset", f"figure {name}, counted otherwise", draw)
+
+
 def _triangulated(part: SubFigure, low: TypicalPress, high: TypicalPress) -> None:
     """Draw both views of two presses at their largest forces, the topography view with the triangles between the
     tracked points.
@@ -287,6 +299,10 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
     PrintedFigure("S12", "A: histogram of median divergence difference; B: answers by group; C: at small α",
                   _supplement("S12")),
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
+    _since_own_onset("S8", ("E", "strain"), ("F", "strain_rate")),
+    _since_own_onset("S9", ("B", "strain_energy"), ("C", "strain_energy_rate")),
+    *map(_since_own_onset, ("S11", "S12")),
+    _since_own_onset("S13", ("B", "curl")),
     PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
     PrintedFigure("M2", "protocol; contact and ridge images", lambda study: (
         _processed_frames(study), "Both views, above high, below low friction; the protocol is not simulated."), 3),

@@ -205,7 +205,7 @@ def test_a_quick_run_from_pictures_to_the_page(tmp_path: Path) -> None:
     for paper, one in found.items():
         files = [tmp_path / "page" / paper / figure["file"] for figure in one["figures"] if figure["file"]]
         files += [tmp_path / "page" / "movies" / figure["movie"] for figure in one["figures"] if figure["movie"]]
-        assert len(files) == (20 if paper == "press" else 5)
+        assert len(files) == (25 if paper == "press" else 5)
         assert all(path.stat().st_size > 5000 for path in files)
     measured = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("row.json")}
     assert len(measured) == 18
