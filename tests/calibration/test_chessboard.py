@@ -57,7 +57,10 @@ def _through(lens: Lens, picture: NDArray[np.float64], view: View) -> NDArray[np
     return np.asarray(cv2.remap(picture, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
 
 
-@pytest.mark.parametrize(("lens", "by_page"), [(_lens(0.01), False), (_lens(-0.04, 0.01, 0.002, -0.003), True)])
+@pytest.mark.parametrize(
+    ("lens", "by_page"),
+    [(_lens(0.01), False), pytest.param(_lens(-0.04, 0.01, 0.002, -0.003), True, marks=pytest.mark.long)],
+)
 def test_scale_transform_and_lens_come_from_frames_through_the_lens(lens: Lens, by_page: bool, tmp_path: Path) -> None:
     files, output = _frames(tmp_path, lens), tmp_path / "rig.toml"
     calibrated = calibrate_files(

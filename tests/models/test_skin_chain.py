@@ -61,6 +61,7 @@ def test_a_batch_is_its_presses_one_by_one() -> None:
         assert together.steps[k] == alone.steps
 
 
+@pytest.mark.long
 def test_converges_with_the_number_of_elements() -> None:
     """Errors at the positions of 101 elements, relative to 1601 elements, fall with an order near 2 (contact begins
     between elements).

@@ -182,6 +182,7 @@ def test_keys_know_all_code_that_stages_run() -> None:
     assert {parts_of.get(room, room) for room in reached} - known == {"errors"}
 
 
+@pytest.mark.long
 def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: set[str]) -> None:
     """The command prints which results are reused. Without a scene the command uses the scene of the result, which may
     be replaced.

@@ -69,6 +69,7 @@ def test_matlab_has_what_every_number_means(result: xr.Dataset, tmp_path: Path) 
     assert found["attributes"]["mm_per_px"] == result.attrs["mm_per_px"]
 
 
+@pytest.mark.long
 def test_zarr_is_the_same_data_set(result: xr.Dataset, tmp_path: Path, command: Callable[..., int]) -> None:
     """A Zarr store holds the same data set, from memory, from a file and by the command, and `load_result` reads the
     store.

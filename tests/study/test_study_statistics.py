@@ -51,6 +51,7 @@ def test_one_study_whole() -> None:
     json.dumps(found, allow_nan=False)
 
 
+@pytest.mark.long
 def test_what_is_left_out_is_counted() -> None:
     frame = pd.DataFrame(simulate_table(participants=4, trials=3))
     frame["answer"] = frame["answer"].astype(object)

@@ -148,6 +148,7 @@ def test_only_stages_that_an_output_needs_run(slip_trials: Path) -> None:
     assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(slip)).names
 
 
+@pytest.mark.long
 def test_trials_that_cannot_be_judged(slip_trials: Path, tmp_path: Path) -> None:
     """Without forces, a whole trial or a known displacement the verdict is inconclusive and names what is missing; the
     stuck ratio needs no force.

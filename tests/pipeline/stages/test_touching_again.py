@@ -32,7 +32,7 @@ _SHARED = {field.name: getattr(PRESS, field.name) for field in fields(PRESS)}
 _FIRST = replace(PressBeside(**_SHARED), n_frames=_FRAMES, frame_rate=float(_FRAMES), semi_axes=(3.0, 2.5))
 
 
-@pytest.mark.parametrize("away", [0.0, 0.6, 2.0])
+@pytest.mark.parametrize("away", [0.0, *(pytest.param(away, marks=pytest.mark.long) for away in (0.6, 2.0))])
 def test_energies_of_both_presses(away: float, tmp_path: Path) -> None:
     """Points that were lost when the finger was lifted form no triangles with those of the second press: the energies
     of both are within 3.3 of their deviations, and NaN where most points in contact were seeded there.
