@@ -301,8 +301,7 @@ FIGURES: tuple[PrintedFigure[PressStudy], ...] = (
     PrintedFigure("S13", "A: curl map; B: median curl against force; C: curl against divergence", _curl),
     _since_own_onset("S8", ("E", "strain"), ("F", "strain_rate")),
     _since_own_onset("S9", ("B", "strain_energy"), ("C", "strain_energy_rate")),
-    *map(_since_own_onset, ("S11", "S12")),
-    _since_own_onset("S13", ("B", "curl")),
+    *map(_since_own_onset, ("S11", "S12", "S13")),  # curl is 0 but for noise
     PrintedFigure("M1", "processed contact area and feature displacements, high and low friction", _movie_contact, 3),
     PrintedFigure("M2", "protocol; contact and ridge images", lambda study: (
         _processed_frames(study), "Both views, above high, below low friction; the protocol is not simulated."), 3),
