@@ -186,7 +186,7 @@ def _since_own_onset(name: str, *curves: tuple[str, str]) -> PrintedFigure[Press
         panels = [*(_curve(study.own or study, *curve) for curve in curves), *_of_trials(study.own or study, name)]
         return _sheet(name, panels, f"The same trials since each point's own onset: {_count(study)}.")
 
-    return PrintedFigure(f"{name}, own onset", f"figure {name}, counted otherwise", draw)
+    return PrintedFigure(f"{name}-own-onset", f"figure {name}, counted otherwise", draw)
 
 
 def _triangulated(part: SubFigure, low: TypicalPress, high: TypicalPress) -> None:
