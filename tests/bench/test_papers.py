@@ -67,7 +67,7 @@ def answers(rows: tuple[Row[Any], ...], source: Any) -> dict[str, Answer]:
 
 
 def test_every_printed_result_and_figure_has_its_place() -> None:
-    figures = [one.name for one in (*slide_figures.FIGURES, *press_figures.FIGURES)]
+    figures = [one.name for one in (*slide_figures.FIGURES, *press_figures.FIGURES) if "own" not in one.name]
     assert figures == ["1", "2a", "2b", "2c", "2d", *(f"S{k}" for k in range(1, 14)), *(f"M{k}" for k in range(1, 5))]
     assert len({row.id for row in ROWS}) == len(ROWS) > 80
     if PRINTED.exists():
