@@ -65,9 +65,9 @@ class SmoothingErrors:
         share = (1 + np.clip(offset[:, None] / (_AT_BORDER * self._gauge), 0, 1)) / 2
         square *= share**2
         square[..., ~fitted] = np.nan
-        finite = np.isfinite(square)
-        total, weight = self._neighbours.sums(np.where(finite, square, 0.0), finite)
-        return np.maximum(total, 0) / np.maximum(weight, 1e-12)
+        known = np.isfinite(square[:, 0])  # curl is known of the same points
+        *totals, weight = self._neighbours.sums(*(np.where(known, part, 0.0) for part in square.swapaxes(0, 1)), known)
+        return np.maximum(np.stack(totals, axis=1), 0) / np.maximum(weight, 1e-12)[:, None]
 
 
 class _Neighbours(NamedTuple):
