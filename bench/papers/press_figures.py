@@ -183,7 +183,8 @@ def _since_own_onset(name: str, *curves: tuple[str, str]) -> PrintedFigure[Press
     """
 
     def draw(study: PressStudy) -> Drawn:
-        panels = [*(_curve(study.own or study, *curve) for curve in curves), *_of_trials(study.own or study, name)]
+        assert study.own is not None  # of the study by the printed analysis, which is drawn
+        panels = [*(_curve(study.own, *curve) for curve in curves), *_of_trials(study.own, name)]
         return _sheet(name, panels, f"The same trials since each point's own onset: {_count(study)}.")
 
     return PrintedFigure(f"{name}-own-onset", f"figure {name}, counted otherwise", draw)

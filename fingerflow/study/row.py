@@ -218,6 +218,7 @@ class _Trial:
 
     def _contact_numbers(self) -> dict[str, float]:
         """Return how the contact grows with force, in time at the largest force, and how it shrinks again."""
+        # `trial_numbers` has checked it; one line, as ruff would have an assertion of a test in two.
         assert self.last is not None and self.top is not None  # noqa: PT018
         if self._force is None or self._gross is None:
             return {}

@@ -62,7 +62,9 @@ def test_intervals_hold_the_truth() -> None:
 
 
 def test_intervals_of_few_participants_with_few_wrong_answers_hold_the_truth() -> None:
-    """95 % are asked, and 0.9 % is the error of 600 studies. Those of shares are wider, as a few trials allow few."""
+    """Intervals are of 95 %; the share that covers has a standard error of 0.9 % over 600 studies. Intervals of false
+    alarms cover more, as a share of few trials takes few values.
+    """
     held = hold_the_truth(600)
     assert all(0.92 <= held[name] <= 0.98 for name in ("d'", "area", "criterion"))
     assert held["false alarms"] >= 0.92

@@ -106,7 +106,7 @@ def test_one_way_analysis_of_variance() -> None:
 
 
 def test_participants_who_lack_a_group_count_in_the_others() -> None:
-    """Of two groups nothing is left of a participant who lacks one; of four, three are."""
+    """A participant who lacks one of two groups is left out; one who lacks one of four counts in the other three."""
     draw = np.random.default_rng(9)
     who, group = np.repeat(np.arange(7), 8), np.tile(np.repeat(np.arange(4), 2), 7)
     values = np.where((who == 6) & (group == 0), np.nan, draw.standard_normal(56) + 0.4 * group)
