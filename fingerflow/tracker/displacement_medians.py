@@ -20,8 +20,8 @@ _TINY = 1e-30
 def displacement_medians(
     position: Array, displacement: Array, variance: Array, ellipse: FrameEllipse, reach: float
 ) -> tuple[Array, Array]:
-    """Return the medians (n, 2) mm of the displacements of N points over the area of the contact in n frames, by
-    component, and their standard deviations (n, 2) mm.
+    """Return the median displacements (n, 2) mm over the area of the contact in n frames, by component, from those of N
+    points, and their standard deviations (n, 2) mm.
 
     Each part of the area counts with the displacement of the nearest point, up to `reach` from it, in lengths that the
     axes of the ellipse scale. A median over the points would differ, since they crowd where skin has texture. As for
@@ -34,7 +34,7 @@ def displacement_medians(
     s, as the median of all may lie anywhere between; and sqrt(sqrt(N) / 6) / N for N points, 2 sqrt(N) of whose areas
     the line of the median crosses anywhere.
 
-    Without the compiled library (`kernels/displacement_medians.cpp`) it takes 40 times as long.
+    Compiled twin: `kernels/displacement_medians.cpp`.
 
     Args:
         position: (n, N, 2) float64 mm.
@@ -68,7 +68,8 @@ def _of_frame(
         return np.nan, np.nan
     displacement, variance, (right, down) = displacement[known], variance[known], (position[known] - ellipse[:2]).T
     on_disc = np.stack((right * cosine + down * sine, down * cosine - right * sine), axis=1) / axes
-    square = np.square(limits.lattice()[:, None] - on_disc).sum(2)
+    across, down = map(np.subtract.outer, limits.lattice().T, on_disc.T)
+    square = across * across + down * down
     nearest = square.argmin(1)[square.min(1) < reach**2 / axes.prod()]
     area = np.bincount(nearest, minlength=len(on_disc)).astype(np.float64)
     total, share = len(nearest), len(nearest) / len(square)
