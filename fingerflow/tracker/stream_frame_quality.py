@@ -49,7 +49,7 @@ class FrameCheck:
     """Detection of invalid frames of a stream, by brightness and by comparison with the last usable frame.
 
     - Dark or saturated: detected from the frame alone, with the limits of `process`.
-    - Noise: no picture in the contact view (`block_means.is_noise`), however long it lasts.
+    - Noise, lines or blocks in disorder (`block_means.is_noise`), in the contact view, however long it lasts.
     - Lost lines: lines of the contact view without light, in up to `LONGEST` frames in a row; then it is the camera's.
     - Repeated: the frame equals one of the last 512 that count. This is detected once more than eight frames were
       compared, and only if no more than a fifth of the last frames repeat others.

@@ -22,7 +22,7 @@ _SAID = {
     _SATURATED_FRAME: "saturated frames",
     _REPEATED: "frames that repeat another one",
     _RETURNS: "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
-    _NOISE: "frames of noise without a picture in the contact view",
+    _NOISE: "frames of noise, or with lines or blocks in disorder",
 }
 
 
