@@ -30,10 +30,9 @@ from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
 from fingerflow.results.stream_folder import Sink
-from fingerflow.schema.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
-from fingerflow.tracker.stream_frame_quality import USABLE
 
 log = logging.getLogger("fingerflow.player")
 

@@ -105,6 +105,7 @@ TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first fr
 
 #: Names of the frame status values; only usable frames have results.
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns", "noise")
+USABLE, UNREADABLE, NOT_FINITE, DARK, SATURATED, REPEATED, JUMPS, NOISE = range(len(FRAME_STATUS))
 DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
 SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
 

@@ -43,11 +43,12 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
+from fingerflow.schema.variables import USABLE
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import is_finite
 from fingerflow.tracker.points import STREAM, Points
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
-from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
+from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
 
 Array = NDArray[Any]
 
