@@ -29,6 +29,7 @@ from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
+from fingerflow.player.stream_scene import geometry_of
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
@@ -131,10 +132,7 @@ class Player:
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
-        # px² of the contact view per px² of the topography view.
-        calibration = self.scene.calibration
-        areas = abs(np.linalg.det(np.array(calibration.topography_to_contact)[:, :2]))
-        self._topography_mm_per_px = calibration.mm_per_px * math.sqrt(areas)
+        self._topography_mm_per_px = geometry_of(self.scene).topography_mm_per_px
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:

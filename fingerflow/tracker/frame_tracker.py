@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
+from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.variables import USABLE
 from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.point_prediction import is_finite
@@ -75,8 +76,7 @@ class TrackerSettings:
     Attributes:
         points: N, the largest number of seeded points and the size of all results of points.
         bit_depth: of a pixel.
-        mm_per_px: of the contact view.
-        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
+        geometry: of the views.
         region: (H, W) bool of the topography view, in which points are seeded.
         threshold: relative intensity loss above which a pixel touches; None to measure it.
         update_share, update_frames: a new key frame is taken when less than this share of its points is tracked, or
@@ -85,8 +85,7 @@ class TrackerSettings:
 
     points: int
     bit_depth: int
-    mm_per_px: float
-    topography_to_contact: Array
+    geometry: Geometry
     region: Array
     threshold: float | None = None
     update_share: float | None = None
@@ -204,8 +203,8 @@ class StreamTracker:
         self._engine, self._settings = engine, settings
         self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
-        self._to_contact = settings.topography_to_contact.astype(np.float32)
-        self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
+        self._to_contact = settings.geometry.topography_to_contact.astype(np.float32)
+        self._results = FrameResults(engine, settings.geometry)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
@@ -433,7 +432,8 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(outcome).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            size = self._settings.geometry.mm_per_px
+            touching = float(self._contact(outcome).gross_area_px[0]) * size**2 >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -455,7 +455,7 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact(work), self._settings.mm_per_px
+        contact, size = self._contact(work), self._settings.geometry.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]

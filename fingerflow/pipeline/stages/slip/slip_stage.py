@@ -113,13 +113,13 @@ class SlipStage(Stage):
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
         self._speed_step = max(1, round(_SPEED_S / 2 / step))
         # (2, 2) matrix from px of the topographic view to mm.
-        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px
+        self._of_px = self.inputs.geometry.topography_to_contact[:, :2] * self.inputs.mm_per_px
 
     def begin(self) -> None:
         contact = self.trial.stage(ContactStage)
         self._area = contact.series["gross_contact_area"]
         shape = self.results["gross_contact_region"].shape[1:]
-        half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.topography_mm_per_px
+        half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.geometry.topography_mm_per_px
         self._first = np.asarray(self.results["position"][slice(0, 1)])[0]
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
@@ -354,7 +354,7 @@ class SlipStage(Stage):
         if self._border is not None and self._settings.criterion == "border":
             limit = FOLLOWED_MM * _CLEAR_OF_NOISE
         deviation = float(np.nanmedian(self._deviation)) if np.isfinite(self._deviation).any() else math.nan
-        noise = math.sqrt(2) * deviation * self.inputs.topography_mm_per_px
+        noise = math.sqrt(2) * deviation * self.inputs.geometry.topography_mm_per_px
         if limit < _LEAST_LIMIT * noise:
             self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
