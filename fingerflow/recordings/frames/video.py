@@ -35,6 +35,9 @@ _REPORTS = threading.Lock()  # FFmpeg has a single log for all decoders
 # Without these flags a decoder fills damaged parts with old pixels.
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}
 
+# PyAV 19 takes names and titles in any encoding, and no such argument.
+_LENIENT = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
+
 
 def open_frames(path: Path) -> VideoRecording:
     """Open a video and index all frames without decoding; raise FingerflowError if FFmpeg cannot read the file.
@@ -306,7 +309,7 @@ def _reported_errors() -> Iterator[list[str]]:
 
 def _open(path: Path) -> Any:
     with reading(path, "video"):
-        return av.open(str(path), metadata_errors="replace")
+        return av.open(str(path), **_LENIENT)
 
 
 def _first_picture(path: Path) -> tuple[bool, str]:
