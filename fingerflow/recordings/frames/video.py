@@ -319,8 +319,8 @@ def _first_picture(path: Path) -> tuple[bool, str]:
             picture = next(container.decode(video=0))
     except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
         return False, "1"  # reported as an unreadable frame
-    matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
-    upright = not matrices or np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1))
+    matrix = picture.side_data.get("DISPLAYMATRIX")
+    upright = matrix is None or np.array_equal(np.sign(np.frombuffer(bytes(matrix), np.int32)[:5]), (1, 0, 0, 0, 1))
     return picture.interlaced_frame, "1" if upright else "display matrix"
 
 
