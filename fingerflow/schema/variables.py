@@ -129,6 +129,8 @@ LOADING = (
     Variable("force_angle", FRAME, "rad",
         "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
         equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",)),
+    Variable("actuator_position", FRAME, "mm", "position of the actuator that moves the finger or the glass",
+        equation="as the normal force", needs=("forces.position",)),
 )
 
 CONTACT = (
