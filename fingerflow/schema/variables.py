@@ -130,6 +130,8 @@ LOADING = (
     Variable("force_angle", FRAME, "rad",
         "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
         equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",)),
+    Variable("actuator_position", FRAME, "mm", "position of the actuator that moves the finger or the glass",
+        equation="as the normal force", needs=("forces.position",)),
 )
 
 CONTACT = (
@@ -412,6 +414,12 @@ SLIP = (
         equation="atan2(mean v, mean u) over the points that have slipped"),
     Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped",
         equation="|mean of (x(t + 25 ms) − x(t − 25 ms))| / 50 ms over the points that have slipped"),
+    *(variable for half, where in (("leading", "towards which"), ("trailing", "from which")) for variable in (
+        Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
+            f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
+            equation="d/dt of the area of the half, relative to its skin; halves by the sum of all displacements"),
+        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise of frames² + "
+            "(rate gross_contact_area_std / (2 s contact.gross_radius_px √(A / π)))²)"))),
     Variable("incipient_slip", FRAME, "mm",
         "root mean square over the contact of the displacement since the first frame without its best rigid motion",
         equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),

@@ -50,7 +50,7 @@ class DenseFlowSlipStage(SlipStage):
 
     name = "dense_flow_slip"
     displacement = "dense_flow"
-    reads = ("gross_contact_region",)
+    reads = ("gross_contact_region", "gross_contact_area_std")
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
     # Multiple of the noise for `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um.
