@@ -123,13 +123,13 @@ def check_sweat(touching: Mask, period_px: float) -> list[str]:
     ]
 
 
-def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
+def check_shadow(share: Picture, away: Picture, period_px: float) -> list[str]:
     """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
     shadow of the finger.
 
-    `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain.
+    `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain; `away`
+    (h, w) px is the distance from that region.
     """
-    away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
     left = float(np.median(around)) if len(around) else 1.0
     if left >= 1 - _SHADOW:
@@ -195,15 +195,15 @@ def check_background_lines(light: Picture) -> list[str]:
     ]
 
 
-def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
+def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, away: Picture) -> list[str]:
     """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
     bump that moved camera or glass.
 
     `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
-    region do not count.
+    region do not count; `away` (h, w) px is the distance from it.
     """
     smooth = _smooth(light)
-    y, x = _edges_of_glass(smooth, region)
+    y, x = _edges_of_glass(smooth, away)
     if len(y) < _EDGE_PX:
         return []
     for number, frame in frames:
@@ -223,7 +223,7 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     """
     for known_cause in (
         check_background_lines(light),
-        check_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
+        check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf)),
     ):
         if known_cause:
             return known_cause[0]
@@ -257,19 +257,17 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     return "; ".join(causes)
 
 
-def _edges_of_glass(smooth: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows y and columns x of up to 2000 pixels near edges of brightness in the smoothed background, outside
+def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows y and columns x of up to 1000 pixels near edges of brightness in the smoothed background, outside
     the contact region.
     """
     across, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
     steep = across * across + down * down > (8 * _EDGE * _full_light(smooth)) ** 2
-    far = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5) > 2 * _REACH_PX
-    inner = np.zeros_like(far)
-    inner[_REACH_PX:-_REACH_PX, _REACH_PX:-_REACH_PX] = True
-    near = cv2.dilate(steep.astype(np.uint8), _disc(3)).astype(bool)
-    y, x = np.nonzero(near & far & inner)
-    step = max(1, len(y) // 1000)
-    return y[::step], x[::step]
+    inner = (slice(_REACH_PX, -_REACH_PX),) * 2
+    near = cv2.dilate(steep.view(np.uint8), _disc(3))[inner].view(bool) & (away[inner] > 2 * _REACH_PX)
+    y, x = np.nonzero(near)
+    step = max(1, len(y) // 500)
+    return y[::step] + _REACH_PX, x[::step] + _REACH_PX
 
 
 def _shift_of_glass(
