@@ -229,7 +229,7 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0]
-        away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)  # px from the contact
+        away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
         self.warnings.extend(view_faults.check_background_lines(light))
