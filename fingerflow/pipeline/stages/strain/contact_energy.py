@@ -114,8 +114,8 @@ class ContactEnergy:
 
     def _energies(self, points: "_Points", since_growth: Array, depth: Array) -> FrameEnergies:
         """Return the energies of the field that explains the displacements better: one that vanishes at the border, or
-        one that moves there. Where the border advances, only the first is possible. Where that cannot be told, as frames
-        are few, half of their difference is part of the deviation, and the energy is their mean if the second is
+        one that moves there. Where the border advances, only the first is possible. Where that cannot be told, as
+        frames are few, half of their difference is part of the deviation, and the energy is their mean if the second is
         likelier.
         """
         field = self._functions.fit(*points.on_disc())
