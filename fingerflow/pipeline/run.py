@@ -176,7 +176,7 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
             STAGES: record(planned, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
             "mm_per_px": inputs.mm_per_px,
-            "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
+            "topography_to_contact": json.dumps(inputs.geometry.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
             **reuse,
             **({"recording": recording} if recording else {}),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
+from fingerflow.schema.variables import DARK, DARK_SHARE, NOISE, SATURATED, SATURATED_SHARE, USABLE
 
 Array = NDArray[Any]
 
@@ -20,7 +21,9 @@ Array = NDArray[Any]
 # narrower ones, ridges that move by half a period per frame would seem to stand still, or to jump and return. A tear,
 # or lost lines, lie in a few rows of blocks.
 _BLOCK_PX, _BLOCKS = 24, 16
-_ROUGH, _ROUGHER, _UNCORRELATED = 0.3, 2.0, 0.5  # limits of `is_noise`
+_ROUGH, _ROUGHER, _ALIKE = 0.2, 2.0, 1.6  # limits of `is_noise`
+_TINY = np.finfo(np.float32).tiny
+_PERIOD = 16  # px, after which borders of blocks of 2, 4, 8 or 16 px repeat, and every second one of 32 px
 _SAMPLES = (128, 160)  # least numbers of sampled lines, and of sampled pixels of a line; at most twice as many are read
 
 
@@ -50,44 +53,91 @@ def block_means(frames: Array) -> tuple[Array, Array]:
     return blocks.astype(np.float32), lines.astype(np.float32)
 
 
-def is_noise(frames: Array, roughness: float) -> Array:
-    """Return the mask (n,) of frames (n, H, W) that are noise without a picture: neighbouring pixels, along lines and
-    across them, differ by more than `roughness` in units of the mean, and nearly as much as pixels far apart.
+class PictureCheck:
+    """Detection of frames that are no picture of the contact view: dark, saturated or noise.
 
-    The mean squared difference of independent pixels is twice their variance. Of prints with ridges down to 4 px apart
-    it is less than 0.1 of the variance, however fast a contact grows or slides.
+    Args:
+        glass, dark: (H, W) contact view of the empty glass, and without light, None if it is 0.
+        top: level above which a pixel is saturated.
+
+    Attributes:
+        black: level without light.
+        least: mean level below which a frame is dark.
     """
-    pixels, right, below = _neighbours(frames)
-    limit = (roughness / pixels.shape[1] * np.add.reduce(pixels, 1)) ** 2
-    noise: Array = _square(pixels, right) > limit
-    if np.logical_or.reduce(noise):
-        least = np.minimum(_square(pixels, right), _square(pixels, below))
-        noise = least > np.maximum(limit, _UNCORRELATED * pixels.var(1))
-    return noise
+
+    def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
+        self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
+        empty = block_means(glass[None])[0]
+        self.least = self.black + DARK_SHARE * (float(empty.mean()) - self.black)
+        self._roughness, self._top = noise_roughness(glass), top
+        self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE
+
+    def status(self, frames: Array, blocks: Array) -> Array:
+        """Return the status (n,) of frames (n, H, W), as indices into `FRAME_STATUS`, with the means `blocks` (n, rows,
+        columns) over blocks of their pixels.
+        """
+        size = blocks[0].size
+        status = np.where(is_noise(frames, self._roughness), NOISE, USABLE)
+        if self._tells_saturated:
+            status[np.add.reduce(blocks > self._top, (1, 2), float) / size > SATURATED_SHARE] = SATURATED
+        status[np.add.reduce(blocks, (1, 2)) / size < self.least] = DARK
+        return status
+
+
+def is_noise(frames: Array, roughness: float) -> Array:
+    """Return the mask (n,) of frames (n, H, W) that are no picture: noise, or lines or blocks of pixels in disorder, as
+    a faulty transfer leaves them.
+
+    Neighbouring pixels, along lines or across them, differ by more than `roughness` in units of the mean, and nearly as
+    much as those 2 px apart, everywhere or at the borders of blocks of 2 to 32 px. In a picture whose finest ridges
+    have a period of 4 px or more, the mean squared difference at least doubles, and mostly becomes four times as large.
+    """
+    strips = _strips(frames)
+    near = _squared_differences(strips, 1)
+    noise: Array = near > roughness**2
+    if np.logical_or.reduce(noise, None):
+        noise &= _squared_differences(strips, 2) < _ALIKE * near
+    return np.logical_or.reduce(noise, 1)
 
 
 def noise_roughness(glass: Array) -> float:
-    """Return the least roughness of noise, 0.3 or twice that of the empty glass (H, W): the pixels of a colour camera
+    """Return the least roughness of noise, 0.2 or twice that of the empty glass (H, W): the pixels of a colour camera
     differ.
     """
-    pixels, right, _ = _neighbours(glass[None])
-    return max(_ROUGH, float(_ROUGHER * np.sqrt(_square(pixels, right)[0]) / max(pixels.mean(), 1)))
+    return max(_ROUGH, float(_ROUGHER * np.sqrt(_squared_differences(_strips(glass[None]), 1).max())))
 
 
-def _neighbours(frames: Array) -> list[Array]:
-    """Return some 1500 pixels of frames, and their neighbours along lines and across them, as (n, pixels)."""
-    count, height, width = frames.shape
-    down, along = max(1, height // 32), max(1, width // 48)
-    grids = []
-    for y, x in ((0, 0), (0, width > 1), (height > 1, 0)):
-        grid = frames[:, y : max(height - 1, 1) + y : down, x : max(width - 1, 1) + x : along].reshape(count, -1)
-        grids.append(grid.astype(np.float32) if grid.dtype.kind != "f" else np.nan_to_num(grid, posinf=0, neginf=0))
-    return grids
+def _strips(frames: Array) -> list[Array]:
+    """Return pixels of frames (n, H, W) in strips of 18 columns and of 18 lines, (n, strips, 18, pixels) each, in units
+    of their mean, 0.5 at least and 1.5 at most: salt and pepper have little weight.
+    """
+    strips = []
+    for across in (frames.swapaxes(1, 2), frames):
+        lines = across[:, _lines_of_strips(across.shape[1]), :: max(1, across.shape[2] // 20)]
+        pixels = lines.astype(np.float32) if lines.dtype.kind != "f" else np.nan_to_num(lines, posinf=0, neginf=0)
+        pixels /= np.maximum(np.add.reduce(pixels, (1, 2), keepdims=True) / pixels[0].size, _TINY)
+        pixels = np.minimum(np.maximum(pixels, 0.5, out=pixels), 1.5, out=pixels)
+        strips.append(pixels.reshape(len(frames), -1, _PERIOD + 2, pixels.shape[2]))
+    return strips
 
 
-def _square(pixels: Array, neighbours: Array) -> Array:
-    difference = neighbours - pixels
-    return np.add.reduce(difference * difference, 1) / pixels.shape[1]
+@functools.cache
+def _lines_of_strips(height: int) -> Array:
+    """Return the numbers of the lines in strips, which begin at multiples of 16; lower frames are repeated."""
+    first = np.arange(0, max(height - _PERIOD - 1, 1), _PERIOD * (height // (8 * _PERIOD) | 1))
+    return (first[:, None] + np.arange(_PERIOD + 2)).ravel() % height
+
+
+def _squared_differences(strips: list[Array], apart: int) -> Array:
+    """Return the mean squared differences (n, 32) of pixels that are `apart` px apart, along and across the lines of a
+    frame, at each of the 16 places in a strip; at each, the strip with the largest ones, as at an edge, is left out.
+    """
+    result = []
+    for pixels in strips:
+        difference = pixels[:, :, apart : _PERIOD + apart] - pixels[:, :, :_PERIOD]
+        squares = np.add.reduce(difference * difference, 3) / difference.shape[3]
+        result.append((squares.sum(1) - squares.max(1)) / max(squares.shape[1] - 1, 1))
+    return np.concatenate(result, 1)
 
 
 @functools.cache

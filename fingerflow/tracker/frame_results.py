@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
 from fingerflow.engines.engine import Engine, FrameContact, FrameEllipse, TrackedPoints
+from fingerflow.recordings.lens import Geometry
 from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
@@ -17,6 +17,7 @@ from fingerflow.tracker.deviations.overlap import OverlapErrors
 from fingerflow.tracker.displacement_medians import displacement_length, displacement_medians
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches, interpolate_displacement
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -59,16 +60,13 @@ class FrameResults:
 
     Args:
         engine: that computes.
-        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
-        mm_per_px: of the contact view.
+        geometry: of the views.
     """
 
-    def __init__(self, engine: Engine, topography_to_contact: Array, mm_per_px: float) -> None:
-        self._engine, self._size = engine, mm_per_px
-        matrix = topography_to_contact.astype(np.float64)
-        self._to_contact = matrix.astype(np.float32)
-        self._to_glass = (matrix * mm_per_px).tolist()  # maps px of the topography view to mm
-        self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
+    def __init__(self, engine: Engine, geometry: Geometry) -> None:
+        self._engine, self._geometry = engine, geometry
+        self._to_contact = geometry.topography_to_contact.astype(np.float32)
+        self._on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self._frames = 0
@@ -87,18 +85,16 @@ class FrameResults:
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
         self._frames += 1
-        size = self._size
         variance = points.variance  # by image noise
-        curvature = self._curvature.update(points.points)
-        center, semi_axes = contact.center.astype(np.float64) * size, contact.semi_axes.astype(np.float64) * size
-        ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
+        curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
+        ellipse = sizes.ellipse
         residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
         return {
-            "real_contact_area": float(contact.real_area_px[0]) * size**2,
-            "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
+            "real_contact_area": sizes.real[0],
+            "gross_contact_area": sizes.gross[0],
             "ellipse_center": ellipse.center[0],
             "ellipse_semi_axes": ellipse.semi_axes[0],
-            "ellipse_angle": contact.angle[0],
+            "ellipse_angle": ellipse.angle[0],
             "illumination_gain": contact.illumination_gain[0],
             "position_px": points.points[0],
             "forward_backward_error": points.error[0],
@@ -112,7 +108,7 @@ class FrameResults:
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding, count = seeding, len(seeding.points)
-        positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        positions, gauge_mm = self._geometry.on_glass(seeding.points), self._engine.settings.gauge_length_mm
         # (N,) mm^2, variance of displacements taken over from previous points; NaN where there are none, so that the
         # displacement of skin that was in contact when it was seeded is not known.
         self._inherited, touches = np.zeros(count), Touches(count)
@@ -120,7 +116,7 @@ class FrameResults:
             self._slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, before = covered.nonzero()[0], np.zeros((0, 2)) if seeding.before is None else seeding.before
-            moved = self._on_glass(before) - self._touches.position[: len(before)]
+            moved = self._geometry.on_glass(before) - self._touches.position[: len(before)]
             inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
@@ -131,15 +127,6 @@ class FrameResults:
         errors = OverlapErrors(*alike, by_onsets=True, window_px=self._engine.settings.window_px)
         self._gain = errors.variance_gain(gauge_mm / self._per_px)
 
-    def _on_glass(self, pixels: Array) -> Array:
-        """Convert positions (..., 2) in px of the topography view to mm on the glass."""
-        # Compute each component separately: a product with so small a matrix takes several times as long.
-        x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
-        result = np.empty(pixels.shape)
-        for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
-            result[..., axis] = by_x * x + by_y * y + shift
-        return result
-
     def _since_onset(
         self, points: Array, noise: Array, curvature: Array, covered: Array, ellipse: FrameEllipse
     ) -> dict[str, Any]:
@@ -149,7 +136,7 @@ class FrameResults:
         `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
         by curved displacement.
         """
-        position, px2 = self._on_glass(points), np.float32(self._per_px**2)
+        position, px2 = self._geometry.on_glass(points), np.float32(self._per_px**2)
         variance, frame = noise + curvature, np.array([self._frames])
         left = np.isnan(self._inherited) & (covered[0] == 0)
         if np.logical_or.reduce(left):

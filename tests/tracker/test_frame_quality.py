@@ -92,16 +92,31 @@ def test_flickering_light_is_no_bad_frame_once_it_is_known() -> None:
     assert found[14:57] == ["usable"] * 43
 
 
+def _disorder(picture: Array, draw: np.random.Generator, size: int) -> Array:
+    """Return a picture (192, 240) with its blocks of `size` px in disorder."""
+    shape = 192 // size, size, 240 // size, size
+    blocks = draw.permutation(picture.reshape(shape).swapaxes(1, 2).reshape(-1, size, size))
+    return blocks.reshape(shape[0], shape[2], size, size).swapaxes(1, 2).reshape(192, 240)
+
+
+_SPOIL: dict[str, Any] = {
+    "noise": lambda picture, draw: draw.normal(127, 70, picture.shape),
+    "noise over it": lambda picture, draw: picture + draw.normal(0, 70, picture.shape),
+    "lines": lambda picture, draw: draw.permutation(picture),
+    "blocks of 8 px": lambda picture, draw: _disorder(picture, draw, 8),
+    "blocks of 16 px": lambda picture, draw: _disorder(picture, draw, 16),
+}
+
+
 @pytest.mark.parametrize("growth", [1.05, 1.2, 1.4])
-@pytest.mark.parametrize("picture", [0, 1])
-def test_long_noise_counts_in_no_number_and_fast_growth_does(growth: float, picture: int) -> None:
-    """Of a contact whose area grows fast, each frame counts but eight of noise, or of noise over the picture."""
+@pytest.mark.parametrize("kind", _SPOIL)
+def test_frames_without_a_picture_count_in_no_number_and_fast_growth_does(growth: float, kind: str) -> None:
+    """Of a contact whose area grows fast, each frame counts but eight without a picture."""
     y, x = np.mgrid[:192, :240]
-    radius = 12 * np.minimum(growth ** (np.arange(40) / 2), 7)
+    radius = 24 * np.minimum(growth ** (np.arange(40) / 2), 3.5)
     skins = [np.where(np.hypot(x - 120, y - 96) < size, _skin()[:, :240] - 50, 200) for size in radius]
-    for k in range(6, 14):
-        skins[k] = picture * skins[k] + np.random.default_rng(k).normal(127 - 127 * picture, 70, skins[k].shape)
-    assert _statuses(skins) == ["usable"] * 6 + ["noise"] * 8 + ["usable"] * 26
+    skins[22:30] = [_SPOIL[kind](skins[k], np.random.default_rng(k)) for k in range(22, 30)]
+    assert _statuses(skins) == ["usable"] * 22 + ["noise"] * 8 + ["usable"] * 10
 
 
 @pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0)])

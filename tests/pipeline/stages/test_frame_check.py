@@ -71,12 +71,14 @@ def test_a_frame_that_comes_twice_is_found(clean: Clean, tmp_path: Path) -> None
     assert "50% of the frames repeat another one" in warnings_of(result)
 
 
-def test_long_noise_counts_in_no_number(clean: Clean, tmp_path: Path) -> None:
-    frames = clean.frames.copy()
-    frames[20:28] = np.random.default_rng(1).integers(0, 256, frames[20:28].shape)
+def test_noise_and_lines_in_disorder_count_in_no_number(clean: Clean, tmp_path: Path) -> None:
+    frames, generator = clean.frames.copy(), np.random.default_rng(1)
+    frames[20:28] = generator.integers(0, 256, frames[20:28].shape)
+    frames[40:48] = generator.permuted(frames[40:48], axis=1)
+    frames[60:68] = generator.permutation(frames[60:68], axis=1)
     result = process(with_frames(clean, frames, tmp_path), AREAS)
-    assert status_of(result) == dict.fromkeys(range(20, 28), "noise")
-    assert "frames of noise without a picture in the contact view: 20, 21" in warnings_of(result)
+    assert status_of(result) == dict.fromkeys([*range(20, 28), *range(40, 48), *range(60, 68)], "noise")
+    assert "or with lines or blocks in disorder: 20, 21" in warnings_of(result)
 
 
 def test_nothing_but_bad_frames_is_no_recording(clean: Clean, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
     place = np.linalg.norm(exact, axis=-1) + BORDER_MM * draw.standard_normal(len(points))
     given = inputs()
-    measured = {"position": given.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
+    measured = {"position": given.geometry.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
     return trial_of(given, contact(), FRAMES, **measured, in_contact=place < border)
 
 

@@ -14,7 +14,6 @@ from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
 from fingerflow.pipeline.stages.contact import view_faults
-from fingerflow.pipeline.stages.contact.straight_contact import StraightContact
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
@@ -22,6 +21,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
@@ -65,7 +65,7 @@ class ContactStage(Stage):
         self._view = self.inputs.scene.views.contact
         self._engine = self.inputs.engine
         self.cell_px = self._engine.cell_px
-        self._straight = StraightContact(self.inputs.lens, self._view, self.cell_px)
+        self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
         frames = len(trial)
         self.series = {
             variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
@@ -113,22 +113,20 @@ class ContactStage(Stage):
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
         contact = self._measure(batch.images(self.inputs, self._view))
-        size, indices = self.inputs.mm_per_px, batch.indices
-        straight = self._straight.sizes(contact)
-        area = straight.area_gain * size**2  # mm^2 of a pixel
+        indices, sizes = batch.indices, self._on_glass.sizes(contact)
         for name, values in {
             "contact_threshold": contact.threshold,
-            "real_contact_area": contact.real_area_px.astype(np.float64) * area,
-            "gross_contact_area": contact.gross_area_px.astype(np.float64) * area,
-            "ellipse_center": straight.center * size,
-            "ellipse_semi_axes": straight.semi_axes * size,
-            "ellipse_angle": straight.angle,
+            "real_contact_area": sizes.real,
+            "gross_contact_area": sizes.gross,
+            "ellipse_center": sizes.ellipse.center,
+            "ellipse_semi_axes": sizes.ellipse.semi_axes,
+            "ellipse_angle": sizes.ellipse.angle,
         }.items():
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
-        self._leave_out_parts(contact, indices, np.broadcast_to(area, len(indices)))
+        self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
@@ -231,7 +229,7 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0]
-        away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)  # px from the contact
+        away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
         self.warnings.extend(view_faults.check_background_lines(light))

@@ -105,7 +105,7 @@ class DisplacementStage(Stage):
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
-        self.mm_per_px = self.inputs.topography_mm_per_px  # scale of the topographic view
+        self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
         self._vector, self._vector_std = np.full((2, len(trial), 2), np.nan)
         self._printed = np.full(len(trial), np.nan)
@@ -248,7 +248,7 @@ class DisplacementStage(Stage):
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
-        self.reference_px = self.inputs.on_topography(self.reference)
+        self.reference_px = self.inputs.geometry.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
         if self._fixed is not None:

@@ -55,8 +55,8 @@ class FieldsStage(Stage):
         # Neighbours by where points were seeded: positions of entry lie on a line.
         positions = moved.common_position if moved.by_onsets else moved.reference
         self._deformation = Deformation(self._engine, positions)
-        window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.topography_mm_per_px
-        positions_px = self.inputs.on_topography(positions)
+        window_px, scale = self.inputs.scene.tracking.window_px, self.inputs.geometry.topography_mm_per_px
+        positions_px = self.inputs.geometry.on_topography(positions)
         errors = OverlapErrors(moved.begins, positions_px, moved.noise, moved.of_onset, moved.by_onsets, window_px)
         self._gain = errors.variance_gain(self._settings.gauge_length_mm / scale)
         self._entry = None

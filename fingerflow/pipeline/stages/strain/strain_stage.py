@@ -118,7 +118,7 @@ class StrainStage(Stage):
         begins = skin.since[: len(moved.onset)]
         here = np.pad(begins == begins[begins >= 0].min(initial=len(self.trial)), (0, len(skin.since) - len(begins)))
         self._from_start = self.inputs.tensor(np.where(here[:, None], skin.reference, np.nan))[None]
-        scale = self.inputs.topography_mm_per_px
+        scale = self.inputs.geometry.topography_mm_per_px
         self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
