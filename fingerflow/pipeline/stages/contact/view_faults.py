@@ -29,7 +29,7 @@ FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.02, 0.5, 1.6
 # larger scatter on small contacts, and less where they are thin there: the border then lay 0.1 to 0.4 mm further out.
 _THIN, _SCATTER, _RAMP, _THIN_MM = 0.69, 0.3, 0.06, 0.27
 _RIM_MM = 0.06  # least width of a faint rim that is reported
-_STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
+_STEP = 1.35  # least ratio of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
 _EDGE, _EDGE_PX = 0.02, 200
@@ -181,11 +181,11 @@ def check_background_lines(light: Picture) -> list[str]:
     if not full > 0:
         return []
     bright = np.maximum(light, 0.02 * full)
-    step = np.abs(np.diff(np.log(bright), axis=0))
-    lit = np.maximum(bright[1:], bright[:-1]) > 0.3 * full
-    count = lit.sum(1)
+    lighter = np.maximum(bright[1:], bright[:-1])
+    lit, step = lighter > 0.3 * full, lighter > _STEP * np.minimum(bright[1:], bright[:-1])
+    count = np.count_nonzero(lit, 1)
     # The median step is above _STEP if more than half of the steps are.
-    torn = (count > 0.25 * light.shape[1]) & (2 * (lit & (step > _STEP)).sum(1) > count)
+    torn = (count > 0.25 * light.shape[1]) & (2 * np.count_nonzero(lit & step, 1) > count)
     if not torn.any():
         return []
     row = int(np.argmax(torn)) + 1
