@@ -26,7 +26,7 @@ from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_gradients
 from fingerflow.schema.recipe import Recipe, ViewRecipe
 from fingerflow.schema.variables import ENTRY
-from fingerflow.synthetic import PartialSlip, Press
+from fingerflow.synthetic import ChainPress, PartialSlip, Press
 from fingerflow.synthetic.scenes import SyntheticScene
 from tests.silent.case import Case, records_of
 from tests.silent.deviation_scenes import scenes
@@ -35,6 +35,8 @@ from tests.small_trials import write_library_bundle
 Array = NDArray[Any]
 Errors = dict[str, tuple[Array, Array]]
 
+_PRESSES = Press, ChainPress
+_KINDS = {Press: "presses", ChainPress: "chain presses"}
 GOAL_Z, GOAL_WITHIN = (0.8, 1.25), ((0.60, 0.76), (0.92, 0.98))
 _FRAMES = 7  # of a scene, that are compared
 # Steps of the grids of true medians and energies: on presses, whose strain rises to the border, and on slides.
@@ -57,7 +59,7 @@ def judged(some: Iterator[tuple[str, SyntheticScene]]) -> Iterator[Case]:
     """Yield a case for each quantity of some scenes."""
     found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
     for _, scene in some:
-        kind = "presses" if isinstance(scene, Press) else "slides"
+        kind = _KINDS.get(type(scene), "slides")
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "recording"
             write_quietly(recording, scene)
@@ -95,7 +97,7 @@ def compared(result: xr.Dataset, scene: SyntheticScene) -> Errors:
     for frame in frames.tolist():
         for name, one in (skin.at(frame) | _of_contact(result, scene, frame)).items():
             found[name].append(one)
-    if isinstance(scene, Press):
+    if isinstance(scene, _PRESSES):
         onset, true = result["onset_frame"].values, scene.truth.onset_frame(skin.material)
         error = np.where(skin.known & (onset > 0) & (true > 0), onset - true, np.nan)
         found["onset_frame"].append((error, result["onset_frame_std"].values))
@@ -177,7 +179,7 @@ class _Skin:
         touch then. Triangles with skin that moved in count from the last of three entries, and are left out.
         """
         now = self.truth.positions(self.material, frame)
-        if not isinstance(self.scene, Press):
+        if not isinstance(self.scene, _PRESSES):
             onset = self.result["onset_frame"].values
             moved = np.where((onset == 0)[:, None], now - self.truth.positions(self.material, 0), np.nan)
         reference = now - moved
@@ -198,14 +200,14 @@ def _of_contact(result: xr.Dataset, scene: SyntheticScene, frame: int) -> Errors
     """Return errors and deviations of areas, medians and energies in a frame."""
     gross, real = scene.truth.gross_contact_area_mm2(frame), scene.truth.real_contact_area_mm2(frame)
     true: dict[str, Any] = {"gross_contact_area": gross, "real_contact_area": real}
-    step = _STEPS_MM[not isinstance(scene, Press)]
+    step = _STEPS_MM[not isinstance(scene, _PRESSES)]
     ellipse = scene.truth.ellipse(frame)
     if gross > _LEAST_MM2 and ellipse is not None:
         true |= {"contact_area_ratio": real / gross, "ellipse_center": ellipse.centre}
         true["ellipse_semi_axes"] = sorted(ellipse.semi_axes, reverse=True)
         gradient = _of_contact_skin(scene, frame)
         true |= {f"median_{name}": value for name, value in medians_of(gradient).items()}
-        if isinstance(scene, Press):
+        if isinstance(scene, _PRESSES):
             names = "strain_energy", "strain_energy_between_points"
             true |= dict(zip(names, energy_since_onset(scene, result, frame, step), strict=True))
         else:
@@ -226,8 +228,8 @@ def _of_contact_skin(scene: SyntheticScene, frame: int) -> Array:
     """Return the true displacement gradients (N, 2, 2) on a grid over the contact in a frame: since the onset on a
     press, since its own entry of skin that slides.
     """
-    material = skin_in_contact(scene, frame, _STEPS_MM[not isinstance(scene, Press)])
-    return (scene.truth.gradient if isinstance(scene, Press) else scene.truth.entry_gradient)(material, frame)
+    material = skin_in_contact(scene, frame, _STEPS_MM[not isinstance(scene, _PRESSES)])
+    return (scene.truth.gradient if isinstance(scene, _PRESSES) else scene.truth.entry_gradient)(material, frame)
 
 
 def medians_of(gradient: Array) -> dict[str, float]:

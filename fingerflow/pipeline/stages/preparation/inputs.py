@@ -130,7 +130,8 @@ class Inputs:
             if len(same) == len(self.recording) > 1:
                 first, second = (read_frames(frames[[0, -1]]) for frames in (same, self.recording))
                 if np.array_equal(first, second):
-                    raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
+                    what = "the background is the recording itself; name one of the empty glass"
+                    raise FingerflowError(f"{path}: {what}")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
             whole = [index for index in range(len(part)) if index not in part.unreadable]
