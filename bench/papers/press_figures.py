@@ -171,10 +171,21 @@ def _curl(study: PressStudy) -> Drawn:
     _, low = study.typical
     panels = [
         SheetPanel.single("A", lambda axes: plot.field_map(low.result, "curl", low.peak, axes)),
-        _curve(study, "B", "curl"),
-        *_of_trials(study, "S13"),
+        *map(_of_script, (_curve(study, "B", "curl"), *_of_trials(study, "S13"))),
     ]
     return _sheet("S13", panels, f"The map is of one press at low friction, the rest of the study: {_count(study)}.")
+
+
+def _of_script(panel: SheetPanel) -> SheetPanel:
+    """Return a panel of the curl that says which number the lab's script calls so."""
+
+    def draw(part: SubFigure) -> None:
+        panel.draw(part)
+        axes, caption = part.axes[0], caption_of(part)
+        axes.set_ylabel(axes.get_ylabel().replace("curl", "script's curl,\nu_x - u_y"))
+        describe(axes, caption.replace("Curl", "Script's curl, u_x - u_y").replace("median curl", "median"))
+
+    return replace(panel, draw=draw)
 
 
 def _since_own_onset(name: str, *curves: tuple[str, str]) -> PrintedFigure[PressStudy]:

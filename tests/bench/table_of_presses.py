@@ -36,7 +36,7 @@ def table() -> pd.DataFrame:
         "gross_contact_area": 70.1 * own, "real_contact_area": 23.7 * own * draw.normal(1, 0.05, count),
         "force_angle": np.radians((9.9 - 5.7 * share) * draw.gamma(4.0, 0.25, count)),
         "divergence": 1e-3 * (4 + 9 * share + draw.normal(0, 1.0, count)),
-        "strain_energy": draw.gamma(0.4, 0.8, count) + 0.6 * share,
+        "strain_energy": draw.gamma(0.4, 0.8, count) + 0.15 * share,
         "strain_energy_rate": draw.gamma(4.0, 0.3, count), "strain_rate": draw.gamma(4.0, 0.01, count),
         "force_of_strain_rate": draw.normal(0.37, 0.05, count),
         "force_of_strain_energy_rate": draw.normal(0.4, 0.05, count),
