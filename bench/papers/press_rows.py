@@ -199,14 +199,12 @@ def _f_text(test: dict[str, Any]) -> str:
 
 def _no_effects(study: PressStudy) -> Obtained:
     trials, texts, effects = study.sample.trials, [], []
-    names = ("max_force", "time_to_max_force", "duration")
-    for name in names:
+    for name in ("max_force", "time_to_max_force", "duration"):
         columns = trials.metrics[name], trials.answer, trials.participant
         test, rank = _anovas(*columns), spearman(*columns)
         texts.append(f"{NUMBERS[name].words}: {_anova_text(test)}, Spearman's rho {_with_limits(rank)}")
-        effects.append(
-            (rank.interval, test["as_printed"]["p"] < _ALPHA / len(names))
-        )  # trials are independent in print
+        # By the test in print, which takes trials as independent, each at a third of the level.
+        effects.append((rank.interval, test["as_printed"]["p"] < _ALPHA / 3))
     return Obtained(
         "; ".join(texts), agrees=_absent(*effects),
         because="divergence grows with force: felt at 3 N in all presses, F(1, 808) falls from 45 to 0.0",
@@ -252,8 +250,8 @@ def _words(metric: str) -> str:
 
 def _by_amplitude(study: PressStudy, metric: str, because: str = _CHANCE) -> Obtained:
     """Test whether a metric of all presses, the reference presses being a level, differs between the amplitudes."""
-    columns = [study.measured[name].to_numpy() for name in (metric, "condition", "participant")]
-    size = _effect(*columns, lambda x, groups, _: one_way_anova(x, groups))
+    columns: Any = [study.measured[name].to_numpy() for name in (metric, "condition", "participant")]
+    size = _effect(lambda x, groups, _: one_way_anova(x, groups), *columns)
     return Obtained(f"{_anova_text(_anovas(*columns))}; effect {_with_limits(size)}", (size.interval,), because=because)
 
 
@@ -262,7 +260,7 @@ def _size(f: float, groups: int, trials: int) -> float:
     return math.sqrt(max(f - 1, 0.0) * groups / trials)
 
 
-def _effect(values: Any, levels: Any, who: Any, test: Callable[..., Any]) -> Estimate:
+def _effect(test: Callable[..., Any], values: Any, levels: Any, who: Any) -> Estimate:
     """Return Cohen's f of the test of values (T,) by levels (T,), negative if they fall as the levels rise, with the
     interval of the jackknife over participants.
     """
@@ -273,7 +271,7 @@ def _effect(values: Any, levels: Any, who: Any, test: Callable[..., Any]) -> Est
 
     known = np.isfinite(values)
     size, without = signed(known), [signed(known & (who != name)) for name in np.unique(who)]
-    return Estimate(size, jackknife(size, without)[0] if any(without) else (size, size))
+    return Estimate(size, jackknife(size, without)[0]) if any(without) else Estimate(0.0, (0.0, 0.0))
 
 
 def _angle_at(study: PressStudy, place: int) -> Obtained:
@@ -370,7 +368,7 @@ def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
     answered = study.measured.dropna(subset=["answer", "strain_rate"])
     sixth = np.ceil(6 * answered.groupby("participant")["strain_rate"].rank(pct=True)).to_numpy()
     columns = answered["answer"].to_numpy(float), sixth, answered["participant"].to_numpy()
-    test, size = repeated_anova(*columns), _effect(*columns, repeated_anova)
+    test, size = repeated_anova(*columns), _effect(repeated_anova, *columns)
     return Obtained(
         f"answers by sixths of each participant's strain rates: {_f_text(asdict(test))}; effect {_with_limits(size)}",
         (size.interval,),
@@ -464,19 +462,18 @@ def _curl(study: PressStudy) -> Obtained:
 
 
 def _of_skin(*columns: Any) -> Row[PressStudy]:
-    """Return the row of a prediction by the printed analysis, beside its text by this engine's; `columns` are the first
-    five of `Row`, and the function that computes the result of either.
+    """Return the row of a prediction by the printed analysis, beside its text by this engine's, from the `columns` of a
+    `Row` that computes the result of one.
     """
-    *printed, obtain = columns
 
     def of_both(study: PressStudy) -> Obtained:
-        found = obtain(study)
+        found = columns[-1](study)
         if study.own is None:
             return found
-        other = obtain(study.own)
+        other = columns[-1](study.own)
         return replace(found, text=f"{found.text}. Since each point's own onset: {other.text or other.because}")
 
-    return predicted(*printed, of_both)
+    return replace(predicted(*columns), obtain=of_both)
 
 
 ROWS: tuple[Row[PressStudy], ...] = (
