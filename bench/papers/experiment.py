@@ -140,11 +140,11 @@ def _curves_of(presses: SimulatedPresses, analysis: str) -> dict[str, Values]:
     return {name: make_interp_spline(presses.force, values, k=1)(_GRID_N) for name, values in curves.items()}
 
 
-def measured_errors(measured: Any, truth: Any) -> dict[str, float]:
-    """Return the standard deviations of measured minus true numbers of the same presses, by 1.4826 times the median
-    absolute deviation.
+def measured_errors(measured: Any, truth: Any) -> Any:
+    """Return the errors of measured against true numbers of the same presses: a DataFrame of the root of their mean
+    square, `rms`, and of their mean, `bias`, a row for each number.
     """
     both = measured.merge(truth, on=["participant", "trial"], suffixes=("", "_truth"))
-    off = {name: both[name] - both[f"{name}_truth"] for name in NUMBERS if f"{name}_truth" in both}
-    return {name: float(1.4826 * (value - value.median()).abs().median())
-            for name, value in off.items() if value.notna().any()}  # fmt: skip
+    names = [name for name in NUMBERS if f"{name}_truth" in both]
+    off = both[names].astype(float) - both[[f"{name}_truth" for name in names]].to_numpy(float)
+    return (off**2).mean().pow(0.5).to_frame("rms").assign(bias=off.mean()).dropna()
