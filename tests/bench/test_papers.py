@@ -152,7 +152,6 @@ def test_a_study_with_the_printed_effects_agrees(printed: PressStudy) -> None:
         ("B9", "real_contact_area_at_3n", lambda frame: 3**0.3 * frame["real_contact_area_at_1n"], "wrong"),
         ("B34", "max_force", lambda frame: 0.7 * frame["max_force"], "differs"),
         ("B37", "max_force", lambda frame: frame["max_force"] + 3 * frame["answer"].eq(other=True), "wrong"),
-        ("B38", "force_rate", lambda frame: 0.3 * frame["force_rate"], "differs"),
         ("B49", "strain", lambda frame: frame["strain"] + 0.03, "wrong"),
         ("B51", "strain_energy", lambda frame: frame["strain_energy"] - 0.1 * frame["condition"], "wrong"),
         ("B51", "strain_energy", lambda frame: frame["strain_energy"] + frame["condition"], "wrong"),
@@ -223,7 +222,7 @@ def test_a_quick_run_from_pictures_to_the_page(tmp_path: Path) -> None:
         assert len(files) == (25 if paper == "press" else 5)
         assert all(path.stat().st_size > 5000 for path in files)
     measured = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("row.json")}
-    assert len(measured) == 18
+    assert len(measured) == 26
     main(["papers", "slip", "--folder", str(tmp_path)])
     assert {path: path.stat().st_mtime_ns for path in measured} == measured
     again = json.loads((tmp_path / "page" / "slip.json").read_text(encoding="utf-8"))
