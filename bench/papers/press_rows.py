@@ -1,6 +1,7 @@
 """Printed results of Willemet et al. 2021, each with the function that computes it from the simulated study.
 
-An effect is predicted where the same test finds one. A missing effect needs a bound: a test without power finds none.
+An effect is compared by its size and direction, as its p grows with the trials. A missing effect needs a bound: a test
+without power finds none.
 """
 
 import math
@@ -365,6 +366,7 @@ def _energy_slope(study: PressStudy) -> Obtained:
 
 def _rate_of_strain_on_answers(study: PressStudy) -> Obtained:
     right = float(stats.f.sf(2.12, 5, 70))
+    # F(5, 70) is that of 15 participants and 6 levels.
     answered = study.measured.dropna(subset=["answer", "strain_rate"])
     sixth = np.ceil(6 * answered.groupby("participant")["strain_rate"].rank(pct=True)).to_numpy()
     columns = answered["answer"].to_numpy(float), sixth, answered["participant"].to_numpy()
