@@ -111,6 +111,7 @@ class Player:
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
         self.frames_in = self.processed = self.dropped = self.overruns = self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
+        self._busy: dict[str, float] = {}  # processor time of each thread that has ended, s
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values
@@ -220,6 +221,7 @@ class Player:
             "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
             "engine": self.computed_by,
+            "busy": {name: round(busy / seconds, 3) for name, busy in self._busy.items()},
             "policy": "every" if self.settings.process_all else "latest",
         }
 
@@ -252,6 +254,7 @@ class Player:
                 self._failure = error
             self._stop.set()
         finally:
+            self._busy[step.__name__.strip("_")] = time.thread_time()
             for close in after:
                 close()
 

@@ -42,8 +42,8 @@ _MEDIAN_STD_EQUATION = (
     "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
     "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
-    "of fields √E points below and above, E points moved in, common on presses 0.9 deviations of a displacement over "
-    "the gauge length"
+    "of fields √E points below and above, E points moved in, common² on presses that of 0.9 deviations of a "
+    "displacement over the gauge length and of 1 µm/mm (0.3 of strain) by the changing light at the border"
 )
 _AREA_STD_EQUATION = (
     "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "

@@ -333,8 +333,8 @@ class Points:
             corrected = Corrected(found, *(values[:, seeded] for values in corrected[1:]))
         found = corrected.found
         # Few neighbours give a deformation so uncertain that it puts the point many px off.
-        found = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
-        return Corrected(found, *corrected[1:])
+        certain = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
+        return corrected if certain is found else Corrected(certain, *corrected[1:])
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -404,12 +404,14 @@ class Points:
             if self._followed % MOST_FRAMES == 0:
                 check(images, points.points, points.status, self._last_warp())
             verified = self._verification.latest
-        covariance = points.covariance
         if not self._by_key:
-            covariance = self._since_start(points.variance)[..., None, None] * np.eye(2, dtype=np.float32)
+            variance = self._since_start(points.variance)
+            points = points._replace(covariance=variance[..., None, None] * np.eye(2, dtype=np.float32))
         if np.logical_or.reduce(verified.variance):
-            covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
-        points = TrackedPoints(points.points, points.error, covariance, *points[3:])
+            more = verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
+            points = points._replace(covariance=points.covariance + more)
+        if not np.logical_or.reduce(verified.differs | verified.held, axis=None):
+            return points
         tracked = points.status == TRACKED
         points = reject(points, tracked & verified.differs, _WINDOW_DIFFERS)
         return reject(points, tracked & verified.held & ~verified.differs, _DUST_IN_WINDOW)

@@ -17,7 +17,7 @@ _ALIKE = 0.05  # 1 - correlation that is always allowed; for ridges with a perio
 # Multiple of the median 1 - correlation over all points that is allowed if it is more, and upper bound of this limit.
 _USUAL, _MOST = 4.0, 0.2
 _NOISE = 3.0  # allowed multiple of the loss of correlation due to the noise of two images
-_PEAK = 4.5  # multiple of the usual residual of windows above which a single residual stands out
+_PEAK = 3.5  # multiple of the usual residual of windows above which a single residual stands out
 # Something else than skin holds a point beyond all three limits: its distance from the position at which most samples
 # of its window match, in px and in standard deviations, and the share of samples that do not match.
 _HELD_PX, _HELD_DEVIATIONS, _HELD_SHARE = 0.35, 4.0, 0.02
@@ -115,7 +115,8 @@ class Verification:
         held = (away > _HELD_PX**2) & (deviations > _HELD_DEVIATIONS) & (excluded > _HELD_SHARE)
         self.correlation = (1 - loss).astype(np.float32)
         # A point that cannot be checked keeps its previous result.
-        verified = Verified(loss > limit, held, (away / 2).astype(np.float32))
+        # Robust weights find 0.7 of the distance by which dust pulls a point, so this is the variance of a coordinate.
+        verified = Verified(loss > limit, held, away.astype(np.float32))
         self.latest = Verified(*(np.where(unknown, *pair) for pair in zip(before, verified, strict=True)))
         return Verified(*(np.maximum(*pair) for pair in zip(before, self.latest, strict=True)))
 

@@ -41,7 +41,8 @@ class ContactStage(Stage):
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
-        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin; else 0.
+        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or ridges
+            cover little of it; else 0.
     """
 
     name = "contact"
@@ -229,7 +230,7 @@ class ContactStage(Stage):
         sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
         region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0]
-        away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)  # px from the contact
+        away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
         self.warnings.extend(view_faults.check_background_lines(light))
@@ -261,8 +262,11 @@ class ContactStage(Stage):
         self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
         region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
-        self.faint_rim_mm = max(self._pale_rim_mm, thin)
-        return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
+        rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
+        sparse = view_faults.sparse_border_mm(real, gross)
+        self.faint_rim_mm = max(rim, sparse)
+        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]))
+        return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
         self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]

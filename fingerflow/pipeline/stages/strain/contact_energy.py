@@ -114,8 +114,9 @@ class ContactEnergy:
 
     def _energies(self, points: "_Points", since_growth: Array, depth: Array) -> FrameEnergies:
         """Return the energies of the field that explains the displacements better: one that vanishes at the border, or
-        one that moves there. Where the border advances, only the first is possible; where that cannot be told and the
-        second is likelier, the energy is their mean, and half of their difference is part of the deviation.
+        one that moves there. Where the border advances, only the first is possible. Where that cannot be told, as
+        frames are few, half of their difference is part of the deviation, and the energy is their mean if the second is
+        likelier.
         """
         field = self._functions.fit(*points.on_disc())
         result = FrameEnergies(*self._estimate(field, points), np.zeros(len(points.axes), bool))
@@ -125,13 +126,15 @@ class ContactEnergy:
         if len(frames):
             doubtful = points.select(frames)
             moving = self._functions.fit(*doubtful.on_disc(), prior[frames])
-            likelier = np.flatnonzero(moving.evidence > field.evidence[frames] + _DECISIVE)
-            energy, deviation = (values[likelier] for values in self._estimate(moving, doubtful, prior[frames]))
-            frames = frames[likelier]
-            noise[frames] = moving.noise[likelier]
+            likelier = moving.evidence > field.evidence[frames] + _DECISIVE
+            either = np.flatnonzero(likelier | unresolved[frames])
+            energy, deviation = (values[either] for values in self._estimate(moving, doubtful, prior[frames]))
+            frames, likelier = frames[either], likelier[either]
+            noise[frames] = np.where(likelier, moving.noise[either], noise[frames])
             half = np.where(unresolved[frames], (result.energy[frames] - energy) / 2, 0)
-            result.energy[frames], result.deviation[frames] = energy + half, np.hypot(deviation, half)
-            result.moves[frames] = ~unresolved[frames]
+            for values, of_moving in zip(result, (energy + half, deviation, ~unresolved[frames]), strict=True):
+                values[frames] = np.where(likelier, of_moving, values[frames])
+            result.deviation[frames] = np.hypot(result.deviation[frames], half)
         number, total = (points.weight > 0).sum(1), points.weight.sum(1)
         # Variance of the residuals, relative to the stated one, up to which they may be those of any smooth field.
         smooth = _MISFIT**2 * (points.moved**2).sum((1, 2)) / 2 / number**2 * total
