@@ -33,7 +33,7 @@ _LEAST_N = 3.0  # N, least peak force of presses that figures show
 
 DIVERGENCE_UNIT = VARIABLES["median_divergence"].shown_unit.name
 _FULL = Design(trials=1)
-_QUICK = Design(participants=2, trials=1, amplitudes=(1.0, 3.0))
+_QUICK = Design(participants=6, trials=1, amplitudes=(1.0, 3.0))
 _RESAMPLES = {False: 2000, True: 400}
 
 
@@ -123,7 +123,8 @@ class PressStudy:
 
     @cached_property
     def typical(self) -> "tuple[TypicalPress, TypicalPress]":
-        """Return two presses of one participant with similar largest forces (3 N or more): at high and at low friction.
+        """Return two presses of one participant at high and at low friction, with similar largest forces (3 N or more)
+        and real contact areas about as far apart as those of the design.
 
         The reference press has high friction, one at the largest amplitude low friction.
 
@@ -134,7 +135,8 @@ class PressStudy:
         pairs = still.merge(vibrating, on="participant", suffixes=("", "_vibrating"))
         if pairs.empty:
             raise FingerflowError("no participant has presses of 3 N or more at both ends of the amplitudes")
-        best = pairs.loc[(pairs["max_force"] - pairs["max_force_vibrating"]).abs().idxmin()]
+        force, area = (np.log(pairs[f"{one}_vibrating"] / pairs[one]) for one in ("max_force", "real_contact_area"))
+        best = pairs.loc[(force.abs() + (area - np.log(1 - self.design.real_area_fall)).abs()).idxmin()]
         high, low = (self._typical(best["participant"], best[trial]) for trial in ("trial", "trial_vibrating"))
         return high, low
 

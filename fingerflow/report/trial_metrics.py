@@ -168,7 +168,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
     axes.set(xlabel=f"median {metric_label(metric)}", ylabel=ANSWERED, ylim=(-0.05, 1.08))
     middle, far = np.quantile(np.abs(medians), (0.5, 1)) if medians.size else (1, 1)
     if 0 < _LONG_TAIL * middle < far:
-        axes.set_xscale("symlog", linthresh=middle)
+        axes.set_xscale("symlog", linthresh=10 ** np.round(np.log10(middle)))  # a decade, so that ticks stay apart
     else:
         axes.locator_params(axis="x", nbins=5)
     size = f"{correlation.trials} dots of {correlation.participants} participants"
