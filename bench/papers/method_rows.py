@@ -239,9 +239,8 @@ def _deep_stresses(_: PressStudy) -> Obtained:
     kernels = p * z * r**2 + q * r**3, p * z**3 + q * z**2 * r, p * z**2 * r + q * z * r**2
     printed = [-2 / math.pi * simpson(kernel / (r**2 + z**2) ** 2, x=at) for kernel in kernels]
     error = float(np.abs(np.array(found) / printed - 1).max())
-    return Obtained(
-        f"closed forms, to {error:.1g} of a quadrature of equation 11; τ_yz beside them", agrees=error < _EXACT
-    )
+    text = f"closed forms, to {error:.1g} of a quadrature of equation 11; τ_yz beside them"
+    return Obtained(text, agrees=error < _EXACT)
 
 
 def _gains(quantity: str, values_of: Callable[[Depth], Values]) -> Callable[[PressStudy], Obtained]:
