@@ -118,7 +118,9 @@ def strip_differences(frames: Array, apart: int) -> Array:
         return squared
     result = []
     for across in (frames.swapaxes(1, 2), frames):
-        lines = across[:, _lines_of_strips(across.shape[1]), :: max(1, across.shape[2] // 20)]
+        first = np.arange(0, max(across.shape[1] - _PERIOD - 1, 1), _PERIOD * (across.shape[1] // (8 * _PERIOD) | 1))
+        numbers = (first[:, None] + np.arange(_PERIOD + 2)).ravel() % across.shape[1]  # lower frames are repeated
+        lines = across[:, numbers, :: max(1, across.shape[2] // 20)]
         pixels = lines.astype(np.float32) if lines.dtype.kind != "f" else np.nan_to_num(lines, posinf=0, neginf=0)
         pixels /= np.maximum(np.add.reduce(pixels, (1, 2), keepdims=True) / pixels[0].size, _TINY)
         pixels = np.minimum(np.maximum(pixels, 0.5, out=pixels), 1.5, out=pixels)
@@ -127,12 +129,6 @@ def strip_differences(frames: Array, apart: int) -> Array:
         squares = np.add.reduce(difference * difference, 3) / difference.shape[3]
         result.append((squares.sum(1) - squares.max(1)) / max(squares.shape[1] - 1, 1))
     return np.concatenate(result, 1)
-
-
-def _lines_of_strips(height: int) -> Array:
-    """Return the numbers of the lines in strips, which begin at multiples of 16; lower frames are repeated."""
-    first = np.arange(0, max(height - _PERIOD - 1, 1), _PERIOD * (height // (8 * _PERIOD) | 1))
-    return (first[:, None] + np.arange(_PERIOD + 2)).ravel() % height
 
 
 @functools.cache
