@@ -135,7 +135,8 @@ class Kernel:
                 values[name] = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
                 if cleared:
                     values[name][...] = 0
-            results[place] = values[name] if name in values else None
+            if name in values:
+                results[place] = values[name]
         if not _here.shapes_only:
             arguments = [*layout.arguments]
             for place, name in layout.varying:
