@@ -80,7 +80,7 @@ def run(contact: Image, topography: Image, rig: Rig) -> Measured:
     position, covered = _follow(topography, outlines, rig)
     followed = time.perf_counter()
     fields = _fields(position, covered, outlines, rig)
-    seconds = {"contact": found - start, "tracking": followed - found, "fields": time.perf_counter() - followed}
+    seconds = {"contact": found - start, "tracking": followed - found, "deformation": time.perf_counter() - followed}
     gross_area = np.array([cv2.countNonZero(outline.mask) for outline in outlines])
     semi_axes = np.stack([outline.semi_axes for outline in outlines])
     scale = rig.mm_per_px

@@ -196,7 +196,6 @@ class Correction {
 public:
     explicit Correction(const fingerflow_deformation& given)
         : given_(given),
-          cloud_(given.start, given.points, given.start, given.points),
           displacement_(given, 2),
           unleaned_(given, 2),
           gradient_(given, 4),
@@ -207,14 +206,16 @@ public:
     }
 
     void run(int threads) {
-        const std::int64_t frames = given_.frames, blocks = fit_blocks_of(cloud_);
+        const std::int64_t frames = given_.frames;
         const auto rest = static_cast<std::int64_t>(nowhere_.size() + kFitBlock - 1) / kFitBlock;
         parallel_for(frames, threads, [&](std::int64_t frame) {
             const float* const found = given_.found + 2 * frame * given_.points;
             displacement_.record(frame, [&](std::int64_t k, std::int64_t c) { return found[2 * k + c] - given_.start[2 * k + c]; });
         });
         const FitFrames<float> outer = displacement_.fit(1, given_.expected, beyond_.data());
-        parallel_for(blocks, threads, [&](std::int64_t block) { fit(outer, block); });
+        const Blocks wide = around(outer, threads);
+        const std::int64_t blocks = wide->count();
+        parallel_for(blocks, threads, [&](std::int64_t block) { fit(outer, (*wide)[block]); });
         parallel_for(frames, threads, [&](std::int64_t frame) {
             const float* const found = given_.found + 2 * frame * given_.points;
             const float* const gradient = beyond_.data() + 4 * frame * given_.points;
@@ -223,7 +224,8 @@ public:
             });
         });
         const FitFrames<float> inner = unleaned_.fit(kInnerGauge, nullptr, given_.warp);
-        parallel_for(blocks, threads, [&](std::int64_t block) { fit(inner, block); });
+        const Blocks narrow = around(inner, threads);
+        parallel_for(blocks, threads, [&](std::int64_t block) { fit(inner, (*narrow)[block]); });
         for (const std::int64_t point : nowhere_) forget(point);
         const auto extrapolate = FINGERFLOW_PICK(extrapolate);
         parallel_for(frames, threads, [&](std::int64_t frame) {
@@ -235,7 +237,8 @@ public:
         const auto correct = FINGERFLOW_PICK(correct_block);
         parallel_for(blocks + rest, threads, [&](std::int64_t block) {
             if (block < blocks) {
-                const FitBlock<float> of = fit(second, block);
+                const FitBlock<float>& of = (*wide)[block];
+                fit(second, of);
                 correct(given_, second_.data(), beyond_.data(), of.query, of.queries);
                 return;
             }
@@ -255,14 +258,15 @@ private:
                lean[2] * (yx * inverse[0] + yy * inverse[2]) + lean[3] * (yx * inverse[1] + yy * inverse[3] - 1);
     }
 
-    FitBlock<float> fit(const FitFrames<float>& frames, std::int64_t number) {
-        const std::int64_t points = given_.points;
-        const auto memory = static_cast<unsigned char*>(workspace(size(8 * points + 4 * (2 * points + fit_memory(frames)))));
-        const auto point = reinterpret_cast<std::int64_t*>(memory);
-        const auto x = reinterpret_cast<float*>(point + points), y = x + points;
-        const FitBlock<float> block = fit_block_of(cloud_, number, static_cast<double>(frames.radius), point, x, y);
-        fit_block(frames, block, y + points);
-        return block;
+    using Blocks = FitBlocks<float>::Shared;
+
+    Blocks around(const FitFrames<float>& frames, int threads) const {
+        const float* const start = given_.start;
+        return FitBlocks<float>::around(start, given_.points, start, given_.points, static_cast<double>(frames.radius), threads);
+    }
+
+    static void fit(const FitFrames<float>& frames, const FitBlock<float>& block) {
+        fit_block(frames, block, static_cast<float*>(workspace(sizeof(float) * size(fit_memory(frames)))));
     }
 
     // A point without a position has no neighbours: its results are NaN.
@@ -277,7 +281,6 @@ private:
     }
 
     const fingerflow_deformation given_;
-    const Cloud<float> cloud_;
     SelfFit displacement_, unleaned_, gradient_;
     std::vector<float> second_, beyond_;
     std::vector<std::int64_t> nowhere_;

@@ -30,13 +30,13 @@ public:
         parallel_for(given_.batch, threads, [&](std::int64_t frame) { record(frame); });
         records_.compare();
         if (shared_) {
-            const Cloud<Real> cloud = cloud_of(0);
-            parallel_for(fit_blocks_of(cloud), threads, [&](std::int64_t block) { fit(0, cloud, block); });
+            const auto blocks = blocks_of(0, threads);
+            parallel_for(blocks->count(), threads, [&](std::int64_t block) { fit(0, (*blocks)[block]); });
             return;
         }
         parallel_for(given_.batch, threads, [&](std::int64_t geometry) {
-            const Cloud<Real> cloud = cloud_of(geometry);
-            for (std::int64_t block = 0; block < fit_blocks_of(cloud); ++block) fit(geometry, cloud, block);
+            const auto blocks = blocks_of(geometry, 1);
+            for (std::int64_t block = 0; block < blocks->count(); ++block) fit(geometry, (*blocks)[block]);
         });
     }
 
@@ -79,10 +79,10 @@ private:
         });
     }
 
-    // Sorts the points and queries of a geometry into cells; writes NaN for queries that are not finite.
-    Cloud<Real> cloud_of(std::int64_t geometry) {
-        Cloud<Real> cloud(points(geometry), given_.point_count, queries(geometry), given_.query_count);
-        if (static_cast<std::int64_t>(cloud.queries().size()) < given_.query_count) {
+    // Blocks of the queries of a geometry; writes NaN for queries that are not finite.
+    typename FitBlocks<Real>::Shared blocks_of(std::int64_t geometry, int threads) {
+        const auto blocks = FitBlocks<Real>::around(points(geometry), given_.point_count, queries(geometry), given_.query_count, radius_, threads);
+        if (blocks->finite_queries() < given_.query_count) {
             const FitFrames<Real> frames = frames_of(geometry);
             const Real unknown = std::numeric_limits<Real>::quiet_NaN();
             for (std::int64_t k = 0; k < frames.count * frames.queries; ++k) {
@@ -95,7 +95,7 @@ private:
                 frames.offset[k] = unknown;
             }
         }
-        return cloud;
+        return blocks;
     }
 
     FitFrames<Real> frames_of(std::int64_t geometry) {
@@ -121,16 +121,9 @@ private:
         return frames;
     }
 
-    void fit(std::int64_t geometry, const Cloud<Real>& cloud, std::int64_t number) {
+    void fit(std::int64_t geometry, const FitBlock<Real>& block) {
         const FitFrames<Real> frames = frames_of(geometry);
-        const std::int64_t points = frames.points;
-        const std::size_t numbers = size(2 * points + fit_memory(frames));
-        const auto memory = static_cast<unsigned char*>(workspace(8 * size(points) + sizeof(Real) * numbers));
-        const auto point = reinterpret_cast<std::int64_t*>(memory);
-        const auto x = reinterpret_cast<Real*>(point + points), y = x + points;
-
-        const FitBlock<Real> block = fit_block_of(cloud, number, radius_, point, x, y);
-        fit_block(frames, block, y + points);
+        fit_block(frames, block, static_cast<Real*>(workspace(sizeof(Real) * size(fit_memory(frames)))));
     }
 
     const fingerflow_local_fit given_;

@@ -5,9 +5,12 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
+#include <memory>
 #include <vector>
 
 #include "local_fit_block.h"
+#include "parallel.h"
 
 namespace fingerflow {
 
@@ -201,44 +204,81 @@ private:
     std::vector<std::int64_t> starts_;
 };
 
+// Blocks of queries of one geometry, each with its candidates within a radius. Positions and radius of a thread's last
+// calls come again with every frame of a recording or stream, so that their blocks are kept (`around`).
 template <class Real>
-std::int64_t fit_blocks_of(const Cloud<Real>& cloud) {
-    return (static_cast<std::int64_t>(cloud.queries().size()) + kFitBlock - 1) / kFitBlock;
-}
+class FitBlocks {
+public:
+    using Shared = std::shared_ptr<const FitBlocks>;
 
-// Block `number` of queries and its candidates, whose indices and positions are written to `point`, `x` and `y`, which
-// have space for all points.
-template <class Real>
-FitBlock<Real> fit_block_of(const Cloud<Real>& cloud, std::int64_t number, double radius, std::int64_t* point, Real* x, Real* y) {
-    const std::int64_t first = number * kFitBlock;
-    FitBlock<Real> block;
-    const auto left = static_cast<std::int64_t>(cloud.queries().size()) - first;
-    block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
-    Box box;
-    for (int q = 0; q < kFitBlock; ++q) {
-        const Place<Real>& query = cloud.queries()[size(first + std::min(q, block.queries - 1))];
-        block.query[q] = query.number;
-        block.query_x[q] = query.x;
-        block.query_y[q] = query.y;
-        box.add(query.x, query.y);
+    FitBlocks(const Real* points, std::int64_t point_count, const Real* queries, std::int64_t query_count, double radius, int threads)
+        : radius_(radius), points_(points, points + 2 * point_count), queries_(queries, queries + 2 * query_count) {
+        const Cloud<Real> cloud(points, point_count, queries, query_count);
+        finite_queries_ = static_cast<std::int64_t>(cloud.queries().size());
+        blocks_.resize(size((finite_queries_ + kFitBlock - 1) / kFitBlock));
+        parallel_for(count(), threads, [&](std::int64_t number) { blocks_[size(number)].gather(cloud, number, radius); });
     }
 
-    radius *= 1 + 1e-5;  // a margin for rounding: the block decides in its own number type
-    std::int64_t candidates = 0;
-    cloud.around(box, radius, [&](const Place<Real>& place) {
-        const double dx = std::max(0.0, std::max(box.low_x - place.x, place.x - box.high_x));
-        const double dy = std::max(0.0, std::max(box.low_y - place.y, place.y - box.high_y));
-        x[candidates] = place.x;
-        y[candidates] = place.y;
-        point[candidates] = place.number;
-        candidates += dx * dx + dy * dy < radius * radius;
-    });
-    block.x = x;
-    block.y = y;
-    block.point = point;
-    block.candidates = candidates;
-    return block;
-}
+    // The blocks of these positions, kept from one of the thread's last calls or new ones.
+    static Shared around(const Real* points, std::int64_t point_count, const Real* queries, std::int64_t query_count, double radius,
+                         int threads) {
+        constexpr std::size_t kKept = 6;
+        constexpr std::int64_t kMostKept = 4096;  // positions: a share of them is near each block
+        static thread_local std::vector<Shared> kept;
+        const auto same = [](const std::vector<Real>& ours, const Real* theirs, std::int64_t numbers) {
+            return ours.size() == size(numbers) && (numbers == 0 || std::memcmp(ours.data(), theirs, size(numbers) * sizeof(Real)) == 0);
+        };
+        for (const Shared& of : kept)
+            if (of->radius_ == radius && same(of->points_, points, 2 * point_count) && same(of->queries_, queries, 2 * query_count)) return of;
+        const auto made = std::make_shared<const FitBlocks>(points, point_count, queries, query_count, radius, threads);
+        if (point_count + query_count > kMostKept) return made;
+        if (kept.size() == kKept) kept.erase(kept.begin());
+        kept.push_back(made);
+        return made;
+    }
+
+    std::int64_t count() const { return static_cast<std::int64_t>(blocks_.size()); }
+    std::int64_t finite_queries() const { return finite_queries_; }
+    const FitBlock<Real>& operator[](std::int64_t number) const { return blocks_[size(number)].block; }
+
+private:
+    struct Gathered {
+        FitBlock<Real> block;
+        std::vector<Real> x, y;
+        std::vector<std::int64_t> point;
+
+        void gather(const Cloud<Real>& cloud, std::int64_t number, double radius) {
+            const std::int64_t first = number * kFitBlock, left = static_cast<std::int64_t>(cloud.queries().size()) - first;
+            block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
+            Box box;
+            for (int q = 0; q < kFitBlock; ++q) {
+                const Place<Real>& query = cloud.queries()[size(first + std::min(q, block.queries - 1))];
+                block.query[q] = query.number;
+                block.query_x[q] = query.x;
+                block.query_y[q] = query.y;
+                box.add(query.x, query.y);
+            }
+            radius *= 1 + 1e-5;  // a margin for rounding: the block decides in its own number type
+            cloud.around(box, radius, [&](const Place<Real>& place) {
+                const double dx = std::max(0.0, std::max(box.low_x - place.x, place.x - box.high_x));
+                const double dy = std::max(0.0, std::max(box.low_y - place.y, place.y - box.high_y));
+                if (!(dx * dx + dy * dy < radius * radius)) return;
+                x.push_back(place.x);
+                y.push_back(place.y);
+                point.push_back(place.number);
+            });
+            block.x = x.data();
+            block.y = y.data();
+            block.point = point.data();
+            block.candidates = static_cast<std::int64_t>(point.size());
+        }
+    };
+
+    const double radius_;
+    const std::vector<Real> points_, queries_;
+    std::int64_t finite_queries_ = 0;
+    std::vector<Gathered> blocks_;
+};
 
 inline void fit_block(const FitFrames<float>& frames, const FitBlock<float>& block, float* memory) {
     FINGERFLOW_PICK(fit_floats)(frames, block, memory);

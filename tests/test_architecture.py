@@ -25,7 +25,7 @@ _TABLE = {
     "engines": "errors kernels schema",  # works on NumPy arrays
     "torch_engine": "engines errors graphs kernels ops schema tensors",  # see `_room`
     "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
-    "tracker": "engines kernels schema",
+    "tracker": "engines kernels recordings schema",
     "models": "errors tensors",
     "calibration": "errors recordings results schema",
     "stages": "choice engines errors export graphs kernels models ops recordings results schema torch_engine tracker",

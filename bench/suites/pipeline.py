@@ -6,9 +6,9 @@ empty glass, real and gross contact, its ellipse, 700 corners followed forward a
 contact reached each point, gradients over 1.6 mm, their medians over the contact. What OpenCV's pipeline does, and why
 that and nothing else, is at the top of `bench/opencv_pipeline.py`.
 
-ms is a frame's share of the whole call, cpu_ms of its processor time, the columns contact_ms to fields_ms its parts
-in a run after that. Errors are against the exact truth: position_px RMS of the points in the last frame; areas and
-axes in percent, RMS over every third frame in which the gross contact has an eighth of its final area or more;
+ms is a frame's share of the whole call, cpu_ms of its processor time, the columns contact_ms to deformation_ms its
+parts in a run after that. Errors are against the exact truth: position_px RMS of the points in the last frame; areas
+and axes in percent, RMS over every third frame in which the gross contact has an eighth of its final area or more;
 divergence_um_mm at the points of the last frame (what a gauge length flattens is in it); medians over the contact,
 RMS over the same frames as areas.
 
@@ -47,7 +47,7 @@ OUTPUTS = {
     "median_divergence": "median_divergence",
     "median_strain": "median_strain",
 }
-PARTS = ("contact", "tracking", "fields")
+PARTS = ("contact", "tracking", "deformation")
 PEER = "opencv"
 
 

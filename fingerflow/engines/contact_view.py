@@ -11,11 +11,10 @@ from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_
 from fingerflow.kernels.library import compiled, is_present
 
 
-def glass_light(empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
+def glass_light(empty: Array, dark: Array | None) -> GlassLight:
     """Compute the light of the empty glass and the black level (1, 1, H, W), as `ops.glass_light`, from counts (H, W).
 
-    `dark` is the view without light. Where the mask `inside` (H, W) bool is False, the light is set to 0, so that no
-    contact is found there.
+    `dark` is the view without light.
     """
     empty = empty.astype(np.float32)
     black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
@@ -25,8 +24,6 @@ def glass_light(empty: Array, dark: Array | None, inside: Array | None = None) -
     sample = sample[np.isfinite(sample)]
     full = sample[max(math.ceil(len(sample) * FULL_LIGHT), 1) - 1] if len(sample) else math.nan
     lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
-    if inside is not None:
-        lit &= inside
     light, black = np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))
     return light[None, None], black[None, None]
 

@@ -2,7 +2,6 @@
 
 import ctypes
 import functools
-import operator
 import os
 import struct
 import sys
@@ -29,6 +28,7 @@ from fingerflow.kernels.declarations import ArrayField, Function, NumberField
 _NO_MEMORY = 1  # error code NO_MEMORY of kernels/entry.h
 _PLAIN = {int, float, bool, type(None)}
 _LAYOUTS = 256  # largest number of layouts of calls that are kept, of which a stream has a few
+_address_at = ctypes.c_size_t.from_address
 _NO_NAMES: dict[str, Any] = {"__builtins__": {}}  # besides the numbers of a function, for expressions of declarations
 
 
@@ -45,14 +45,20 @@ class _Layout(NamedTuple):
     """What follows from dtypes and shapes of the arrays, and from the whole numbers, of a call that was checked.
 
     Attributes:
-        numbers: arguments by name, with sizes, strides and dtypes of the arrays; None for arrays.
+        arguments: numbers in packing order, with sizes, strides and dtypes of the arrays; 0 for arrays.
+        fractions, arrays: position and name of each argument that is a float, which calls of this layout may change,
+            and of each array that has an address.
         copied: names of the arrays that are copied.
+        limits: name of each array of indices, name and value of the number below which they lie.
         like: name of an array that is a tensor, "" if none is.
         results: name, dtype, shape (None if it is not allocated) of each result, and whether it begins as zeros.
     """
 
-    numbers: dict[str, Any]
+    arguments: list[Any]
+    fractions: list[tuple[int, str]]
+    arrays: list[tuple[int, str]]
     copied: list[str]
+    limits: list[tuple[str, str, int]]
     like: str
     results: list[tuple[str, str, tuple[Any, ...] | None, bool]]
 
@@ -75,6 +81,7 @@ class Kernel:
         )
         self._inputs = [(array, array.name, [_size(size) for size in array.shape]) for array in inputs]
         self._names = [array.name for array in arrays]
+        self._places = {field.name: place for place, field in enumerate(function.fields)}
         self._conditions = [(number, compile(number.where, name, "eval")) for number in self._numbers if number.where]
         self._indices = [(array.name, array.below) for array in inputs if array.below]
         self._results = [array for array in arrays if array.role != "input"]
@@ -82,10 +89,10 @@ class Kernel:
         self._arguments = {array.name for array in inputs} | {number.name for number in self._numbers}
         self._defaults = dict.fromkeys(function.derived, 0)
         self._needed = {argument.name for argument in function.arguments}
-        self._in_order = operator.itemgetter(*(field.name for field in function.fields))
         self._pack = struct.Struct(function.format).pack
         self._enter: Any = library[f"enter_{name}"]
         self._enter.argtypes = (ctypes.c_char_p,)
+        self._threaded = self._places.get("threads", 0)
         self._message = library.fingerflow_last_message
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
 
@@ -102,57 +109,61 @@ class Kernel:
             RuntimeError: any other exception of the kernel, with its name.
         """
         # Here, as a call of Python for each step would take as long as the step.
-        key: list[Any] = [*values]
+        key: Any = [*values]
         for value in values.values():
-            if type(value) is np.ndarray:
+            kind = type(value)
+            if kind is np.ndarray:
                 key += value.dtype, value.shape, value.strides, value.flags.aligned
-            elif type(value) in _PLAIN:
-                key.append(type(value) if type(value) is float else value)
+            elif kind in _PLAIN:
+                key += (kind if kind is float else value,)
             else:
-                key.clear()  # layouts of tensors are not kept
+                key = ()  # layouts of tensors are not kept
                 break
-        layout = self._layouts.get(tuple(key))
+        key = tuple(key)
+        layout = self._layouts.get(key)
         if layout is None:
             layout = self._layout(values)
             if key:
                 if len(self._layouts) >= _LAYOUTS:
                     self._layouts.clear()
-                self._layouts[tuple(key)] = layout
+                self._layouts[key] = layout
         like = values[layout.like] if layout.like else None
-        values = {**layout.numbers, **values}
-        copies = []  # alive until the call ends
         for name in layout.copied:
             values[name] = values[name].copy() if like is None else copied(values[name])
-            copies.append(values[name])
-        for name, below in self._indices:
-            if values[name] is not None and not _here.shapes_only:
-                self._check_indices(name, below, values)
-        results: list[Any] = []
-        for name, dtype, shape, cleared in layout.results:
+        for name, below, limit in layout.limits:
+            if not _here.shapes_only:
+                self._check_indices(name, values[name], below, limit)
+        results = [None] * len(layout.results)
+        for place, (name, dtype, shape, cleared) in enumerate(layout.results):
             if shape is not None:
                 values[name] = np.empty(shape, dtype) if like is None else empty(like, dtype, shape)
                 if cleared:
                     values[name][...] = 0
-            results.append(values[name])
+            if shape is not None or name in values:
+                results[place] = values[name]
         if not _here.shapes_only:
-            for name in self._names:
+            arguments = [*layout.arguments]
+            for place, name in layout.fractions:
+                arguments[place] = values[name]
+            for place, name in layout.arrays:
                 array = values[name]
-                if array is None:
-                    values[name] = 0
-                elif DATA_OFFSET and isinstance(array, np.ndarray):
-                    values[name] = ctypes.c_size_t.from_address(id(array) + DATA_OFFSET).value
+                if DATA_OFFSET and type(array) is np.ndarray:
+                    arguments[place] = _address_at(id(array) + DATA_OFFSET).value
                 else:
-                    values[name] = address(array)
-            # As `threads()`, which would be one more call of Python.
-            values["threads"] = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)()
+                    arguments[place] = address(array)
+            if self._threaded:
+                # As `threads()`, which would be one more call of Python.
+                torch = sys.modules.get("torch")
+                arguments[self._threaded] = (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
             try:
-                packed = self._pack(*self._in_order(values))
+                packed = self._pack(*arguments)
             except (struct.error, OverflowError, TypeError):
                 for number in self._numbers:
+                    value = arguments[self._places[number.name]]
                     try:
-                        struct.pack(number.code, values[number.name])
+                        struct.pack(number.code, value)
                     except (struct.error, OverflowError, TypeError):
-                        self._refuse_number(number, values[number.name])
+                        self._refuse_number(number, value)
                 raise
             outcome = self._enter(packed)
             if outcome:
@@ -192,8 +203,17 @@ class Kernel:
                 else:
                     shape = tuple([numbers.get(str(size), size) for size in sizes])  # a number is its own size
             results.append((field.name, dtype, shape, field.role == "updated"))
-        kept = {name: value for name, value in numbers.items() if name not in self._names}
-        return _Layout({**dict.fromkeys(self._names), **kept}, copies, like, results)
+        known = {name for name in self._names if values.get(name) is not None}
+        known |= {name for name, _, shape, _ in results if shape is not None}
+        return _Layout(
+            [0 if name in self._names else numbers[name] for name in self._places],
+            [(place, name) for name, place in self._places.items() if type(values.get(name)) is float],
+            [(place, name) for name, place in self._places.items() if name in known],
+            copies,
+            [(name, below, numbers[below]) for name, below in self._indices if name in known],
+            like,
+            results,
+        )
 
     def _checked_arrays(self, values: dict[Any, Any]) -> tuple[list[str], str]:
         """Check the arrays among the arguments, and add their sizes, strides and codes of dtypes to the arguments.
@@ -255,9 +275,8 @@ class Kernel:
         whole = hasattr(value, "__index__") or (number.least is None and isinstance(value, float))
         raise (ValueError if whole else TypeError)(f"kernel {self._name}: {number.name} is {value!r}: give {words}")
 
-    def _check_indices(self, name: str, below: str, values: dict[str, Any]) -> None:
+    def _check_indices(self, name: str, array: Any, below: str, limit: int) -> None:
         """Raise ValueError unless the values of an array of indices lie from 0 to the declared limit."""
-        array, limit = values[name], values[below]
         if 0 not in array.shape:
             lowest, highest = limits_of(array)
             if not 0 <= lowest <= highest < limit:
@@ -304,12 +323,9 @@ def threads() -> int:
 
     Otherwise that of `set_threads`, of `OMP_NUM_THREADS`, or of the processors available to this process.
     """
-    count: int = getattr(sys.modules.get("torch"), "get_num_threads", _own_threads)()
+    torch = sys.modules.get("torch")
+    count: int = (_threads or _lent_threads()) if torch is None else torch.get_num_threads()
     return count
-
-
-def _own_threads() -> int:
-    return _threads or _lent_threads()
 
 
 def set_threads(count: int) -> None:

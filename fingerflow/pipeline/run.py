@@ -6,13 +6,14 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import torch
 import xarray as xr
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
 from fingerflow import __version__
@@ -110,6 +111,12 @@ def _loaded(scene: Scene | str | Path) -> Scene:
     return scene if isinstance(scene, Scene) else load_scene(Path(scene))
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries of this process that have threads; to search for them takes as long as some frames."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def _prepared(
     scene: Scene, outputs: Iterable[str] | None, device: str, engine: str
@@ -118,7 +125,7 @@ def _prepared(
     planned = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     inputs = open_inputs(scene, device, engine)
     # Products of matrices are small here: threads of BLAS would take longer, and wait for the next one at full load.
-    with inputs.recording, threadpool_limits(1, user_api="blas"):
+    with inputs.recording, _libraries().limit(limits=1, user_api="blas"):
         possible = (variable for stage in planned.stages for variable in stage.gives)
         variables = (variable for variable in possible if variable.unasked or variable.name in planned.requested)
         size = size_of_results(variables, len(inputs.times), scene.tracking.points)
@@ -169,7 +176,7 @@ def _run(planned: Plan, inputs: Inputs, store: Store, progress: bool, earlier: s
             STAGES: record(planned, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
             "mm_per_px": inputs.mm_per_px,
-            "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
+            "topography_to_contact": json.dumps(inputs.geometry.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
             **reuse,
             **({"recording": recording} if recording else {}),

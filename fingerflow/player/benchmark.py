@@ -1,7 +1,9 @@
 """Benchmark of this computer: the frame rate that it holds with a bundle, and the latency at that rate."""
 
+import os
 import tempfile
 from collections.abc import Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ from fingerflow.player.playing import play
 
 _FREE_S, _HELD_S = 3.0, 10.0  # s, length of the run as fast as possible, and of each run at a fixed rate
 _SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # tried rates as shares of the rate of the first run
+_FULL = 0.9  # share of a core from which a thread, or all of them on all cores, count as busy
 _INTERVALS = 5  # number of frame intervals within which 99 % of the results must come
 
 
@@ -30,9 +33,10 @@ def benchmark(
             return play(bundle, "synthetic", frames=max(60, frames), page="off", output=output, **paced)
 
         few = played(0)
-        free = played(int(free_s * few["rate_hz"]))["rate_hz"]
+        fastest = played(int(free_s * few["rate_hz"]))
+        free = fastest["rate_hz"]
         lines = [
-            f"as fast as possible: {free:.0f} frames/s, computed by {few['engine']}",
+            f"as fast as possible: {free:.0f} frames/s, computed by {few['engine']}; {_limit(fastest['busy'])}",
             "frames/s   median ms   p99 ms   overruns",
         ]
         for share in _SHARES:
@@ -44,3 +48,16 @@ def benchmark(
                 summary = f"This PC holds {rate:.0f} frames/s: results come {latency['median']:.1f} ms after the frame"
                 return "\n".join([*lines, f"{summary} (median; 99 % within {latency['p99']:.1f} ms)."])
     return "\n".join([*lines, "This PC holds none of these rates: close other programs, or take a faster recipe."])
+
+
+def _limit(busy: Mapping[str, float]) -> str:
+    """Return in words what limits a stream, from the shares of a processor core that its threads use."""
+    shares = ", ".join(f"{name} {share:.0%}" for name, share in busy.items())
+    name, most = max(busy.items(), key=itemgetter(1))
+    if sum(busy.values()) > _FULL * len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else [0]):
+        limit = "the processor, whose cores are all busy"
+    elif most > _FULL:
+        limit = f"the thread {name}, which is always busy"
+    else:
+        limit = "threads that wait for each other, as only one of them runs Python at a time"
+    return f"limit: {limit} (processor time of the threads: {shares} of a core)"

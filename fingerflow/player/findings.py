@@ -4,8 +4,7 @@ import math
 from collections import Counter
 
 from fingerflow.kernels.field_limits import LEAST_SHARE
-from fingerflow.schema.variables import FRAME_STATUS
-from fingerflow.tracker.stream_frame_quality import USABLE
+from fingerflow.schema.variables import FRAME_STATUS, USABLE
 
 _WIDE_MM2 = 8.0  # mm², twice a usual gauge length in diameter; a smaller contact may lack a median divergence
 _MANY = 0.05  # share of the frames with such a contact without median divergence above which this is a warning

@@ -5,6 +5,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,13 @@ from fingerflow.player.played import choose_input
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination
 from fingerflow.player.stream_player import Player, Settings
-from fingerflow.player.stream_scene import contradictions, stated_threshold, stream_settings
+from fingerflow.player.stream_scene import (
+    contradictions,
+    find_topography,
+    geometry_of,
+    stated_threshold,
+    stream_settings,
+)
 from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.bundle_format import COORDINATES
 from fingerflow.tracker.frame_tracker import StreamTracker
@@ -85,6 +92,7 @@ def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame 
         give_up=options.give_up,
         page=options.page,
     )
+    lens = geometry_of(scene).lens
     header: dict[str, Any] = {
         "format": RESULTS_FORMAT,
         "started": datetime.now(UTC).isoformat(),
@@ -96,6 +104,7 @@ def _open(options: argparse.Namespace, forces_of: ReadForces, on_frame: OnFrame 
         "policy": "every" if process_all else "latest",
         "mm_per_px": scene.calibration.mm_per_px,
         "topography_to_contact": scene.calibration.topography_to_contact,
+        **({"lens": asdict(lens), "topography": asdict(find_topography(scene))} if lens else {}),
         "threshold": "measured" if tracker.measures else stated_threshold(scene),
         "coordinates": COORDINATES,
         "warnings": warnings,

@@ -29,11 +29,11 @@ from fingerflow.player.played import StreamInput
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.sending import Destination, Sender
 from fingerflow.player.sources.source import Source, close_within
+from fingerflow.player.stream_scene import geometry_of
 from fingerflow.results.stream_folder import Sink
-from fingerflow.schema.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS, USABLE
 from fingerflow.tracker.frame_distances import LONGEST
 from fingerflow.tracker.frame_tracker import Event, FrameOutcome, StreamTracker
-from fingerflow.tracker.stream_frame_quality import USABLE
 
 log = logging.getLogger("fingerflow.player")
 
@@ -111,6 +111,7 @@ class Player:
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}
         self.frames_in = self.processed = self.dropped = self.overruns = self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
+        self._busy: dict[str, float] = {}  # processor time of each thread that has ended, s
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self._forces, self._values = forces, values
@@ -132,10 +133,7 @@ class Player:
         self._first = math.nan
         self._findings = Findings()
         self._drawing = False  # True while a frame is queued for the page
-        # px² of the contact view per px² of the topography view.
-        calibration = self.scene.calibration
-        areas = abs(np.linalg.det(np.array(calibration.topography_to_contact)[:, :2]))
-        self._topography_mm_per_px = calibration.mm_per_px * math.sqrt(areas)
+        self._topography_mm_per_px = geometry_of(self.scene).topography_mm_per_px
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -223,6 +221,7 @@ class Player:
             "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
             "engine": self.computed_by,
+            "busy": {name: round(busy / seconds, 3) for name, busy in self._busy.items()},
             "policy": "every" if self.settings.process_all else "latest",
         }
 
@@ -255,6 +254,7 @@ class Player:
                 self._failure = error
             self._stop.set()
         finally:
+            self._busy[step.__name__.strip("_")] = time.thread_time()
             for close in after:
                 close()
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from fingerflow.engines.bundle import Bundle
 from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.recordings.lens import Geometry
 from fingerflow.schema import scene as scenes
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_tables import Scene
@@ -21,6 +22,11 @@ def find_topography(scene: Scene) -> View:
     view = scene.views.topography
     assert view is not None
     return view
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """Return the maps between px of the views of a stream and mm on the glass."""
+    return Geometry(scene.calibration, scene.views.contact, find_topography(scene))
 
 
 def stated_threshold(scene: Scene) -> float | None:
@@ -44,8 +50,7 @@ def stream_settings(scene: Scene, bundle: Bundle) -> TrackerSettings:
     return TrackerSettings(
         points=bundle.points,
         bit_depth=bundle.bit_depth,
-        mm_per_px=scene.calibration.mm_per_px,
-        topography_to_contact=np.array(scene.calibration.topography_to_contact),
+        geometry=geometry_of(scene),
         region=region,
         threshold=stated_threshold(scene),
         update_share=scene.stream.update_share,

@@ -1,6 +1,8 @@
-"""Lens of a camera: pixels of the frame, and those that a lens without distortion and square pixels would give."""
+"""Geometry of the views: from px of the views to mm on the glass, through the lens of the camera."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from fingerflow.schema.views import Rectangle
 Array = NDArray[np.float64]
 _ITERATIONS, _TOLERANCE = 100, 1e-12  # of the inverse of the model, focal lengths
 _LARGEST_ERROR_PX = 1e-3
-_GRID = 9  # positions along each side of a view that are checked
+_CHECKED, _GRID = 9, 17  # positions along each side of a view that are checked, and at which maps are averaged
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,6 @@ class Lens:
     intrinsics: tuple[float, float, float, float]
     distortion: tuple[float, float, float, float, float]
 
-    @classmethod
-    def of(cls, calibration: CalibrationSettings) -> "Lens | None":
-        """Return the lens of a calibration; None if it states none."""
-        if calibration.intrinsics is None:
-            return None
-        return cls(calibration.intrinsics, calibration.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
-
     def straighten(self, pixels: Array, view: Rectangle) -> Array:
         """Return the straight positions of recorded ones; the inverse of `distort`."""
         centre = _centre(view)
@@ -52,7 +47,7 @@ class Lens:
     def check(self, view: Rectangle) -> None:
         """Raise FingerflowError unless each position in a view has a straight one, as in the view of a real lens."""
         rows, columns = view.shape
-        pixels = np.stack(np.meshgrid(np.linspace(0, columns, _GRID), np.linspace(0, rows, _GRID)), -1) - 0.5
+        pixels = np.stack(np.meshgrid(np.linspace(0, columns, _CHECKED), np.linspace(0, rows, _CHECKED)), -1) - 0.5
         straight = self.straighten(pixels, view)
         error = np.abs(self.distort(straight, view) - pixels).max()
         down, right = np.diff(straight, axis=0)[:, :-1], np.diff(straight, axis=1)[:-1]
@@ -89,6 +84,96 @@ class Lens:
             ),
             -1,
         )
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Maps between px of the views and mm on the glass, corrected for the lens where the calibration states one.
+
+    Raises FingerflowError for a lens that folds a view.
+
+    Attributes:
+        calibration: scale of the contact view, map from the topography view to it, and lens.
+        contact, topography: the views; None for a scene without it.
+    """
+
+    calibration: CalibrationSettings
+    contact: Rectangle | None
+    topography: Rectangle | None
+
+    def __post_init__(self) -> None:
+        for view in (self.contact, self.topography):
+            if self.lens is not None and view is not None:
+                self.lens.check(view)
+
+    @property
+    def mm_per_px(self) -> float:
+        return self.calibration.mm_per_px
+
+    @cached_property
+    def lens(self) -> Lens | None:
+        """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
+        calibration = self.calibration
+        if calibration.intrinsics is None:
+            return None
+        return Lens(calibration.intrinsics, calibration.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
+
+    @cached_property
+    def _transform(self) -> Array:
+        return np.array(self.calibration.topography_to_contact, dtype=np.float64)
+
+    @cached_property
+    def topography_to_contact(self) -> Array:
+        """Return the affine map (2, 3) from recorded px of the topography view to recorded px of the contact view; with
+        a lens, the map that is closest over the view.
+        """
+        if self.lens is None:
+            return self._transform
+        assert self.contact is not None, "the scene has both views where it has the map"
+        pixels = self._over_topography()
+        return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, self.contact))
+
+    def on_glass(self, pixels: NDArray[Any]) -> Array:
+        """Convert positions (..., 2) from px of the topography view to mm on the glass."""
+        pixels = pixels.astype(np.float64)
+        if self.lens is not None:
+            pixels = self.lens.straighten(pixels, self._topography)
+        result = np.empty(pixels.shape)
+        # Each component separately: a product with so small a matrix takes several times as long.
+        for axis, (by_x, by_y, shift) in enumerate((self._transform * self.mm_per_px).tolist()):
+            result[..., axis] = by_x * pixels[..., 0] + by_y * pixels[..., 1] + shift
+        return result
+
+    def on_topography(self, positions: Array) -> Array:
+        """Convert positions (..., 2) from mm on the glass to px of the topography view."""
+        matrix = self._transform
+        pixels = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        return pixels if self.lens is None else self.lens.distort(pixels, self._topography)
+
+    @cached_property
+    def topography_mm_per_px(self) -> float:
+        """Return the mean scale of the topography view, mm per px."""
+        matrix = self._transform * self.mm_per_px
+        if self.lens is not None:
+            pixels = self._over_topography()
+            matrix = _affine(pixels, self.on_glass(pixels))
+        return float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
+
+    @property
+    def _topography(self) -> Rectangle:
+        assert self.topography is not None, "points are tracked in it"
+        return self.topography
+
+    def _over_topography(self) -> Array:
+        """Return positions (n, 2) px all over the topography view."""
+        rows, columns = self._topography.shape
+        y, x = np.meshgrid(np.linspace(0, rows - 1, _GRID), np.linspace(0, columns - 1, _GRID))
+        return np.column_stack((x.ravel(), y.ravel()))
+
+
+def _affine(pixels: Array, values: Array) -> Array:
+    """Return the affine map (2, 3) that maps positions (n, 2) closest to `values`, by least squares."""
+    return np.asarray(np.linalg.lstsq(np.insert(pixels, 2, 1, axis=1), values, rcond=None)[0].T, np.float64)
 
 
 def _corner(view: Rectangle) -> Array:

@@ -9,12 +9,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.lens import Geometry
 from fingerflow.results.store import labelled
 from fingerflow.results.stream_folder import StreamResults, read_results
-from fingerflow.schema.variables import CONTACT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
+from fingerflow.schema.scene_tables import CalibrationSettings
+from fingerflow.schema.variables import CONTACT, DISPLACEMENT, FIELDS, FRAME_CHECK, STREAM, TRACKING, by_name
+from fingerflow.schema.views import Rectangle
 
 Array = NDArray[Any]
-_VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
+_VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, DISPLACEMENT, FIELDS, STREAM)
 # Fields that depend on the gauge length.
 _WITH_GAUGE = "divergence", "divergence_std", "curl", "curl_std", "median_divergence", "median_curl", "median_strain"
 _TRACKED = 0  # value of `status` for a tracked point
@@ -70,9 +73,9 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
             # Cut to the largest number of points found, as the records have space for more.
             arrays[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
     if "position_px" in arrays:
-        matrix = np.array(header["topography_to_contact"])
-        on_glass = arrays["position_px"] @ matrix[:, :2].T + matrix[:, 2]
-        arrays["position"] = on_glass * header["mm_per_px"]
+        known = {name: header[name] for name in ("mm_per_px", "topography_to_contact")} | header.get("lens", {})
+        view = Rectangle(*(header["topography"][side] for side in ("rows", "columns"))) if "lens" in header else None
+        arrays["position"] = Geometry(CalibrationSettings(**known), None, view).on_glass(arrays["position_px"])
     if "status" in arrays:
         tracked = arrays["status"] == _TRACKED
         of_restart = np.array([0, *chosen])[np.clip(arrays["restart"], 0, len(chosen))]

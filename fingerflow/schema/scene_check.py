@@ -227,12 +227,11 @@ class SceneCheck(TableCheck):
         if lens not in self.given:
             if "calibration.distortion" in self.given:
                 self.record_conflict("calibration.distortion", "it needs intrinsics = [fx, fy, cx, cy], px; add them")
-        elif self._reader == "stream" or self.kind == "slip":
-            what, remedy = "a stream", "play the recording with `fingerflow process`"
-            if self._reader != "stream":
-                what, remedy = 'a scene of the kind "slip"', 'set kind = "press" and leave [slip] out'
+        elif self.kind == "slip":
             self.record_conflict(
-                lens, f"{what} is not corrected for the lens; leave intrinsics and distortion out, or {remedy}"
+                lens,
+                'a scene of the kind "slip" is not corrected for the lens; leave intrinsics and distortion out, or set '
+                'kind = "press" and leave [slip] out',
             )
 
     def _inside(self, key: str, view: str) -> None:

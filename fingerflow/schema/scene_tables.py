@@ -112,6 +112,8 @@ class ForceSettings:
     trigger: str | int | None = key("channel whose first rise through trigger_level is time 0", type=column(),
         sample="trigger", label="trigger column")
     trigger_level: float | None = key("in the unit of that channel", sample=2.5)
+    position: str | int | None = key("channel of the position of the actuator that pulls, a length in m, mm or µm",
+        type=column(), sample="position", label="actuator position column")
     time: str | int | None = key("column of the time, only where the file does not name it so", type=column(),
         sample="time", label="time column")
     sample_rate: float | None = key("only where the file has no time", type=POSITIVE, unit="Hz", sample=1000.0)

@@ -110,10 +110,23 @@ _OF_TRIAL = (
              shown_in=MICROMETRE),
     Variable("full_slip_displacement_std", _TRIAL, "mm", "standard deviation of full_slip_displacement, by that of the "
              "time", shown_in=MICROMETRE),
+    Variable("tangential_stiffness", _TRIAL, "N/mm",
+             "slope of the tangential force over the position of the actuator, from a twentieth of T/N at full slip to "
+             "where d² first falls under 0.9: skin and bone in series (Nakazawa et al. 2000)"),
+    Variable("tangential_stiffness_std", _TRIAL, "N/mm", "standard deviation of tangential_stiffness, by residuals"),
     Variable("longest_axis_ratio", _TRIAL, "1",
              "major over minor axis of the gross contact at its maximum: near 1 the directions along and across are "
              "chance"),
 )  # fmt: skip
+#: Suffix of a curve while the normal force falls.
+UNLOADING = "_unloading"
+_RELATIVE = "gross contact area over that at the largest force"
+#: Curves against a share of the load: of T/N at full slip for d², else of the largest normal force.
+BY_SHARE = {variable.name: variable for variable in (
+    replace(VARIABLES["stuck_ratio"], label="stick ratio d²"),
+    Variable("relative_area", _TRIAL, "1", _RELATIVE, label="relative contact area"),
+    Variable("mean_pressure", _TRIAL, "kPa", "normal force over gross contact area"),
+)}  # fmt: skip
 #: Areas that are also given relative to their median over the participant's trials, when the table is written.
 NORMALISED = ("real_contact_area", "gross_contact_area")
 

@@ -42,8 +42,8 @@ _MEDIAN_STD_EQUATION = (
     "computed from, Δ_gauge a third of the change by twice the gauge length (all of it up to the noise of a fit), "
     "Δ_border the change by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
     "onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, κ = field_coverage, entered that "
-    "of fields √E points below and above, E points moved in, common on presses 0.9 deviations of a displacement over "
-    "the gauge length"
+    "of fields √E points below and above, E points moved in, common² on presses that of 0.9 deviations of a "
+    "displacement over the gauge length and of 1 µm/mm (0.3 of strain) by the changing light at the border"
 )
 _AREA_STD_EQUATION = (
     "σ² = Σ w² σᵢ² + (q(½ + d) − q(½ − d))²/4, q the quantiles, w weights of the points near the median, "
@@ -105,6 +105,7 @@ TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first fr
 
 #: Names of the frame status values; only usable frames have results.
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns", "noise")
+USABLE, UNREADABLE, NOT_FINITE, DARK, SATURATED, REPEATED, JUMPS, NOISE = range(len(FRAME_STATUS))
 DARK_SHARE = 0.1  # a frame darker than this share of the empty glass's light is dark; a contact leaves half of it
 SATURATED_SHARE = 0.5  # a frame with a larger share of blocks at the highest grey level is saturated
 
@@ -129,6 +130,8 @@ LOADING = (
     Variable("force_angle", FRAME, "rad",
         "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
         equation="atan(T/N); NaN where N < 0.05 N", needs=("forces.tangential",)),
+    Variable("actuator_position", FRAME, "mm", "position of the actuator that moves the finger or the glass",
+        equation="as the normal force", needs=("forces.position",)),
 )
 
 CONTACT = (
@@ -411,6 +414,12 @@ SLIP = (
         equation="atan2(mean v, mean u) over the points that have slipped"),
     Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped",
         equation="|mean of (x(t + 25 ms) − x(t − 25 ms))| / 50 ms over the points that have slipped"),
+    *(variable for half, where in (("leading", "towards which"), ("trailing", "from which")) for variable in (
+        Variable(f"{half}_area_rate", FRAME, "mm2/s", f"area of skin newly laid, over 150 ms, in the half of the "
+            f"contact {where} the skin moves; negative where skin is peeled off (Delhaye et al. 2014)",
+            equation="d/dt of the area of the half, relative to its skin; halves by the sum of all displacements"),
+        Variable(f"{half}_area_rate_std", FRAME, "mm2/s", f"{_ERROR} {half}_area_rate", equation="√(noise of frames² + "
+            "(rate gross_contact_area_std / (2 s contact.gross_radius_px √(A / π)))²)"))),
     Variable("incipient_slip", FRAME, "mm",
         "root mean square over the contact of the displacement since the first frame without its best rigid motion",
         equation="√(∫ |u − (R X + t)|² dA / A) over the gross contact", shown_in=MICROMETRE),

@@ -25,7 +25,7 @@ from fingerflow.report.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement import FIGURES, supplement_sheet
 from fingerflow.report.trial_metrics import AMPLITUDE, finish_with_side_legend
 from fingerflow.schema.rounding import format_uncertainty
-from fingerflow.schema.trial_columns import NUMBERS
+from fingerflow.schema.trial_columns import BY_SHARE, NUMBERS, UNLOADING
 from fingerflow.study.statistics import Sample
 
 # Letters of the panels that need answers, by figure; None if the whole figure does. A study without answers omits them.
@@ -38,7 +38,7 @@ _CURVES = {
     "S13": (("B", "curl"),),
 }
 _AREAS = ("gross_contact_area", "real_contact_area")  # areas in figure S1, which shows them at 3 N
-_NEVER_NEGATIVE = (*_AREAS, "strain_energy")
+_NEVER_NEGATIVE = (*_AREAS, "strain_energy", "stuck_ratio")
 
 
 # Figure of a study as it was written: name, image file ("" if not drawn), caption, and sentences on the panels that
@@ -69,6 +69,12 @@ def write_figures(
     on_page = [suffix for suffix in files.formats if suffix in ("svg", "png")] or ["png"]
     files = replace(files, formats=tuple(dict.fromkeys((*files.formats, on_page[0]))))
     written: list[StudyFigure] = []
+
+    def write(sheet: Sheet, width_mm: float, left_out: list[str]) -> None:
+        figure = sheet.figure(width_mm)
+        files.save(figure, folder, sheet.name)
+        written.append((sheet.name, f"{sheet.name}.{on_page[0]}", caption_of(figure), left_out))
+
     for name in FIGURES:
         trials = sample.trials
         if name == "S1":
@@ -97,15 +103,15 @@ def write_figures(
             written.append((name, "", "", left_out))
             continue
         ordered = tuple(sorted(panels, key=lambda panel: panel.letter))
-        figure = Sheet(name, ordered, title=sheet.title).figure(files.width_mm or TWO_COLUMNS_MM)
-        files.save(figure, folder, name)
-        written.append((name, f"{name}.{on_page[0]}", caption_of(figure), left_out))
+        write(Sheet(name, ordered, title=sheet.title), files.width_mm or TWO_COLUMNS_MM, left_out)
+    singles: dict[str, tuple[Any, ...]] = {
+        metric: (draw_curves, curves, metric) for metric in BY_SHARE if (curves["metric"] == metric).any()
+    }
     slid = frame[(frame["friction"] > 0) & (frame["friction_force"] > 0)]
     if len(slid):
-        panel = SheetPanel.single("", draw_friction_law, slid)
-        figure = Sheet("friction", (panel,)).figure(files.width_mm or ONE_COLUMN_MM)
-        files.save(figure, folder, "friction")
-        written.append(("friction", f"friction.{on_page[0]}", caption_of(figure), []))
+        singles["friction"] = draw_friction_law, slid
+    for name, drawn_by in singles.items():
+        write(Sheet(name, (SheetPanel.single("", *drawn_by),)), files.width_mm or ONE_COLUMN_MM, [])
     return written
 
 
@@ -135,12 +141,18 @@ def draw_friction_law(axes: Axes, slid: Any) -> Axes:
 
 
 def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
-    """Draw the mean of a metric of the trials against normal force, one curve per condition (vibration amplitude), with
-    its 95 % interval over participants as a band; `curves` is the table `curves.csv` as a DataFrame.
+    """Draw the mean of a metric of the trials against normal force, or a share of the load, one curve per condition
+    (vibration amplitude), with its 95 % interval over participants as a band and, with dots, its mean while the
+    force falls; `curves` is the table `curves.csv` as a DataFrame.
     """
-    rows = curves[curves["metric"] == metric]
+    rows, back = (curves[curves["metric"] == name] for name in (metric, f"{metric}{UNLOADING}"))
+    by_share, of_slip = metric in BY_SHARE, metric == "stuck_ratio"
+    along = "load_share" if by_share else "normal_force_N"
+    against = (
+        "T/N over that at full slip" if of_slip else "normal force over its largest" if by_share else "normal force"
+    )
     conditions, floor = list(dict.fromkeys(rows["condition"])), 0.0 if metric in _NEVER_NEGATIVE else -np.inf
-    shown = NUMBERS[metric]
+    shown = (NUMBERS | BY_SHARE)[metric]
     # Let the range of the axis follow the means, as the interval of two participants is many times wider.
     means = shown.shown_values(rows["mean"])
     margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
@@ -148,7 +160,7 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     dashed = dict(zip(named, line_styles(len(named)), strict=True))
     for index, condition in enumerate(conditions):
         part, colour = rows[rows["condition"] == condition], ordered[index]["color"]
-        force, mean = part["normal_force_N"], shown.shown_values(part["mean"])
+        force, mean = part[along], shown.shown_values(part["mean"])
         if index not in named:
             axes.plot(force, mean, color=colour, linewidth=0.5)
             continue
@@ -156,10 +168,13 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
         axes.plot(force, mean, label=label, color=colour, linestyle=dashed[index]["linestyle"])
         low, high = shown.shown_values(part["low"]).clip(lower=floor), shown.shown_values(part["high"])
         axes.fill_between(force, low, high, color=colour, alpha=0.15, linewidth=0)
+        falling = back[back["condition"] == condition]
+        dots = {"color": colour, "marker": ".", "markevery": 4, "linestyle": dashed[index]["linestyle"]}
+        axes.plot(falling[along], shown.shown_values(falling["mean"]), **dots)
     low, high = axes.get_ylim()
-    axes.set(xlabel="normal force (N)", ylabel=shown.axis_label)
+    axes.set(xlabel=against if by_share else f"{against} (N)", ylabel=shown.axis_label)
     axes.set_ylim(max(low, floor, float(means.min()) - margin), min(high, float(means.max()) + margin))
-    counts = rows.groupby("normal_force_N")["trials"].sum()
+    counts = rows.groupby(along)["trials"].sum()
     evenly = counts.index.get_indexer(np.linspace(counts.index[0], counts.index[-1], 3), method="nearest")
     shown_n = counts.iloc[np.unique(evenly)]
     above = axes.secondary_xaxis("top")
@@ -168,9 +183,10 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     )
     above.tick_params(length=0, pad=1)
     caption = (
-        f"{sentence(shown.words)} against normal force, by vibration amplitude: mean of the participants' means. "
+        f"{sentence(shown.words)} against {against}, by vibration amplitude: mean of the participants' means. "
         "Bands: their 95 % interval by Student's t, participants as units (low and high of curves.csv). Thin lines: "
-        "the amplitudes between those named. Above: numbers of trials that reach a force. "
+        f"the amplitudes between those named. {'With dots: while the force falls. ' * (len(back) > 0)}"
+        "Above: numbers of trials that reach a force. "
         f"n = {int(rows['participants'].max())} participants, "
         f"{int(rows.groupby('condition')['trials'].max().sum())} trials."
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.open_forces import READER_OF
+from fingerflow.recordings.forces.open_forces import READER_OF, holds_forces
 from fingerflow.recordings.frames.open_recording import READERS
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.key_types import File
@@ -133,7 +133,7 @@ def _recording_rows(folder: Path, files: list[Path]) -> tuple[list[dict[str, str
         if file.suffix.lower() in _SUFFIXES
         and not _NO_TRIAL.search(file.stem.lower())
         and not (file.suffix.lower() == ".cih" and file.with_suffix(".mraw").exists())
-        and not (file.suffix.lower() in READER_OF and not _holds_frames(file))
+        and not (file.suffix.lower() in READER_OF and holds_forces(file))
     ]
     if not recordings:
         raise FingerflowError(
@@ -153,17 +153,6 @@ def _recording_rows(folder: Path, files: list[Path]) -> tuple[list[dict[str, str
             row[FORCES] = relative(forces[0], folder)
         rows.append(row)
     return rows, {}
-
-
-def _holds_frames(file: Path) -> bool:
-    """Return True if an HDF5 file contains a stack of images, rather than forces."""
-    from fingerflow.recordings import open_recording
-
-    try:
-        with open_recording(file):
-            return True
-    except FingerflowError:
-        return False
 
 
 def _guessed(path: Path) -> dict[str, str]:

@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from fingerflow.models.growth_laws import power_law, relaxation
 from fingerflow.pipeline.stages.preparation.series import rate
-from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
+from fingerflow.schema.trial_columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS, UNLOADING
 
 Series = NDArray[np.float64]
-Moment = tuple[int, int, float]  # two frames, and the share of the way between them at which the moment lies
+Curve = list[float | None]
 
-#: Forces (N) at which curves are averaged over trials.
+#: Forces (N), and shares of the load of a trial, at which curves are averaged over trials.
 FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
-#: Metrics whose curve against force is kept.
+SHARE_GRID: Series = np.linspace(0.02, 1.0, 50)
+#: Metrics whose curve against force is kept; those against a share of the load are `BY_SHARE`.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
 #: Series of the table that are not variables of a result.
@@ -32,6 +33,7 @@ _SERIES = {
 READ = (
     *_SERIES.values(),
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
+    *("tangential_force", "actuator_position"),
     *(
         "gross_contact_area_std",
         "ellipse_angle",
@@ -52,11 +54,13 @@ _HELD = 0.95  # share of the largest force above which it counts as held
 _LOADED = 0.05  # share of T/N at full slip from which on the finger is loaded
 _SLID = 0.02  # stuck share up to which no skin counts as sticking
 _FEWEST_SLID = 5  # least number of frames
+_STUCK = 0.9  # d² down to which skin counts as moving with the bone's shear alone
 
 
-def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
+def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, Curve]]:
     """Return the table row of a trial (values by the column names in `NUMBERS` and `FACTS`), computed from its
-    processed result, and its curves: variables interpolated at the normal forces of `FORCE_GRID`.
+    processed result, and its curves: variables interpolated at the normal forces of `FORCE_GRID`, or at the shares of
+    `SHARE_GRID`.
 
     None means unknown: not measured, its moment did not occur, or a frame there is not usable. The value at a force F
     is interpolated linearly between the two frames around its first crossing, after the onset and before the maximum.
@@ -70,22 +74,20 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | 
         series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
         if series is None:
             continue
-        for moment, where in trial.moments.items():
-            suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
-            row[f"{name}{suffix}"] = _interpolated(series, where)
-            if deviation is not None and f"{name}_std" in NUMBERS:
-                row[f"{name}{suffix}_std"] = _interpolated(deviation, where)
+        for values, std in ((series, ""), (deviation, "_std")):
+            for moment, value in trial.at_moments(values).items() if f"{name}{std}" in NUMBERS else ():
+                suffix = f"_{moment}" if f"{name}_{moment}" in NUMBERS else ""
+                row[f"{name}{suffix}{std}"] = value
         if f"{name}_{AT_MAX}" in NUMBERS:
             row[name] = trial.largest(series)
-    curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series}
+    curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series} | trial.share_curves()
     numbers = {name: _finite(value) for name, value in row.items()} | trial.facts()
-    return numbers, {name: curve for name, curve in curves.items() if any(value is not None for value in curve)}
+    known = {name: curve for name, curve in curves.items() if np.isfinite(curve).any()}
+    return numbers, {name: [_finite(value) for value in curve] for name, curve in known.items()}
 
 
 class _Trial:
-    """Time series of one trial's result, and the moments at which its table row samples them: contact onset, largest
-    force, and forces of 1 to 3 N.
-    """
+    """Time series of one trial's result, sampled at contact onset, at the largest force, and at normal forces."""
 
     def __init__(self, result: xr.Dataset) -> None:
         self._result = result
@@ -99,9 +101,16 @@ class _Trial:
         self.onset = int(touching[0]) if len(touching) else None
         self.last = int(touching[-1]) if len(touching) else None
         self.top = self._peak_frame()
+        # Area of a contact, and share of the largest force; frames while that rises and, in reverse, while it falls.
+        self._area, self._share = np.full((2, len(self._time)), np.nan)
+        self._rising = self._falling = np.empty(0, int)
+        if self._gross is not None and self.onset is not None and self.last is not None and self.top is not None:
+            self._area = np.where(self._gross > 0, self._gross, np.nan)
+            self._rising = np.arange(max(self.onset - 1, 0), self.top + 1)
+            self._falling = np.arange(self.last, self.top - 1, -1)
+            if self._force is not None and self._force[self.top] > 0:
+                self._share = self._force / self._force[self.top]
         self.series = self._series()
-        self.moments = self._moments()
-        self._grid = [self.crossing(float(force)) for force in FORCE_GRID]
 
     def _values(self, name: str) -> Series | None:
         """Return a variable of the trial's result with NaN in unusable frames; None if the result lacks it."""
@@ -151,39 +160,36 @@ class _Trial:
                 strains["strain_rate"] = rates @ weights
         return strains
 
-    def _moments(self) -> dict[str, Moment]:
-        moments: dict[str, Moment] = {}
-        if self.onset is None or self.top is None:
-            return moments
-        moments[AT_ONSET] = (self.onset, self.onset, 0.0)
-        moments[AT_MAX] = (self.top, self.top, 0.0)
-        for force in FORCES_N:
-            where = self.crossing(force)
-            if where is not None:
-                moments[f"at_{force:g}n"] = where
-        return moments
+    def at_moments(self, series: Series | None) -> dict[str, float]:
+        """Return the values of a time series at the moments of the trial."""
+        if series is None or self.onset is None or self.top is None:
+            return {}
+        forces = dict(zip(FORCES_N, self.curve(series, np.array(FORCES_N)).tolist(), strict=False))
+        moments = {f"at_{force:g}n": value for force, value in forces.items()}
+        return {AT_ONSET: float(series[self.onset]), AT_MAX: float(series[self.top]), **moments}
 
-    def crossing(self, force: float) -> Moment | None:
-        """Return the moment at which the normal force first reaches `force` (N): the known frames before and after it,
-        and the share of the way from one to the other; None if it never does.
-        """
-        if self._force is None or self.onset is None or self.top is None:
-            return None
-        frames = np.arange(max(self.onset - 1, 0), self.top + 1)
-        frames = frames[np.isfinite(self._force[frames])]
-        values = self._force[frames]
-        above = np.flatnonzero(values >= force)
-        if not len(above) or above[0] == 0:
-            return None
-        before, after = int(frames[above[0] - 1]), int(frames[above[0]])
-        share = (force - values[above[0] - 1]) / (values[above[0]] - values[above[0] - 1])
-        return before, after, float(share)
+    def curve(self, series: Series, forces: Series = FORCE_GRID) -> Series:
+        """Return a time series of the trial where the normal force first reaches each of `forces` (N)."""
+        return np.empty(0) if self._force is None else _at(forces, self._force, series, self._rising)
 
-    def curve(self, series: Series) -> list[float | None]:
-        """Return a time series of the trial interpolated at the normal forces of `FORCE_GRID`, with None at forces
-        where it has no value.
+    def share_curves(self) -> dict[str, Series]:
+        """Return the curves of `BY_SHARE`: area and pressure while the normal force rises and falls, and d² until the
+        last skin slips.
         """
-        return [None if where is None else _finite(_interpolated(series, where)) for where in self._grid]
+        curves: dict[str, Series] = {}
+        if self._force is not None and self.top is not None:
+            series = {
+                "relative_area": self._area / self._area[self.top],
+                "mean_pressure": 1e3 * self._force / self._area,
+            }
+            for name, values in series.items():
+                for suffix, frames in (("", self._rising), (UNLOADING, self._falling)):
+                    curves[f"{name}{suffix}"] = _at(SHARE_GRID, self._share, values, frames)
+        slip = self._slip_loading()
+        if slip is not None:
+            stuck, ratio, load, frames = slip
+            curves["stuck_ratio"] = _at(SHARE_GRID, ratio / load, stuck, frames)
+        return curves
 
     def largest(self, series: Series) -> float:
         """Return the largest value of a time series of the trial between onset and end of contact; NaN if none is
@@ -213,7 +219,7 @@ class _Trial:
                 numbers["friction"] = float(np.median(np.abs(ratio[slid])))
                 if self._force is not None:
                     numbers["friction_force"] = float(np.nanmedian(self._force[slid]))
-            numbers |= self._full_slip(stuck, np.abs(ratio))
+            numbers |= self._full_slip()
         return numbers | self._contact_numbers()
 
     def _contact_numbers(self) -> dict[str, float]:
@@ -234,31 +240,41 @@ class _Trial:
             held = slice(self.top, self.top + int(left[0]) if left.size else self.last + 1)
             law = relaxation(self._time[held], real[held])
             numbers |= {"contact_time_constant": law.exponent, "contact_time_constant_std": law.exponent_std}
-        halfway, falling = self.crossing(largest / 2), np.arange(self.top, self.last + 1)
-        above = falling[self._force[falling] >= largest / 2]
-        if halfway is not None and above.size and above[-1] < self.last:
-            forces = self._force[above[-1] : above[-1] + 2]
-            share = float((forces[0] - largest / 2) / np.ptp(forces))
-            moments = (int(above[-1]), int(above[-1]) + 1, share), halfway
-            fallen, grown = (_interpolated(self._gross, moment) for moment in moments)
-            numbers["unloading_area_ratio"] = fallen / grown
-            deviation = self._values("gross_contact_area_std")
-            if deviation is not None:
-                areas = zip(moments, (fallen, grown), strict=True)
-                errors = [_interpolated(deviation, moment) / area for moment, area in areas]
-                numbers["unloading_area_ratio_std"] = float(np.linalg.norm(errors)) * fallen / grown
+        half, deviation = np.array([0.5]), self._values("gross_contact_area_std")
+        grown, fallen = (_at(half, self._share, self._area, frames) for frames in (self._rising, self._falling))
+        numbers["unloading_area_ratio"] = float((fallen / grown)[0])
+        if deviation is not None:
+            errors = [
+                _at(half, self._share, deviation / self._area, frames) for frames in (self._rising, self._falling)
+            ]
+            numbers["unloading_area_ratio_std"] = float(np.hypot(*errors)[0] * (fallen / grown)[0])
         return numbers
 
-    def _full_slip(self, stuck: Series, ratio: Series) -> dict[str, float]:
-        """Return time, T/N and displacement of full slip, from the verdict on the loss of the stuck area."""
-        stated = self._result[_JUDGED].attrs.get("verdict")
-        judged = json.loads(stated or "{}")
-        verdict: dict[str, Any] = {name: np.nan if value is None else value for name, value in judged.items()}
+    @property
+    def _verdict(self) -> dict[str, Any]:
+        """Return the verdict on the loss of the stuck area, with NaN where it states nothing."""
+        attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
+        judged = json.loads(attributes.get("verdict") or "{}")
+        return {name: np.nan if value is None else value for name, value in judged.items()}
+
+    def _slip_loading(self) -> tuple[Series, Series, float, NDArray[np.int_]] | None:
+        """Return d² and T/N (frames,), T/N at full slip, and the frames from where it is last under a twentieth of that
+        to where the last skin slips; None if it never does.
+        """
+        stuck, ratio, verdict = self._values(_JUDGED), self._values("load_ratio"), self._verdict
         loss, load = verdict.get("loss_frame", -1), verdict.get("loss_load_ratio", np.nan)
-        if loss < 1 or not load > 0:
+        if stuck is None or ratio is None or loss < 1 or not load > 0:
+            return None
+        loaded = np.flatnonzero(np.abs(ratio[:loss]) < _LOADED * load)
+        return stuck, np.abs(ratio), load, np.arange(int(loaded[-1]) if loaded.size else 0, loss + 1)
+
+    def _full_slip(self) -> dict[str, float]:
+        """Return time, T/N and displacement of full slip, and the tangential stiffness while nearly all skin sticks."""
+        slip = self._slip_loading()
+        if slip is None:
             return {}
-        loaded = np.flatnonzero(ratio[:loss] < _LOADED * load)
-        begin = int(loaded[-1]) if loaded.size else 0
+        (stuck, _, load, frames), verdict = slip, self._verdict
+        begin, loss = int(frames[0]), int(frames[-1])
         shrinking = rate(stuck[: loss + 1], self._time[: loss + 1], self._window)[-1]
         frame_s = float(np.median(np.diff(self._time)))
         deviation = float(np.hypot(frame_s / 12**0.5, verdict["area_noise"] / shrinking))
@@ -273,6 +289,13 @@ class _Trial:
             median = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in since])
             speed = rate(median, self._time[: loss + 1], self._window)[-1]
             numbers |= {"full_slip_displacement": median[-1], "full_slip_displacement_std": abs(speed) * deviation}
+        travel, force = self._values("actuator_position"), self._values("tangential_force")
+        if travel is not None and force is not None:
+            early = frames[: int(np.argmax(stuck[frames] < _STUCK))]  # d² is under the limit at full slip
+            early = early[np.isfinite(travel[early] + force[early])]
+            if early.size >= _FEWEST_SLID and np.ptp(travel[early]) > 0:
+                line, covariance = np.polyfit(travel[early], force[early], 1, cov=True)
+                numbers |= {"tangential_stiffness": abs(line[0]), "tangential_stiffness_std": covariance[0, 0] ** 0.5}
         return numbers
 
     def _displacement_numbers(self) -> dict[str, float]:
@@ -299,12 +322,11 @@ class _Trial:
         """Return the columns of the trial's table row that are no measurements: numbers of frames and usable frames,
         warnings of the processing, and slip verdict (None without one).
         """
-        attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),
             "usable_frames": int(self._usable.sum()),
             "warnings": "\n".join(json.loads(self._result.attrs["warnings"])),
-            "slip_verdict": json.loads(attributes["verdict"])["outcome"] if "verdict" in attributes else None,
+            "slip_verdict": self._verdict.get("outcome"),
         }
 
 
@@ -312,12 +334,15 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
+def _at(grid: Series, load: Series, series: Series, frames: NDArray[np.int_]) -> Series:
+    """Return a series where the load of `frames`, in their order, first reaches each value of `grid`, interpolated
+    between two frames; NaN where it does not, or the series is not known there.
+    """
+    known = frames[np.isfinite(load[frames])]
+    if not known.size:
+        return np.full(grid.shape, np.nan)
+    return np.interp(grid, np.maximum.accumulate(load[known]), series[known], left=np.nan, right=np.nan)
+
+
 def _largest(values: Series) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else np.nan
-
-
-def _interpolated(series: Series, where: Moment) -> float:
-    before, after, share = where
-    if share == 1 or before == after:
-        return float(series[after])
-    return float((1 - share) * series[before] + share * series[after])

@@ -10,15 +10,16 @@ from scipy import stats
 from fingerflow.errors import FingerflowError
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.spreadsheet_cell import quoted_cell
-from fingerflow.schema.trial_columns import DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS
+from fingerflow.schema.trial_columns import BY_SHARE, DIFFERENCE, DIFFERENCES, FACTS, NORMALISED, NUMBERS, UNLOADING
 from fingerflow.study.manifest import REFERENCE, Manifest, TrialEntry, relative
-from fingerflow.study.row import CURVES, FORCE_GRID
+from fingerflow.study.row import CURVES, FORCE_GRID, SHARE_GRID
 from fingerflow.study.trial_files import MEASURED, TrialRow, read_row
 
 NOT_RUN = "not run"
 _LEVEL = 0.95
 _CURVE_COLUMNS = [
-    "metric", "unit", "condition", "normal_force_N", "mean", "low", "high", "participants", "trials", "without",
+    "metric", "unit", "condition", "normal_force_N", "load_share", "mean", "standard_error", "low", "high",
+    "participants", "trials", "without",
 ]  # fmt: skip
 # Least share of a condition's trials that must reach a force: with fewer, their mean would be that of a selection.
 _MOST_MISSING = 0.5
@@ -121,18 +122,21 @@ def differences(frame: Any) -> dict[str, Any]:
 
 
 def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
-    """Return the curves of metrics against normal force, averaged over the participants of each condition, as table
-    rows: one per metric, condition and force.
+    """Return the curves of metrics against normal force, or against a share of the load (`BY_SHARE`), averaged over the
+    participants of each condition, as table rows: one per metric, condition and force or share.
 
-    The mean is that of the participants' means, with a 95 % interval by Student's t from their spread: participants are
-    the units, because their trials are not independent. The interval is NaN for fewer than two participants. A force
-    that fewer than half of a condition's trials reach is left out: its mean would be that of a selection.
+    The mean is that of the participants' means, with its standard error and a 95 % interval by Student's t from their
+    spread: participants are the units, because their trials are not independent. Both are NaN for fewer than two
+    participants. A force that fewer than half of a condition's trials reach is left out: its mean would be that of a
+    selection.
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
     conditions = sorted({entry.condition for entry, _ in stored}, key=lambda text: (_parse_number(text), text))
-    for metric in CURVES:
+    loops = [f"{metric}{suffix}" for metric in BY_SHARE for suffix in ("", UNLOADING)]
+    for metric, by_share in (*dict.fromkeys(CURVES, False).items(), *dict.fromkeys(loops, True).items()):
+        grid, unit = SHARE_GRID if by_share else FORCE_GRID, (NUMBERS | BY_SHARE)[metric.removesuffix(UNLOADING)].units
         for condition in conditions:
             group = [
                 (entry.participant, trial.curves[metric])
@@ -144,17 +148,14 @@ def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[
             curves = pd.DataFrame([curve for _, curve in group], index=[name for name, _ in group], dtype=np.float64)
             counts, means = curves.count(), curves.groupby(level=0).mean()
             people, mean_of_means = means.count(), means.mean()
-            reach = stats.t.ppf((1 + _LEVEL) / 2, people - 1) * means.std() / np.sqrt(people)
+            error = means.std() / np.sqrt(people)
+            reach = stats.t.ppf((1 + _LEVEL) / 2, people - 1) * error
             for column in np.flatnonzero(counts / len(group) >= _MOST_MISSING):
-                mean, trials = float(mean_of_means[column]), int(counts[column])
-                rows.append(
-                    {
-                        "metric": metric, "unit": NUMBERS[metric].units, "condition": condition,
-                        "normal_force_N": float(FORCE_GRID[column]), "mean": mean, "low": mean - reach[column],
-                        "high": mean + reach[column], "participants": int(people[column]), "trials": trials,
-                        "without": len(group) - trials,
-                    }
-                )  # fmt: skip
+                mean, trials, x = float(mean_of_means[column]), int(counts[column]), float(grid[column])
+                force, share = (np.nan, x) if by_share else (x, np.nan)
+                values = (metric, unit, condition, force, share, mean, float(error[column]), mean - reach[column],
+                          mean + reach[column], int(people[column]), trials, len(group) - trials)  # fmt: skip
+                rows.append(dict(zip(_CURVE_COLUMNS, values, strict=True)))
     return rows
 
 

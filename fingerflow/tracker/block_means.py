@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fingerflow.kernels.arrays import KINDS
 from fingerflow.kernels.declarations import FRAME_KINDS
 from fingerflow.kernels.library import compiled, is_present
+from fingerflow.schema.variables import DARK, DARK_SHARE, NOISE, SATURATED, SATURATED_SHARE, USABLE
 
 Array = NDArray[Any]
 
@@ -50,6 +51,37 @@ def block_means(frames: Array) -> tuple[Array, Array]:
     sums, pixels_each = _sums(sums, 2, columns)
     blocks = sums / (lines_each[:, None] * pixels_each)
     return blocks.astype(np.float32), lines.astype(np.float32)
+
+
+class PictureCheck:
+    """Detection of frames that are no picture of the contact view: dark, saturated or noise.
+
+    Args:
+        glass, dark: (H, W) contact view of the empty glass, and without light, None if it is 0.
+        top: level above which a pixel is saturated.
+
+    Attributes:
+        black: level without light.
+        least: mean level below which a frame is dark.
+    """
+
+    def __init__(self, glass: Array, dark: Array | None, top: float) -> None:
+        self.black = 0.0 if dark is None else float(block_means(dark[None])[0].mean())
+        empty = block_means(glass[None])[0]
+        self.least = self.black + DARK_SHARE * (float(empty.mean()) - self.black)
+        self._roughness, self._top = noise_roughness(glass), top
+        self._tells_saturated = float((empty > top).mean()) < SATURATED_SHARE
+
+    def status(self, frames: Array, blocks: Array) -> Array:
+        """Return the status (n,) of frames (n, H, W), as indices into `FRAME_STATUS`, with the means `blocks` (n, rows,
+        columns) over blocks of their pixels.
+        """
+        size = blocks[0].size
+        status = np.where(is_noise(frames, self._roughness), NOISE, USABLE)
+        if self._tells_saturated:
+            status[np.add.reduce(blocks > self._top, (1, 2), float) / size > SATURATED_SHARE] = SATURATED
+        status[np.add.reduce(blocks, (1, 2)) / size < self.least] = DARK
+        return status
 
 
 def is_noise(frames: Array, roughness: float) -> Array:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers
-from fingerflow.engines.engine import Engine, FrameContact, FrameEllipse, TrackedPoints
-from fingerflow.tracker.deformation import EVERY, Deformation, Displacement
+from fingerflow.engines.engine import Engine, FrameContact, TrackedPoints
+from fingerflow.recordings.lens import Geometry
+from fingerflow.tracker.deformation import EVERY, Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.curvature import Curvature
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
-from fingerflow.tracker.displacement_medians import displacement_length, displacement_medians
+from fingerflow.tracker.displacement_medians import displacement_length
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches, interpolate_displacement
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 from fingerflow.tracker.slip_flag import SlipFlag
 
 Array = NDArray[Any]
@@ -59,16 +60,13 @@ class FrameResults:
 
     Args:
         engine: that computes.
-        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
-        mm_per_px: of the contact view.
+        geometry: of the views.
     """
 
-    def __init__(self, engine: Engine, topography_to_contact: Array, mm_per_px: float) -> None:
-        self._engine, self._size = engine, mm_per_px
-        matrix = topography_to_contact.astype(np.float64)
-        self._to_contact = matrix.astype(np.float32)
-        self._to_glass = (matrix * mm_per_px).tolist()  # maps px of the topography view to mm
-        self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
+    def __init__(self, engine: Engine, geometry: Geometry) -> None:
+        self._engine, self._geometry = engine, geometry
+        self._to_contact = geometry.topography_to_contact.astype(np.float32)
+        self._on_glass, self._per_px = SizesOnGlass(geometry, engine.cell_px), geometry.topography_mm_per_px
         self._slip = SlipFlag()
         self._seeding: Seeding | None = None
         self._frames = 0
@@ -87,32 +85,44 @@ class FrameResults:
         if seeding is not self._seeding:
             self._begin(seeding, covered[0])
         self._frames += 1
-        size = self._size
         variance = points.variance  # by image noise
-        curvature = self._curvature.update(points.points)
-        center, semi_axes = contact.center.astype(np.float64) * size, contact.semi_axes.astype(np.float64) * size
-        ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
+        curvature, sizes = self._curvature.update(points.points), self._on_glass.sizes(contact)
         residual = self._slip.update(points.points[0], np.sqrt(variance[0]), covered[0])
+        position = self._geometry.on_glass(points.points)
+        skin = SkinFrames(np.array([self._frames]), covered, position, variance, curvature, sizes.ellipse)
+        now = self._deformation.step(skin, self)
+        fields, median = now.fields, now.fields.median[0]
+        median_std = np.sqrt(now.variance[0] + self._deformation.latest)
+        length, length_std = displacement_length(now.vector, now.vector_std)
+        assert fields.divergence_std is not None
+        assert fields.curl_std is not None
         return {
-            "real_contact_area": float(contact.real_area_px[0]) * size**2,
-            "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
-            "ellipse_center": ellipse.center[0],
-            "ellipse_semi_axes": ellipse.semi_axes[0],
-            "ellipse_angle": contact.angle[0],
+            "real_contact_area": sizes.real[0],
+            "gross_contact_area": sizes.gross[0],
+            "ellipse_center": sizes.ellipse.center[0],
+            "ellipse_semi_axes": sizes.ellipse.semi_axes[0],
+            "ellipse_angle": sizes.ellipse.angle[0],
             "illumination_gain": contact.illumination_gain[0],
             "position_px": points.points[0],
             "forward_backward_error": points.error[0],
             "position_std_px": np.sqrt(variance + curvature)[0],
             "status": points.status[0],
             "in_contact": covered[0],
-            **self._since_onset(points.points, variance, curvature, covered, ellipse),
+            **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
+            **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
+            **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
+            **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
+            **{"median_curl": median[1], "median_curl_std": median_std[1]},
+            **{"median_strain": median[2:], "median_strain_std": median_std[2:]},
+            **{"global_displacement_vector": now.vector[0], "global_displacement_vector_std": now.vector_std[0]},
+            **{"global_displacement": length[0], "global_displacement_std": length_std[0]},
             "slip_residual": residual * self._per_px,
             "slip_flag": self._slip.slipping,
         }
 
     def _begin(self, seeding: Seeding, covered: Array) -> None:
         self._seeding, count = seeding, len(seeding.points)
-        positions, gauge_mm = self._on_glass(seeding.points), self._engine.settings.gauge_length_mm
+        positions, gauge_mm = self._geometry.on_glass(seeding.points), self._engine.settings.gauge_length_mm
         # (N,) mm^2, variance of displacements taken over from previous points; NaN where there are none, so that the
         # displacement of skin that was in contact when it was seeded is not known.
         self._inherited, touches = np.zeros(count), Touches(count)
@@ -120,7 +130,7 @@ class FrameResults:
             self._slip.follow_others(seeding.before, seeding.points)
         if self._frames:  # before the first frame, skin that is in contact has no earlier displacement
             rows, before = covered.nonzero()[0], np.zeros((0, 2)) if seeding.before is None else seeding.before
-            moved = self._on_glass(before) - self._touches.position[: len(before)]
+            moved = self._geometry.on_glass(before) - self._touches.position[: len(before)]
             inherited, self._inherited[rows] = interpolate_displacement(before, moved, seeding.points[rows], 1)
             touches.replace(rows, positions[rows] - inherited)
         self._touches = touches
@@ -131,57 +141,22 @@ class FrameResults:
         errors = OverlapErrors(*alike, by_onsets=True, window_px=self._engine.settings.window_px)
         self._gain = errors.variance_gain(gauge_mm / self._per_px)
 
-    def _on_glass(self, pixels: Array) -> Array:
-        """Convert positions (..., 2) in px of the topography view to mm on the glass."""
-        # Compute each component separately: a product with so small a matrix takes several times as long.
-        x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
-        result = np.empty(pixels.shape)
-        for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
-            result[..., axis] = by_x * x + by_y * y + shift
-        return result
-
-    def _since_onset(
-        self, points: Array, noise: Array, curvature: Array, covered: Array, ellipse: FrameEllipse
-    ) -> dict[str, Any]:
-        """Compute divergence, curl and strain at each point from the displacement of the skin since the point's onset
-        of contact, and their medians and that of the displacement over the contact ellipse; return them by result name.
-
-        `noise` and `curvature` (1, N) px^2 are the variances of the positions `points` (1, N, 2) px by image noise and
-        by curved displacement.
-        """
-        position, px2 = self._on_glass(points), np.float32(self._per_px**2)
-        variance, frame = noise + curvature, np.array([self._frames])
-        left = np.isnan(self._inherited) & (covered[0] == 0)
+    def since(self, skin: SkinFrames) -> Displacement:
+        """Return the displacement in the next frame since the onset of contact of each point (`Onsets`)."""
+        position, px2 = skin.position, np.float32(self._per_px**2)
+        left = np.isnan(self._inherited) & (skin.covered[0] == 0)
         if np.logical_or.reduce(left):
             self._inherited[left] = 0
             self._touches.replace(left.nonzero()[0], np.full((int(left.sum()), 2), np.nan))
-        touch = self._touches.add_frames(frame, covered, position, noise, ellipse)
+        touch = self._touches.add_frames(skin.numbers, skin.covered, position, skin.noise, skin.border)
+        variance = (skin.noise[0] + skin.curvature[0]) * px2
         entered = self._entries.update(
-            position[0], variance[0] * px2, touch.begins[0], touch.touching[0], touch.position[0], ellipse
+            position[0], variance, touch.begins[0], touch.touching[0], touch.position[0], skin.border
         )
         if self._frames % EVERY == 0:
             self._entries.learn_errors()
-        of_displacement = (noise_variance(noise, touch) + curvature) * px2 + self._inherited.astype(np.float32)
-        reference, moved = touch.position[0], position - touch.position
+        noise = noise_variance(skin.noise, touch) * px2 + self._inherited.astype(np.float32)
+        moved = position - touch.position
         moved[0, np.isnan(self._inherited)] = np.nan
-        since = Displacement(reference, moved, of_displacement, self._entries.of_onset, self._gain, entered)
-        fields, ranks = self._deformation.add(frame, since, ellipse)
-        assert fields.divergence_std is not None
-        assert fields.curl_std is not None
-        assert fields.median_std is not None
-        onset = self._entries.of_onset
-        square = of_displacement + (onset[:, 0, 0] + onset[:, 1, 1]) / 2
-        reach = self._engine.settings.gauge_length_mm / 2
-        vector, vector_std = displacement_medians(position, moved, square, ellipse, reach)
-        length, length_std = displacement_length(vector, vector_std)
-        median, median_std = fields.median[0], np.sqrt(fields.median_std[0] ** 2 + ranks[0] + self._deformation.latest)
-        return {
-            **{"point_strain": fields.strain[0], "entered": self._entries.entered.copy()},
-            **{"divergence": fields.divergence[0], "divergence_std": fields.divergence_std[0]},
-            **{"curl": fields.curl[0], "curl_std": fields.curl_std[0]},
-            **{"median_divergence": median[0], "median_divergence_std": median_std[0]},
-            **{"median_curl": median[1], "median_curl_std": median_std[1]},
-            **{"median_strain": median[2:], "median_strain_std": median_std[2:]},
-            **{"global_displacement_vector": vector[0], "global_displacement_vector_std": vector_std[0]},
-            **{"global_displacement": length[0], "global_displacement_std": length_std[0]},
-        }
+        curvature, onset = skin.curvature * px2, self._entries.of_onset
+        return Displacement(touch.position[0], moved, noise, curvature, onset, self._gain, entered)

@@ -5,17 +5,16 @@ State that a frame reads and writes:
 frame ──> inspect            reads   light of the glass (`FrameCheck`)
   │       (any thread)       gives   samples, hash of the block means, status by itself
   v
-step      changes due        reads   `_change`, `_search`, templates that are prepared (`Points._pending`)
+step      changes due        reads   `_change`, `_search`
   │       before it          writes  points and templates, `_seeding`, `threshold`; only while `_deferred` is empty
-  │       prediction         reads   `_motion`, `_motion_frame`
-  │       tracking           reads   templates of the key frame (`Points._templates`)
   │       frame status       reads   samples of the last usable frame; `_steps`: the last 64 distances between frames;
   │       (`FrameCheck`)             `_returned`: which of the last 16 jumped away; `_keys`: hashes of the last 512
   │                          writes  the same, and `_same`: which of the last 16 repeat an earlier frame
   │       undecided          writes  `_deferred`: frames that may have jumped, at most 3 behind the last usable one
-  │       usable             reads   motion, last positions, templates; `_first_threshold` before one applies
-  │                          writes  `_motion`; every 8th frame, or sooner where skin deforms fast: verification of
-  │                                  windows, plan of new templates
+  │       usable: tracking   reads   `_latest`, motion and templates of the key frame (`Points`), templates that are
+  │       (`Points.follow`)          prepared (`Points._pending`); `_first_threshold` before one applies
+  │                          writes  `_latest`, motion; every 8th frame, or sooner where skin deforms fast: verification
+  │                                  of windows, plan of new templates
   │       reseeding          reads   `_requested`: by the user; `_sparse`: contact with few points
   │                          writes  `_reseeding`: counts of lost and of few points; `_change`: what is due next
   │       learning           reads   `_unlearnt`: outcomes whose contact is not evaluated yet, 2 frames behind
@@ -44,11 +43,13 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.contact_view import covers, glass_light
 from fingerflow.engines.engine import TRACKED, Engine, FrameContact, Images, TrackedPoints
+from fingerflow.recordings.lens import Geometry
+from fingerflow.schema.variables import USABLE
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.point_prediction import PointMotion, is_finite
+from fingerflow.tracker.point_prediction import is_finite
 from fingerflow.tracker.points import STREAM, Points
 from fingerflow.tracker.reseeding import CONTACT, REKEY, ReseedingSchedule, ThresholdSearch
-from fingerflow.tracker.stream_frame_quality import USABLE, FrameCheck, Picture
+from fingerflow.tracker.stream_frame_quality import FrameCheck, Picture
 
 Array = NDArray[Any]
 
@@ -75,8 +76,7 @@ class TrackerSettings:
     Attributes:
         points: N, the largest number of seeded points and the size of all results of points.
         bit_depth: of a pixel.
-        mm_per_px: of the contact view.
-        topography_to_contact: (2, 3), maps px of the topography view to px of the contact view.
+        geometry: of the views.
         region: (H, W) bool of the topography view, in which points are seeded.
         threshold: relative intensity loss above which a pixel touches; None to measure it.
         update_share, update_frames: a new key frame is taken when less than this share of its points is tracked, or
@@ -85,8 +85,7 @@ class TrackerSettings:
 
     points: int
     bit_depth: int
-    mm_per_px: float
-    topography_to_contact: Array
+    geometry: Geometry
     region: Array
     threshold: float | None = None
     update_share: float | None = None
@@ -115,8 +114,6 @@ class FrameOutcome:
         index: of the frame in the stream, from 0.
         frame: the frame itself.
         images: both views, in the engine's own representation.
-        motion, guess: motion of the points as known when the frame began, and positions (N, 2) px predicted from it;
-            None before any points were seeded.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown, and if the frame does not
             count.
         points: tracked in it; None if the frame does not count.
@@ -132,8 +129,6 @@ class FrameOutcome:
     index: int
     frame: Frame
     images: dict[str, Images]
-    motion: PointMotion | None
-    guess: Array | None
     threshold: float
     points: TrackedPoints | None = None
     measured: float | None = None
@@ -185,8 +180,8 @@ class _Sparse(NamedTuple):
 class StreamTracker:
     """Tracker of a stream: state between frames, and the method `step` for each frame.
 
-    `step` predicts and tracks the points of a frame, recovers lost ones, and decides with the frames before it whether
-    the frame counts. `compute_results` computes contact and results in another thread, while the next frames are
+    `step` decides with the frames before it whether a frame counts, and tracks the points of one that does.
+    `compute_results` computes contact and results in another thread, while the next frames are
     tracked. Both take frames in order. The results of a frame depend only on the frames before it, not on wall-clock
     time or on the progress of threads.
 
@@ -208,16 +203,15 @@ class StreamTracker:
         self._engine, self._settings = engine, settings
         self._light = glass_light(glass, dark)
         self._glass, self._dark = glass, dark
-        self._to_contact = settings.topography_to_contact.astype(np.float32)
-        self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
+        self._to_contact = settings.geometry.topography_to_contact.astype(np.float32)
+        self._results = FrameResults(engine, settings.geometry)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
         self._search = ThresholdSearch(1 + _LEARNT_AFTER)
         self._reseeding = ReseedingSchedule(settings.update_share or _REKEY_SHARE, settings.update_frames or math.inf)
         self._points: Points | None = None
-        self._motion: PointMotion | None = None  # of the points after frame number `_motion_frame`
-        self._motion_frame = 0
+        self._latest = 0  # number of the latest frame in which points were seeded or tracked
         self._index = -1  # of the latest frame in the stream
         self._change: _Change | None = None
         self._requested = False
@@ -262,12 +256,9 @@ class StreamTracker:
         passed: list[Event | FrameOutcome] = []
         if not self._deferred:
             passed += self._make_changes(frame)
-        work = FrameOutcome(self._index, frame, {}, self._motion, None, self.threshold)
+        work = FrameOutcome(self._index, frame, {}, self.threshold)
         for name, view in frame.views.items():
             work.images[name] = self._engine.images(view[0])
-        if self._points is not None and self._motion is not None:
-            work.guess = self._motion.expect(max(1, frame.number - self._motion_frame))
-            work.points = self._points.track(work.images[TOPOGRAPHY_VIEW], work.guess)
         if self.measures and self._search.wants(self._index):
             threshold = float(self._engine.contact(work.images[CONTACT_VIEW], self._light).threshold[0])
             # Even an empty glass gives a threshold, of noise or outside 0 to 1. In contact the valleys of the skin do
@@ -276,15 +267,11 @@ class StreamTracker:
             work.measured = threshold if physical else math.nan
         assert frame.picture is not None
         if self._points is None:  # no usable frame has arrived yet
-            passed.append(self._outcome(work, frame.picture.status, None, 0))
+            passed.append(self._outcome(work, frame.picture.status))
         else:
             decided, status = self._check.update(frame.picture)
-            if decided:
-                passed += self._decided(decided)
-            if status is None:
-                self._deferred.append(work)
-            else:
-                passed.append(self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0))
+            self._deferred.append(work)
+            passed += self._decided(decided if status is None else [*decided, status])
         while self._unlearnt and self._unlearnt[0][0] <= self._index - _LEARNT_AFTER:
             passed += self._learn_contact(*self._unlearnt.popleft())
         return passed
@@ -294,7 +281,7 @@ class StreamTracker:
         usable frame updates points and templates, another is skipped.
         """
         return [
-            self._accepted(work) if status == USABLE else self._outcome(work, status, None, 0)
+            self._tracked(work) if status == USABLE else self._outcome(work, status)
             for work, status in [(self._deferred.popleft(), status) for status in statuses]
         ]
 
@@ -338,8 +325,6 @@ class StreamTracker:
         if threshold is not None:
             self.threshold = threshold
             self._search.used()
-        if self._points is not None:
-            self._points.update_due(self._index)
         if change is not None:
             self._change = None
             events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
@@ -368,8 +353,7 @@ class StreamTracker:
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=STREAM, again=again)
-        self.seeded = int(is_finite(points).sum())
-        self._motion, self._motion_frame = self._points.motion, number
+        self.seeded, self._latest = int(is_finite(points).sum()), number
         self._seeding = Seeding(points, before)
         self._reseeding.restarted(self._index, number, self.seeded)
         self._search.begin()
@@ -382,29 +366,26 @@ class StreamTracker:
         """
         assert self._points is not None
         valid, motion = is_finite(change.points), self._points.motion
-        valid_motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
+        motion = motion._replace(position=np.where(valid[:, None], motion.position, np.float32(np.nan)))
         image = self._engine.images(change.image)
-        self._points = Points(self._engine, image, change.points, motion=valid_motion, knowledge=STREAM)
-        self._motion = valid_motion
+        self._points = Points(self._engine, image, change.points, motion=motion, knowledge=STREAM)
         self._reseeding.keyed(change.number, int(valid.sum()))
         self.keys += 1
         return Event("key_frame", change.number, {"points": int(valid.sum())})
 
     # Outcome of a frame after its computation.
 
-    def _accepted(self, work: FrameOutcome) -> FrameOutcome:
-        """Recover the lost points of a usable frame, update points and templates, decide whether a reseeding or a new
-        key frame is due, and return the frame's outcome.
+    def _tracked(self, work: FrameOutcome) -> FrameOutcome:
+        """Track the points of a usable frame, decide whether a reseeding or a new key frame is due, and return the
+        frame's outcome.
 
         A threshold, a reseeding or a key frame that it gives counts from the latest frame of the stream: a deferred
         frame is an earlier one.
         """
         points, frame = self._points, work.frame
         assert points is not None
-        image = work.images[TOPOGRAPHY_VIEW]
-        ahead = max(1, frame.number - self._motion_frame)
-        tracked_points = points.accept(image, *self._track_again(work, points), ahead, work.index)
-        self._motion, self._motion_frame = points.motion, frame.number
+        points.pass_over(max(frame.number - self._latest - 1, 0))
+        tracked_points, self._latest = points.follow(work.images[TOPOGRAPHY_VIEW]), frame.number
         tracked = int(np.add.reduce(tracked_points.status[0] == TRACKED))
         if math.isnan(work.threshold):
             # The first measured threshold applies at once, as there is no other yet.
@@ -424,23 +405,9 @@ class StreamTracker:
                 self._change = _Change(frame.number, image, positions, cause, region, counted, least)
         return self._outcome(work, USABLE, tracked_points, tracked)
 
-    def _track_again(self, work: FrameOutcome, points: Points) -> tuple[Array, TrackedPoints]:
-        """Return the positions (N, 2) px at which the points are predicted in a frame, and the points found near them,
-        tracked once more if the prediction has changed since the frame began.
-
-        The motion, and new templates, were not known when a frame began behind a deferred one: its points are tracked
-        once more.
-        """
-        assert work.guess is not None  # points are tracked in every frame that may be usable
-        assert work.points is not None
-        if work.motion is self._motion and not points.changes(work.index):
-            return work.guess, work.points
-        points.update_due(work.index)
-        assert self._motion is not None
-        guess = self._motion.expect(max(1, work.frame.number - self._motion_frame))
-        return guess, points.track(work.images[TOPOGRAPHY_VIEW], guess)
-
-    def _outcome(self, work: FrameOutcome, status: int, points: TrackedPoints | None, tracked: int) -> FrameOutcome:
+    def _outcome(
+        self, work: FrameOutcome, status: int, points: TrackedPoints | None = None, tracked: int = 0
+    ) -> FrameOutcome:
         """Return the outcome of a frame with its tracked points, None if it is not usable, and queue it for
         `_learn_contact`, which evaluates its contact later.
         """
@@ -465,7 +432,8 @@ class StreamTracker:
         the latest, whether to reseed and which threshold to use; return the event of a new threshold.
         """
         if outcome.points is not None and outcome.seeding is self._seeding and outcome.index % _LOOK_EVERY == 0:
-            touching = float(self._contact(outcome).gross_area_px[0]) * self._settings.mm_per_px**2 >= _LEAST_MM2
+            size = self._settings.geometry.mm_per_px
+            touching = float(self._contact(outcome).gross_area_px[0]) * size**2 >= _LEAST_MM2
             self._sparse = self._sparse_contact(outcome, outcome.points) if touching else None
             self._reseeding.record_contact(touching, self._sparse is not None)
         if not self.measures:
@@ -487,7 +455,7 @@ class StreamTracker:
         New points are to be seeded in the ellipse of the contact, enlarged so that all points lie a fourth of a gauge
         length apart: a contact that has just begun grows about its place.
         """
-        contact, size = self._contact(work), self._settings.mm_per_px
+        contact, size = self._contact(work), self._settings.geometry.mm_per_px
         area = float(contact.gross_area_px[0]) * size**2
         gauge = self._engine.settings.gauge_length_mm
         covered = covers(contact.density_margin, tracked_points.estimate, self._to_contact, self._engine.cell_px)[0]

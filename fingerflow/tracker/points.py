@@ -87,8 +87,6 @@ class Points:
     Attributes:
         motion: position and speed of the points.
         start: (N, 2) px, reference positions in the key frame.
-        correction: (n, N, 2) px, by frame of the last `follow` (at first in the key frame): position at which the
-            template of a point was registered less the position corrected for the deformation of the skin.
     """
 
     def __init__(
@@ -113,19 +111,17 @@ class Points:
         around = np.zeros((0, 2), np.float32) if around is None else around
         self._every = np.concatenate((points, around)).astype(np.float32)
         self.motion = motion or PointMotion.at_rest(points)
-        self.correction: Array = np.zeros((1, *points.shape), np.float32)
         self._verification, self._curvature = Verification(engine, image, points), Curvature(engine, self._every)
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         # Deformation gradient at the last check, and the inverse of that in the templates.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
-        self._last: Corrected | None = None  # of the last frames that were tracked
+        self._steps: list[Corrected] = []  # of the frames of the last `follow`
         self._interval = MOST_FRAMES if self._by_key else 1  # frames to the next check of templates
         self._pending: list[_Pending] = []
         self._preparing = threading.Lock()
         # Frames tracked since the key frame, those at the last check of templates, and frames skipped since the last.
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
-        self._index = 1  # number of the next frame
         self._walked: Array | float = 0.0  # variance accumulated from frame to frame
         self._templates = engine.prepare(image, points)
 
@@ -174,23 +170,24 @@ class Points:
         """
         around = nothing_found(len(images)) if around is None else around
         steps: list[TrackedPoints] = []
-        corrections: list[Array] = []
-        done = 0
+        done, self._steps = 0, []
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
             count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
             now = slice(done, done + count)
             step = self._step(images[now], select(around, now))
-            assert self._last is not None
-            registered, corrected = self._last.found.estimate, self._last.found.points
-            corrections.append(registered - corrected)
-            if not self._knowledge.ahead:
-                step = self._verified(images[now], step)
-            steps.append(step)
+            steps.append(step if self._knowledge.ahead else self._verified(images[now], step))
             done += count
-        self.correction = np.concatenate(corrections)
         joined = join(steps, 0)
         return self._verified(images, joined) if self._knowledge.ahead else joined
+
+    @property
+    def correction(self) -> Array:
+        """Return for each frame of the last `follow`, at first the key frame, the positions (n, N, 2) px at which the
+        templates were registered, less the positions corrected for the deformation of the skin.
+        """
+        parts = [step.found.estimate - step.found.points for step in self._steps]
+        return np.concatenate(parts) if parts else np.zeros((1, *self.start.shape), np.float32)
 
     def curvature_variance(self, tracked: TrackedPoints, around: TrackedPoints | None = None) -> NDArray[np.float32]:
         """Return the variance (n, N) px^2 of the positions `tracked` (n, N) in the next n frames by displacement since
@@ -200,33 +197,9 @@ class Points:
         positions = np.concatenate((tracked.points, around.points), axis=1)
         return self._curvature.update(positions)[:, : len(self)]
 
-    def track(self, image: Images, guess: Array) -> TrackedPoints:
-        """Track the points in one image near guessed positions (N, 2), without updating motion or templates.
-
-        Any thread may call it while other frames are tracked.
-        """
-        return self._engine.track(self._templates, image, guess, np.zeros(guess.shape, guess.dtype)).found
-
-    def accept(
-        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int = 1, index: int | None = None
-    ) -> TrackedPoints:
-        """Update motion and templates from a usable frame, `frames` after the last, whose points (1, N) `track` found
-        near `guess` (N, 2); return them.
-
-        Lost points are recovered, positions corrected for the deformation of the skin, and all points are verified by
-        their windows in the image. Frames are given in order. `index` is the number of the frame in a stream.
-        """
-        if index is not None:
-            self._index = index
-        return self._verified(image, self._accepted(image, guess, tracked, frames, _NO_POINTS))
-
-    def changes(self, index: int) -> bool:
-        """Return whether template updates are due before frame `index`."""
-        return bool(self._pending) and self._pending[0].due <= index
-
-    def update_due(self, index: int) -> None:
-        """Carry out the template updates that are due before frame `index`, in the order in which they were planned."""
-        while self._pending and self._pending[0].due <= index:
+    def _update_templates(self) -> None:
+        """Carry out the template updates that are due, in the order in which they were planned."""
+        while self._pending and self._pending[0].due <= self._followed:
             with self._preparing:
                 pending = self._pending.pop(0)
                 self._prepare_rows(pending, len(pending.rows))
@@ -259,10 +232,14 @@ class Points:
             pending.prepared.append(self._engine.prepare(self._templates, start, pending.warp[part]))
 
     def _step(self, images: Images, around: TrackedPoints) -> TrackedPoints:
-        self.update_due(self._index)
+        self._update_templates()
         guess = self.expect()
         if len(images) == 1:
-            return self._accepted(images, guess, self.track(images, guess), self._gap + 1, around)
+            tracked = self._engine.track(self._templates, images, guess, np.zeros_like(guess)).found
+            tracked, jolted = self._recovered(images, guess, tracked)
+            before, corrected = self.motion, self._corrected(tracked, around)
+            self.motion = before.update(corrected.found.points[0], self._gap + 1, corrected.expected[0], jolted)
+            return self._checked_templates(corrected, before.position, 1, images)
         speed = self.motion.speed
         followed = self._engine.track(self._templates, images, guess - speed, speed)
         return self._finish_images(images, followed, around)
@@ -318,20 +295,7 @@ class Points:
 
         return track, search
 
-    def _accepted(
-        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int, around: TrackedPoints
-    ) -> TrackedPoints:
-        """Recover the points (1, N) lost in a frame, correct all positions for the deformation of the skin, and
-        update the motion; `around` (1, A) are the surrounding points.
-        """
-        tracked, jolted = self._recovered(image, guess, tracked, frames)
-        before, corrected = self.motion, self._corrected(tracked, around)
-        self.motion = before.update(corrected.found.points[0], frames, corrected.expected[0], jolted)
-        return self._checked_templates(corrected, before.position, 1, image)
-
-    def _recovered(
-        self, image: Images, guess: Array, tracked: TrackedPoints, frames: int
-    ) -> tuple[TrackedPoints, Array | None]:
+    def _recovered(self, image: Images, guess: Array, tracked: TrackedPoints) -> tuple[TrackedPoints, Array | None]:
         """Recover the lost points of a frame by tracking them again and by searching for them.
 
         Return the result, and the points (N,) that were searched for (None if none).
@@ -341,19 +305,11 @@ class Points:
         lost = lost_points(tracked.status[0]) & searchable
         if not np.logical_or.reduce(lost):
             return tracked, None
-        expected = self.motion.expect(frames)
-        if not np.array_equal(guess, expected, equal_nan=True):
-            # By now the frames in between are known, and a prediction from them is closer.
-            guess = expected
-            rows = lost.nonzero()[0]
-            tracked = replaced(tracked, rows, self._track_image(image, guess[rows], rows))
-            lost &= lost_points(tracked.status[0])
-        searched = None
-        if self._engine.settings.search_px and lost.any():
-            track, search = self._track_and_search(image, np.arange(len(self)))
-            limits = self._knowledge.searched, self._predict_from_neighbours
-            tracked, searched = recover(tracked, guess, searchable, track, search, *limits)
-        return tracked, searched
+        if not self._engine.settings.search_px:
+            return tracked, None
+        track, search = self._track_and_search(image, np.arange(len(self)))
+        limits = self._knowledge.searched, self._predict_from_neighbours
+        return recover(tracked, guess, searchable, track, search, *limits)
 
     def _predict_from_neighbours(self, tracked: TrackedPoints) -> Array:
         """Predict the positions (N, 2) px of points in a frame from those of their neighbours that were found in it."""
@@ -377,8 +333,8 @@ class Points:
             corrected = Corrected(found, *(values[:, seeded] for values in corrected[1:]))
         found = corrected.found
         # Few neighbours give a deformation so uncertain that it puts the point many px off.
-        found = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
-        return Corrected(found, *corrected[1:])
+        certain = reject(found, (found.status == TRACKED) & (found.variance > _MOST_VARIANCE), _UNCERTAIN)
+        return corrected if certain is found else Corrected(certain, *corrected[1:])
 
     def _template_data(self, surrounding: int) -> tuple[Array, Array]:
         """Return the statistics and the inverse deformation gradients (2 x 2) of the templates of all points, followed
@@ -405,8 +361,8 @@ class Points:
         """
         self._gap = 0
         self._followed += frames
-        self._index += frames
-        points, self._last = corrected.found, corrected
+        points = corrected.found
+        self._steps.append(corrected)
         if not self._by_key:
             assert image is not None
             self._templates = self._engine.prepare(image, points.points[0])
@@ -433,7 +389,7 @@ class Points:
         rows = much.nonzero()[0]
         if len(rows):
             later = MOST_FRAMES if self._interval == MOST_FRAMES else 0
-            self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
+            self._pending.append(_Pending(self._followed + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, points: TrackedPoints) -> TrackedPoints:
         """Reject points whose window no longer resembles that in the key frame, or which dust on the glass holds back;
@@ -448,12 +404,14 @@ class Points:
             if self._followed % MOST_FRAMES == 0:
                 check(images, points.points, points.status, self._last_warp())
             verified = self._verification.latest
-        covariance = points.covariance
         if not self._by_key:
-            covariance = self._since_start(points.variance)[..., None, None] * np.eye(2, dtype=np.float32)
+            variance = self._since_start(points.variance)
+            points = points._replace(covariance=variance[..., None, None] * np.eye(2, dtype=np.float32))
         if np.logical_or.reduce(verified.variance):
-            covariance = covariance + verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
-        points = TrackedPoints(points.points, points.error, covariance, *points[3:])
+            more = verified.variance[:, None, None] * np.eye(2, dtype=np.float32)
+            points = points._replace(covariance=points.covariance + more)
+        if not np.logical_or.reduce(verified.differs | verified.held, axis=None):
+            return points
         tracked = points.status == TRACKED
         points = reject(points, tracked & verified.differs, _WINDOW_DIFFERS)
         return reject(points, tracked & verified.held & ~verified.differs, _DUST_IN_WINDOW)
@@ -462,8 +420,8 @@ class Points:
         """Return the deformation gradients (N, 2, 2) of the skin around the points in the last frame relative to the
         key frame; those in the templates where unknown.
         """
-        assert self._last is not None
-        warp, valid = self._last.warp[-1], is_finite(self._last.expected[-1])
+        last = self._steps[-1]
+        warp, valid = last.warp[-1], is_finite(last.expected[-1])
         return np.where(valid[:, None, None], warp, inverse_2x2(self._inverse_warp)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:

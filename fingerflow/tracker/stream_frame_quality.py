@@ -9,18 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
-from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
+from fingerflow.schema.variables import DARK, JUMPS, REPEATED, SATURATED, USABLE
+from fingerflow.tracker.block_means import PictureCheck, block_means
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances
 from fingerflow.tracker.frame_jumps import NEARBY, Ordinary, excess, is_far, is_jump, ordinary_limit, ordinary_values
 
 Array = NDArray[Any]
 
-USABLE = FRAME_STATUS.index("usable")
-_DARK, _SATURATED, _REPEATED, _JUMPS, _NOISE = (
-    FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns", "noise")
-)
 _STEPS = 64  # number of latest steps between usable frames from which ordinary steps are estimated
 _REMEMBERED = 512  # number of latest usable frames with which a frame is compared to detect a copy
 _RETURNS = 3  # number of jumps and returns in the last `_RECENT` frames from which on the finger counts as vibrating
@@ -66,13 +62,8 @@ class FrameCheck:
     """
 
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
-        black = float(block_means(dark[None])[0].mean())
-        empty, lines = block_means(glass[None])
-        self._roughness = noise_roughness(glass)
-        self._lit = lines - black > _LIT * (lines.mean() - black)
-        self._least = black + DARK_SHARE * (float(empty.mean()) - black)
-        self._top = 2**bit_depth - 1.5
-        self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
+        self._alone, lines = PictureCheck(glass, dark, 2**bit_depth - 1.5), block_means(glass[None])[1]
+        self._lit = lines - self._alone.black > _LIT * (lines.mean() - self._alone.black)
         self._last: Picture | None = None  # latest usable frame
         self._without_lines = 0  # number of consecutive frames with dark lines
         self._deferred: list[Picture] = []
@@ -89,16 +80,9 @@ class FrameCheck:
         """
         images = [views[name][0] for name in sorted(views)]  # sorted names put the contact view first
         blocks, lines = zip(*map(block_means, images), strict=True)
-        means, saturated = blocks[0], blocks[0] > self._top
-        status = USABLE
-        if float(np.add.reduce(means, None) / means.size) < self._least:
-            status = _DARK
-        elif self._tells_saturated and np.add.reduce(saturated, None, float) / means.size > SATURATED_SHARE:
-            status = _SATURATED
-        elif np.logical_or.reduce(self._lit & (lines[0] < self._least), None):
-            status = _JUMPS
-        elif is_noise(images[0], self._roughness)[0]:
-            status = _NOISE
+        status = int(self._alone.status(images[0], blocks[0])[0])
+        if status not in (DARK, SATURATED) and np.logical_or.reduce(self._lit & (lines[0] < self._alone.least), None):
+            status = JUMPS
         return Picture(status, PixelSamples.sample(*images), frame_key(blocks), number)
 
     def update(self, picture: Picture) -> tuple[list[int], int | None]:
@@ -113,11 +97,11 @@ class FrameCheck:
             of this frame, None if it is deferred itself.
         """
         status = picture.status
-        self._without_lines = self._without_lines + 1 if status == _JUMPS else 0
+        self._without_lines = self._without_lines + 1 if status == JUMPS else 0
         if self._without_lines > LONGEST:
             status = USABLE
         if status == USABLE and self._repeats(picture.key):
-            status = _REPEATED
+            status = REPEATED
         return self._judged(picture if status == picture.status else picture._replace(status=status))
 
     def _judged(self, frame: Picture) -> tuple[list[int], int | None]:
@@ -156,7 +140,7 @@ class FrameCheck:
         """Decide that none of the deferred frames is usable, and return their statuses: their own fault, or else a jump
         of the image.
         """
-        result = [_JUMPS if frame.status == USABLE else frame.status for frame in self._deferred]
+        result = [JUMPS if frame.status == USABLE else frame.status for frame in self._deferred]
         self._deferred = []
         return result
 

@@ -8,14 +8,19 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow import process
+from fingerflow import load_scene, player, process
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.library import is_present
 from fingerflow.kernels.result_records import FrameContact
-from fingerflow.pipeline.stages.contact.straight_contact import StraightContact
-from fingerflow.recordings.lens import Lens
+from fingerflow.recordings.lens import Geometry, Lens
+from fingerflow.results.stream_result import open_stream
+from fingerflow.schema.recipe import Recipe, ViewRecipe
+from fingerflow.schema.scene_tables import CalibrationSettings
 from fingerflow.schema.views import View
-from tests.small_trials import SMALL_PRESS, edit, write_small
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
+from tests.small_trials import SMALL_PRESS, edit, write_library_bundle, write_small
 
+SIZES = ["real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes"]
 _ROWS, _COLUMNS = SMALL_PRESS.frame_shape
 _CENTRE = (_COLUMNS / 2 - 0.5, _ROWS / 2 - 0.5)
 _RADIUS = float(np.hypot(*_CENTRE))  # px, from the principal point to a corner: with it as focal length k1 is the
@@ -118,6 +123,22 @@ def test_a_press_through_a_lens_is_measured_as_without(name: str, ideal: Path, t
     np.testing.assert_allclose(right["ellipse_center"][-1], true["ellipse_center"][-1], atol=0.028)
 
 
+@pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
+def test_a_stream_is_corrected_as_a_recording_is(ideal: Path, tmp_path: Path) -> None:
+    """Sizes are equal to float32, positions where a stream tracks the same points to rounding."""
+    scene = _with_lens(_record_through(LENSES["barrel"], ideal.parent, tmp_path / "seen"), LENSES["barrel"])
+    edit(scene, ('threshold = "reference_frame"', "threshold = 0.27"))
+    recorded = process(scene, SIZES)
+    bundle = write_library_bundle(tmp_path / "bundle", Recipe(views=ViewRecipe(height=_ROWS, width=_COLUMNS // 2)))
+    options = ["--scene", str(scene), "--output", str(tmp_path / "results"), "--page", "off", "--threads", "1"]
+    assert player.main([str(bundle), *options]) == 0
+    stream, settings = open_stream(tmp_path / "results"), load_scene(scene)
+    for name in SIZES:
+        np.testing.assert_allclose(stream[name], recorded[name], rtol=1e-6, err_msg=name)
+    geometry = Geometry(settings.calibration, settings.views.contact, settings.views.topography)
+    np.testing.assert_allclose(stream["position"], geometry.on_glass(stream["position_px"].values), rtol=1e-12)
+
+
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_areas_and_ellipses_are_those_of_the_straight_outline(lens: Lens) -> None:
     view, cell, turn = View((0, _ROWS), (_COLUMNS // 2, _COLUMNS)), 4, np.linspace(0, 2 * np.pi, 400, endpoint=False)
@@ -126,13 +147,16 @@ def test_areas_and_ellipses_are_those_of_the_straight_outline(lens: Lens) -> Non
     outline = center + np.column_stack((np.cos(turn), np.sin(turn))) * axes @ rotation.T
     y, x = np.mgrid[cell / 2 - 0.5 : _ROWS : cell, cell / 2 - 0.5 : _COLUMNS / 2 : cell]
     inside = (((np.stack((x, y), -1) - center) @ rotation / axes) ** 2).sum(-1) < 1
-    contact = FrameContact(None, None, None, center[None], axes[None], np.array([angle]), 2.0 * inside[None, None] - 1)
-    sizes = StraightContact(lens, view, cell).sizes(contact)
+    contact = FrameContact(
+        None, np.zeros(1), np.zeros(1), center[None], axes[None], np.array([angle]), 2.0 * inside[None, None] - 1
+    )
+    calibration = CalibrationSettings(mm_per_px=0.5, intrinsics=lens.intrinsics, distortion=lens.distortion)
+    sizes = SizesOnGlass(Geometry(calibration, view, None), cell).sizes(contact)
     straight = lens.straighten(outline, view).astype(np.float32)
     area = cv2.contourArea(straight) / cv2.contourArea(outline.astype(np.float32))
     (_, expected, degrees), moments = cv2.fitEllipse(straight), cv2.moments(straight)
-    assert float(sizes.area_gain[0]) == pytest.approx(area, rel=1e-3)
+    assert float(sizes.pixel[0]) == pytest.approx(0.25 * area, rel=1e-3)
     middle = (moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
-    np.testing.assert_allclose(sizes.center[0], middle, atol=0.1)
-    np.testing.assert_allclose(sizes.semi_axes[0], np.array(expected)[::-1] / 2, rtol=5e-3)
-    assert abs((sizes.angle[0] - np.radians(degrees + 90) + np.pi / 2) % np.pi - np.pi / 2) < 0.01
+    np.testing.assert_allclose(2 * sizes.ellipse.center[0], middle, atol=0.1)
+    np.testing.assert_allclose(2 * sizes.ellipse.semi_axes[0], np.array(expected)[::-1] / 2, rtol=5e-3)
+    assert abs((sizes.ellipse.angle[0] - np.radians(degrees + 90) + np.pi / 2) % np.pi - np.pi / 2) < 0.01

@@ -30,10 +30,10 @@ from tests.test_architecture import ARROWS
 PICTURES = {"frame_check", "contact", "tracking"}
 #: Change of the scene of a press (old text, new text), and the stages to compute again for all outputs.
 CHANGES: dict[str, tuple[str, str, set[str]]] = {
-    "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"displacement", "fields", "strain"}),
-    "stiffness": ("young_modulus_mpa = 1.0", "young_modulus_mpa = 0.5", {"displacement", "strain"}),
+    "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"deformation", "strain"}),
+    "stiffness": ("young_modulus_mpa = 1.0", "young_modulus_mpa = 0.5", {"deformation", "strain"}),
     "threshold": ('threshold = "reference_frame"', "threshold = 0.3",
-                  {"contact", "tracking", "displacement", "fields", "strain"}),
+                  {"contact", "tracking", "deformation", "strain"}),
     "slip, which nothing asks for": ("# [slip]", "# changed [slip]", set()),
 }  # fmt: skip
 
@@ -106,8 +106,8 @@ def test_each_setting_gives_what_a_fresh_run_gives(folder: Path, change: str, ra
 def test_outputs_that_were_not_there_are_computed(folder: Path, ran: set[str]) -> None:
     scene = load_scene(folder / "scene.toml")
     again = process(scene, ["shear"], earlier=folder / "result.h5")
-    assert ran == {"displacement", "fields"}
-    assert json.loads(again.attrs["taken_over"])["computed"]["fields"] == "shear is not there"
+    assert ran == {"deformation"}
+    assert json.loads(again.attrs["taken_over"])["computed"]["deformation"] == "shear is not there"
     assert_same(again, process(scene, ["shear"]))
     ran.clear()
     process(scene, ["gross_contact_region"], earlier=folder / "result.h5")
@@ -318,4 +318,4 @@ def test_stages_look_at_no_setting_that_they_do_not_name(
         declared = {"path", *_declared(stages[name])}
         unnamed = {key for key in seen if not any(key == one or key.startswith(f"{one}.") for one in declared)}
         assert not unnamed, f"{name} reads {unnamed}"
-    assert {"fields.strain", "fields.gauge_length_mm", "recording.times"} <= looks["fields"]
+    assert {"fields.strain", "fields.gauge_length_mm", "recording.times"} <= looks["deformation"]

@@ -13,8 +13,7 @@ import pytest
 import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
-from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS
-from fingerflow.tracker.stream_frame_quality import USABLE
+from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS, USABLE
 from tests.small_trials import (
     FRAMES,
     HEIGHT,

@@ -5,6 +5,7 @@ Photron, videos.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -119,13 +120,23 @@ def write_photron(folder: Path, data: bytes, header: str = ".cih", **changes: ob
     return folder / "take 1.mraw"
 
 
-def write_video(path: Path, frames: np.ndarray, codec: str, pixels: str, rate: int = 300, **options: str) -> Path:
-    """Encode grey frames (N, H, W) or colour frames (N, H, W, 3); planes are filled directly, without conversion."""
+def write_video(
+    path: Path,
+    frames: np.ndarray,
+    codec: str,
+    pixels: str,
+    rate: int = 300,
+    ticks: Sequence[int] = range(1 << 30),
+    **options: str,
+) -> Path:
+    """Encode grey frames (N, H, W) or colour frames (N, H, W, 3) with time stamps in ticks of 1 / `rate` s; planes are
+    filled directly, without conversion.
+    """
     _, height, width = frames.shape[:3]
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=Fraction(rate), options=options)
         stream.width, stream.height, stream.pix_fmt = width, height, pixels
-        for number, values in enumerate(frames):
+        for tick, values in zip(ticks, frames, strict=False):
             frame = av.VideoFrame(width, height, pixels)
             for plane_number, plane in enumerate(frame.planes):
                 buffer = np.frombuffer(plane, values.dtype).reshape(plane.height, -1).copy()
@@ -138,7 +149,7 @@ def write_video(path: Path, frames: np.ndarray, codec: str, pixels: str, rate: i
                 else:
                     buffer[:] = 128 if values.itemsize == 1 else 512  # no colour, in 8 or 10 bits
                 plane.update(buffer.tobytes())
-            frame.pts, frame.time_base = number, Fraction(1, rate)
+            frame.pts, frame.time_base = tick, Fraction(1, rate)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path

@@ -109,6 +109,21 @@ def test_truncated(tmp_path, name, codec):
     np.testing.assert_array_equal(recording.read(), frames[: len(recording)])
 
 
+@pytest.mark.parametrize(
+    ("name", "first", "step", "dropped", "hertz"),
+    [("a.avi", 0, 10, 3, 78.5714), ("a.mkv", 0, 10, 3, 78.5714), ("a.avi", 0, 20, 0, 50), ("a.mkv", 300, 10, 0, 100)],
+)
+def test_time_stamps_tell_dropped_frames_from_a_missing_end(tmp_path, name, first, step, dropped, hertz):
+    ticks = [first + step * (k + dropped * (k > 3)) for k in range(12)]
+    path = write_video(tmp_path / name, frames_of(8)[:12], "ffv1", "gray", rate=1000, ticks=ticks)
+    recording = open_recording(path)
+    assert recording.frame_rate == pytest.approx(hertz)
+    assert recording.warnings == (
+        (f"frames are not evenly spaced; {hertz:g} Hz is their average rate",) * (dropped > 0)
+    )
+    np.testing.assert_allclose(recording.times, (np.array(ticks) - first) / 1000)
+
+
 def test_mp4_without_its_index_is_refused(tmp_path):
     path = write_video(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:-2000])

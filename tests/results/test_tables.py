@@ -233,7 +233,7 @@ def test_the_dictionary_has_every_output() -> None:
     entries = {entry.name: entry for entry in dictionary()}
     assert set(VARIABLES) <= set(entries)
     assert all(entry.units and entry.definition and entry.equation and entry.stage for entry in entries.values())
-    assert entries["divergence"].stage == "fields"
+    assert entries["divergence"].stage == "deformation"
     assert entries["divergence"].equation == "u_x + v_y, the divergence of the displacement"
     assert "forces.tangential" in entries["load_ratio"].needs
 

@@ -169,6 +169,7 @@ FAULTS = (
     Fault("camera bumped by 5 px", "has moved", _exposed(1), moved_px=5),
     Fault("light falls by 15 % across the view", "falls", _gradient),
     Fault("second contact of a third of the size", "second contact", _second(0.35, -165, 90)),
+    Fault("second contact of a thirtieth of the area", "second contact", _second(0.18, -165, 90)),
     Fault("second contact that merges with the first", "second contact", _second(0.4, -125, 0)),
     Fault("second contact that touches the first, later", "second contact", _second(0.5, -125, 0, 30)),
     Fault("second finger of the same size", "second contact", _second(1, 178, 0)),

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from fingerflow.schema.trial_columns import NUMBERS
-from fingerflow.study.row import FORCE_GRID, measure
+from fingerflow.study.row import FORCE_GRID, SHARE_GRID, measure
 
 FRAMES, RATE = 101, 100.0
 TIME = np.arange(FRAMES) / RATE
@@ -118,26 +118,33 @@ def test_without_forces_the_largest_area_is_the_maximum() -> None:
 
 def test_laws_of_contact_and_full_slip() -> None:
     """Friction is that where no skin sticks. The area grows as k N^0.5, by another k when the force falls, and with a
-    time of 0.05 s while it is held; the last skin slips in frame 60, 0.5 s after the load began.
+    time of 0.05 s while it is held; the last skin slips in frame 60, 0.5 s after the load began. Until a tenth has
+    slipped the tangential force grows by 2 N/mm.
     """
     force = np.interp(TIME, [0, 0.4, 0.8, 1], [0, 5, 5, 0])
     load = 0.6 * np.clip(TIME - 0.1, 0, 0.5) / 0.5
-    row, _ = measure(_result(
-        normal_force=force, load_ratio=load, stuck_ratio=np.clip(0.6 - TIME, 0, 0.5) * 2,
+    stuck = np.interp(load / 0.6, [0, 0.5, 1], [1, 0.95, 0])
+    result = _result(
+        normal_force=force, load_ratio=load, stuck_ratio=stuck, tangential_force=load * force,
         gross_contact_area=np.where(TIME > 0.5, 12, 10) * force**0.5, gross_contact_area_std=0.1 * force**0.5,
-        real_contact_area=20 - 5 * np.exp((0.4 - TIME) / 0.05),
-    ))  # fmt: skip
+        real_contact_area=20 - 5 * np.exp((0.4 - TIME) / 0.05), actuator_position=load * force / 2 + (stuck < 0.9),
+    )  # fmt: skip
     verdict = {"loss_frame": 60, "loss_load_ratio": 0.6, "area_noise": 0.01, "load_noise": 0.02}
-    slid = _result(normal_force=force, load_ratio=load, stuck_ratio=np.clip(0.6 - TIME, 0, 0.5) * 2)
-    slid["stuck_ratio"].attrs["verdict"] = json.dumps({"outcome": "diminishes"} | verdict)
-    row |= {name: value for name, value in measure(slid)[0].items() if name.startswith("full_slip")}
-    deviation = np.hypot(0.01 / 12**0.5, 0.01 / 2)
+    result["stuck_ratio"].attrs["verdict"] = json.dumps({"outcome": "diminishes"} | verdict)
+    row, curves = measure(result)
+    deviation = np.hypot(0.01 / 12**0.5, 0.01 / 3.8)
     expected = {
         "contact_exponent": 0.5, "contact_exponent_std": 0.0, "contact_time_constant": 0.05,
         "unloading_area_ratio": 1.2, "unloading_area_ratio_std": 1.2 * np.hypot(0.1 / 10, 0.1 / 12),
         "friction": 0.6, "friction_force": np.median(force[60:]),
         "full_slip_load_ratio": 0.6, "full_slip_load_ratio_std": 0.012, "full_slip_time": 0.48,
         "full_slip_time_std": deviation, "full_slip_displacement": 0.48 * 0.2,
-        "full_slip_displacement_std": 0.2 * deviation,
+        "full_slip_displacement_std": 0.2 * deviation, "tangential_stiffness": 2.0, "tangential_stiffness_std": 0.0,
     }  # fmt: skip
     assert {name: row[name] for name in expected} == pytest.approx(expected, rel=0.02, abs=1e-6)
+    area, pressure = SHARE_GRID**0.5, 100 * (5 * SHARE_GRID) ** 0.5
+    for name, truth in {
+        "stuck_ratio": np.interp(SHARE_GRID, [0, 0.5, 1], [1, 0.95, 0]), "relative_area": area,
+        "relative_area_unloading": 1.2 * area, "mean_pressure": pressure, "mean_pressure_unloading": pressure / 1.2,
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(np.array(curves[name], float)[5:-1], truth[5:-1], rtol=0.01, atol=1e-9, err_msg=name)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
-from fingerflow.models.observer.estimate import LEVEL, Estimate, Values, jackknife
+from fingerflow.models.observer.estimate import LEVEL, Estimate, Values, jackknife, metric_values
 from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
@@ -110,14 +110,16 @@ def auc(correct: ArrayLike, incorrect: ArrayLike, participants: Participants) ->
     if a kind has no trial. The interval is that of the normal quantile of the area. There is none if the two kinds do
     not overlap. Arguments and errors are those of `d_prime`.
     """
+    area = [math.nan]
 
-    def quantile(*arguments: Any) -> Values:
-        counts = [max(group.size, 1) for group in arguments[0]]
-        return np.asarray(ndtri(_area(*arguments).clip(0.5 / math.prod(counts), 1 - 0.5 / math.prod(counts))))
+    def quantile(values: list[Values], *rest: Any) -> Values:
+        least = 0.5 / math.prod(group.size for group in values)
+        areas = _area(values, *rest)
+        area[0] = float(areas[0])
+        return np.asarray(ndtri(areas.clip(least, 1 - least)))
 
     found = _estimated((correct, incorrect), participants, 1, quantile)
-    value = _estimated((correct, incorrect), participants, 1, _area).value
-    return replace(found, value=value, interval=tuple(ndtr(found.interval).tolist()))
+    return replace(found, value=area[0], interval=tuple(ndtr(found.interval).tolist()))
 
 
 def compare_auc(
@@ -231,9 +233,7 @@ def _finite(
     """Return the finite values of each kind of trials, the number of each trial's participant, how many participants
     there are, and how many trials were NaN.
     """
-    values = [np.asarray(group, dtype=np.float64).reshape(-1) for group in kinds]
-    if any(np.isinf(group).any() for group in values):
-        raise ValueError("a metric is infinite: mark what was not measured with NaN")
+    values = [metric_values(group) for group in kinds]
     shapes = [np.shape(who) for who in participants], [group.shape for group in values]
     if shapes[0] != shapes[1]:
         raise ValueError(f"participants have shapes {shapes[0]}, the trials {shapes[1]}: name that of every trial")

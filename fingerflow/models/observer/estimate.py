@@ -32,6 +32,14 @@ class Estimate:
     reason: str = ""
 
 
+def metric_values(values: ArrayLike) -> Values:
+    """Return the values (n,) of a metric; raise ValueError if one is infinite."""
+    column = np.asarray(values, dtype=np.float64).reshape(-1)
+    if np.isinf(column).any():
+        raise ValueError("a metric is infinite: mark what was not measured with NaN")
+    return column
+
+
 def jackknife(estimate: float, without: ArrayLike) -> tuple[Interval, float, str]:
     """Return the interval of an estimate and its p-value against 0 by Student's t, or the reason why both are missing.
 

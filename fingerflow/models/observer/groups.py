@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-Values = NDArray[np.float64]
+from fingerflow.models.observer.estimate import Values, metric_values
 
 _FEWEST = 6
 _STEPS = 100  # iterations of expectation and maximisation
@@ -59,9 +59,7 @@ def participant_groups(values: ArrayLike, resamples: int = 1000, seed: int = 0) 
     Raises:
         ValueError: infinite values, or fewer than 100 resamples.
     """
-    numbers = np.asarray(values, dtype=np.float64).reshape(-1)
-    if np.isinf(numbers).any():
-        raise ValueError("a value is infinite: mark what was not measured with NaN")
+    numbers = metric_values(values)
     if resamples < 100:
         raise ValueError(f"{resamples} resamples are too few for a test: give 100 or more")
     valid = np.isfinite(numbers)

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Values = NDArray[np.float64]
+from fingerflow.models.observer.estimate import Values, metric_values
 
 BIN = 0.05  # bin width of the normalised metric
 _STEP = 0.001  # step between tested criteria, in the normalised metric
@@ -59,10 +59,7 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike) -> PrintedObserve
     Raises:
         ValueError: infinite values.
     """
-    both = [np.asarray(group, dtype=np.float64).reshape(-1) for group in (correct, incorrect)]
-    if any(np.isinf(group).any() for group in both):
-        raise ValueError("a metric is infinite: mark what was not measured with NaN")
-    first, second = (group[np.isfinite(group)] for group in both)
+    first, second = (group[np.isfinite(group)] for group in map(metric_values, (correct, incorrect)))
     pooled = np.concatenate([first, second])
     scale = float(np.quantile(pooled, 0.9)) if pooled.size else math.nan
     trials = (first.size, second.size)

@@ -48,7 +48,7 @@ def open_forces(
     time: Column | None = None,
     sample_rate: float | None = None,
     trigger: Column | None = None,
-    lengths: Collection[str] = (),
+    lengths: Collection[Column] = (),
 ) -> Forces:
     """Read a force file and convert forces to N, times to s, voltages to V and positions to m.
 
@@ -62,7 +62,7 @@ def open_forces(
     sample_rate: Hz, for a file without times, or with times of too few digits; overrides the rate that the file
         states. If a time column increases throughout and has another rate, that is an error.
     trigger: name of the column that carries the trigger; kept besides `channels`. Its unit may be missing.
-    lengths: columns by their names in the file that hold lengths, not forces; m, mm, um and nm become m.
+    lengths: columns that hold lengths, not forces; m, mm, um and nm become m.
 
     Raises FingerflowError for a missing file or column, an unknown or missing unit, times that do not increase, and
     times that contradict `sample_rate`.
@@ -90,7 +90,8 @@ def open_forces(
             raise FingerflowError(
                 f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
             )
-        factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
+        is_length = column in {_name(table, length) for length in lengths}
+        factor, canonical[name] = _unit(table, column, column == trigger, is_length)
         values[name], scales[name] = data * factor, factor
     of_trigger = next((name for name, column in selected.items() if column == trigger), None)
     return Forces(location, times, values, canonical, of_trigger, scales=scales, warnings=table.warnings)

@@ -35,6 +35,9 @@ _REPORTS = threading.Lock()  # FFmpeg has a single log for all decoders
 # Without these flags a decoder fills damaged parts with old pixels.
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}
 
+# PyAV 19 takes names and titles in any encoding, and no such argument.
+_LENIENT: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
+
 
 def open_frames(path: Path) -> VideoRecording:
     """Open a video and index all frames without decoding; raise FingerflowError if FFmpeg cannot read the file.
@@ -52,17 +55,23 @@ def open_frames(path: Path) -> VideoRecording:
         promised, rate, tick = stream.frames, stream.average_rate, stream.time_base
         luma_range = LUMA_RANGE.get(int(stream.codec_context.color_range), "not stated")
         codec, lossy = stream.codec_context.name, _lossy(stream.codec_context)
-        container_seconds = (container.duration or 0) / av.time_base
+        seconds, file_format = (container.duration or 0) / av.time_base, container.format.name
         index = _index(path, container, stream)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = []
-    # MKV states no number of frames, only the duration in ticks and the number of bytes.
-    lasting, spacing = container_seconds * float(rate or 0), float(tick) * float(rate or 0)
-    span = index.count if index.stamps is None else float(index.stamps[-1] - index.stamps[0]) * spacing + 1
-    if not promised and lasting - span > 0.5 + spacing:
-        promised = index.count + round(lasting - span)
-    elif not promised and (cut := unfinished(path)):
+    # MKV states no number of frames, only the duration, AVI the number of ticks, dropped frames among them: what is
+    # missing at the end lies behind the last time stamp.
+    in_ticks = "avi" in file_format
+    missing = promised - index.count if promised else 0
+    if rate and (in_ticks or not promised):
+        step = 1 / float(rate * tick)
+        ticks = step * np.arange(index.count) if index.stamps is None else index.stamps.astype(np.float64)
+        if index.count > 1:
+            step = max(step, float(np.median(np.diff(ticks))))
+        behind = (promised if in_ticks else seconds / float(tick)) - (ticks[-1] - min(ticks[0], 0.0)) - step
+        missing = round(behind / step) if behind > 0.5 * step + 1 else 0
+    if missing <= 0 and not promised and (cut := unfinished(path)):
         warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
         warnings.append(
@@ -79,15 +88,18 @@ def open_frames(path: Path) -> VideoRecording:
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
         # Containers round time stamps to a tick (MKV: 1 ms), so stamps that are evenly spaced within a tick count as
-        # even.
-        if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
-            stamps = None
+        # even; the rate that they state may be that of their ticks or of the playback.
+        for one in (hertz, (index.count - 1) / max(stamps[-1], float(tick))):
+            hertz = float(one)
+            if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
+                stamps = None
+                break
         else:
             warnings.append(f"frames are not evenly spaced; {hertz:g} Hz is their average rate")
     description = Description(
         path=path,
         count=index.count,
-        stated_count=promised,
+        stated_count=index.count + missing,
         frame_shape=pixels.shape,
         dtype=pixels.dtype,
         bit_depth=pixels.bits,
@@ -297,7 +309,7 @@ def _reported_errors() -> Iterator[list[str]]:
 
 def _open(path: Path) -> Any:
     with reading(path, "video"):
-        return av.open(str(path), metadata_errors="replace")
+        return av.open(str(path), **_LENIENT)
 
 
 def _first_picture(path: Path) -> tuple[bool, str]:
@@ -307,8 +319,8 @@ def _first_picture(path: Path) -> tuple[bool, str]:
             picture = next(container.decode(video=0))
     except (FingerflowError, av.FFmpegError, StopIteration, ValueError, MemoryError):
         return False, "1"  # reported as an unreadable frame
-    matrices = [np.frombuffer(bytes(data), np.int32) for data in picture.side_data if "MATRIX" in data.type.name]
-    upright = not matrices or np.array_equal(np.sign(matrices[0][:5]), (1, 0, 0, 0, 1))
+    matrix = picture.side_data.get("DISPLAYMATRIX")
+    upright = matrix is None or np.array_equal(np.sign(np.frombuffer(bytes(matrix), np.int32)[:5]), (1, 0, 0, 0, 1))
     return picture.interlaced_frame, "1" if upright else "display matrix"
 
 

@@ -134,7 +134,7 @@ def through_video(path: str) -> str:
     """Let FFmpeg read header, index and first frames of a video; return "" on success."""
     import av
 
-    with av.open(path, metadata_errors="replace"):
+    with av.open(path):
         return ""
 
 

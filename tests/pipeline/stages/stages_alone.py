@@ -35,6 +35,7 @@ def inputs_of(frames: int, mm_per_px: float, strain: str, template: str = "keyfr
             rate_window_s=0.05,
         ),
         forces=None,
+        views=SimpleNamespace(contact=None, topography=None),
         recording=SimpleNamespace(first_frame=0),
         tracking=SimpleNamespace(template=template, direction="forward", window_px=25),
         calibration=SimpleNamespace(mm_per_px=mm_per_px, topography_to_contact=np.eye(2, 3), intrinsics=None),

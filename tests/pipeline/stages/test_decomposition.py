@@ -5,8 +5,7 @@ rigid motion.
 import numpy as np
 from stages_alone import inputs_of, run, trial_of, values_of
 
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
-from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
@@ -32,7 +31,7 @@ def test_parts_of_a_uniform_gradient() -> None:
     trial = trial_of(inputs_of(FRAMES, SCALE, "infinitesimal"), contact, FRAMES, **given)
     names = ("divergence", "curl", "shear", "strain_rate", "principal_strains", "principal_angle", "rigid_residual")
     trial.requested = frozenset((*names, "strain_rate_std"))
-    run(trial, DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
+    run(trial, DeformationStage(trial), StrainStage(trial))
     found = {name: values_of(trial, name)[-1] for name in names}
     ux, uy, vx, vy = 3 * GRADIENT.ravel()
     symmetric = 1.5 * (GRADIENT + GRADIENT.T)

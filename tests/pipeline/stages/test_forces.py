@@ -90,13 +90,17 @@ def test_tare_is_the_mean_while_nothing_touches(processed: Any, press: Path, exp
 
 def test_two_components(processed: Any, press: Path, expected: xr.Dataset) -> None:
     """A sensor turned by 0.7 rad gives the same tangential force, and its direction where the force
-    exceeds its noise.
+    exceeds its noise. The position of the actuator, 1 mm a N here, has a unit of its own.
     """
     columns, turned = sampled(press), 0.7
     along = 20 * columns[:, 2]
-    five = np.column_stack((columns[:, :2], along * np.cos(turned), along * np.sin(turned), columns[:, 3]))
-    heading = "time (s),fz (N),fx (N),fy (N),trigger (V)"
-    result = processed(five, heading, 'normal = "fz"\ntangential = ["fx", "fy"]')
+    of_forces = np.column_stack((columns[:, 1], along * np.cos(turned), along * np.sin(turned)))
+    six = np.column_stack((columns[:, 0], 1e3 * of_forces, columns[:, 3], 1e3 * columns[:, 1]))
+    heading = "time (s),fz (mN),fx (mN),fy (mN),trigger (V),travel (um)"
+    settings = 'normal = "fz"\ntangential = ["fx", "fy"]\nunits = "mN"\nposition = '
+    for travel in ('"travel"', 6):
+        result = processed(six, heading, f"{settings}{travel}")
+        np.testing.assert_allclose(result["actuator_position"], expected["normal_force"], atol=1e-4)
     np.testing.assert_allclose(result["tangential_force"], np.abs(20 * expected["tangential_force"]), atol=1e-4)
     pulls = result["tangential_force"].values > 0.05
     assert pulls.sum() >= 3

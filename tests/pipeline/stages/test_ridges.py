@@ -65,3 +65,9 @@ def test_sweat_is_told_from_wide_ridges(width: float) -> None:
         sweat |= np.hypot(x - right, y - down) < 10
     assert view_faults.check_sweat(touching, 15.0) == []
     assert "sweat" in view_faults.check_sweat(touching | sweat, 15.0)[0]
+
+
+@pytest.mark.parametrize(("share", "border_mm"), [(0.17, 0.15), (0.2, 0.075), (0.3, 0)])
+def test_sparse_ridges_leave_the_border_uncertain(share: float, border_mm: float) -> None:
+    assert view_faults.sparse_border_mm(share, 1.0) == pytest.approx(border_mm)
+    assert bool(view_faults.check_sparse_ridges(border_mm, share, 1.0)) == (border_mm > 0.1)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from stages_alone import inputs_of, run, trial_of, values_of
 
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
-from fingerflow.pipeline.stages.fields.fields_stage import FieldsStage
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation.inputs import Inputs
 from fingerflow.pipeline.stages.stage import RunContext
 from fingerflow.pipeline.stages.strain.strain_stage import StrainStage
@@ -84,13 +83,13 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
     place = np.linalg.norm(exact, axis=-1) + BORDER_MM * draw.standard_normal(len(points))
     given = inputs()
-    measured = {"position": given.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
+    measured = {"position": given.geometry.on_glass(pixels), "position_px": pixels, "position_std_px": deviation}
     return trial_of(given, contact(), FRAMES, **measured, in_contact=place < border)
 
 
-def measured(trial: RunContext, moved: DisplacementStage | None = None) -> RunContext:
+def measured(trial: RunContext, moved: DeformationStage | None = None) -> RunContext:
     """Return the run context after the stages of displacement, fields and strain."""
-    run(trial, moved or DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
+    run(trial, moved or DeformationStage(trial), StrainStage(trial))
     return trial
 
 
@@ -112,7 +111,7 @@ def test_noise_of_the_template_falls_out(template: str, variance: list[float], e
     covered = np.array([[1, 0], [1, 1], [1, 1], [1, 1]], bool)
     given = {"position": position, "position_px": position, "position_std_px": deviation, "in_contact": covered}
     trial = trial_of(inputs(template), contact(), 4, **given)
-    run(trial, DisplacementStage(trial))
+    run(trial, DeformationStage(trial))
     found = values_of(trial, "displacement_std") ** 2 / MM_PER_PX**2
     np.testing.assert_allclose(found[:, 0], np.array(expected)[:, 0], rtol=1e-5)
     np.testing.assert_allclose(found[1:, 1], np.array(expected)[1:, 1], rtol=1e-5, atol=1e-6)
@@ -126,7 +125,7 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
     rest = np.zeros((4, 3), np.float32)
     given = {"position": position, "position_px": position, "position_std_px": rest, "in_contact": covered}
     trial = trial_of(inputs(), contact(), 4, **given)
-    run(trial, DisplacementStage(trial))
+    run(trial, DeformationStage(trial))
     moved = values_of(trial, "displacement")
     assert values_of(trial, "onset_frame").tolist() == [1, -1, -1]
     assert np.isnan(moved[:, 1:]).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fingerflow import process
-from fingerflow.pipeline.stages.displacement.vibration import vibration
+from fingerflow.pipeline.stages.deformation.vibration import vibration
 from tests.small_trials import scene_beside, warnings_of
 
 FRAMES, POINTS, PX = 90, 120, 0.03  # PX: mm

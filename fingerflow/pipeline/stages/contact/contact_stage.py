@@ -9,13 +9,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.engines import contact_view
+from fingerflow.engines.contact_view import glass_light
 from fingerflow.engines.engine import FrameContact, Images
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
-from fingerflow.ops.filters.illumination import glass_light
 from fingerflow.pipeline.stages.contact import view_faults
-from fingerflow.pipeline.stages.contact.straight_contact import StraightContact
 from fingerflow.pipeline.stages.preparation import plausibility, ridges
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.inputs import SCALE_KEYS, read_frames
@@ -23,6 +21,7 @@ from fingerflow.pipeline.stages.preparation.loading import LoadingStage
 from fingerflow.pipeline.stages.preparation.regions import region_mask
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.schema.variables import CONTACT
+from fingerflow.tracker.sizes_on_glass import SizesOnGlass
 
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames sampled to find the one with the largest contact, if forces are unknown
@@ -42,7 +41,8 @@ class ContactStage(Stage):
         reference_frame: the frame with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
         skin: that touches in the reference frame; None if too little does.
-        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin; else 0.
+        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or ridges
+            cover little of it; else 0.
     """
 
     name = "contact"
@@ -66,7 +66,7 @@ class ContactStage(Stage):
         self._view = self.inputs.scene.views.contact
         self._engine = self.inputs.engine
         self.cell_px = self._engine.cell_px
-        self._straight = StraightContact(self.inputs.lens, self._view, self.cell_px)
+        self._on_glass = SizesOnGlass(self.inputs.geometry, self.cell_px)
         frames = len(trial)
         self.series = {
             variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
@@ -83,11 +83,12 @@ class ContactStage(Stage):
         self._usable = self.trial.stage(FrameCheckStage).usable
         reference, dark = self.inputs.reference(self._view), self.inputs.dark(self._view)
         glass, black = reference[0, 0].cpu().numpy(), None if dark is None else dark[0, 0].cpu().numpy()
-        # Empty glass and darkness, as NumPy arrays of counts and as tensors.
         self._black = np.float32(0) if black is None else black
-        self._glass, self._glass_light = glass - self._black, glass_light(reference, dark)
+        self._glass, self._glass_light = glass - self._black, glass_light(glass, black)
         # Outside the scene's region the light is set to 0, so that no contact is detected there.
-        self._light = contact_view.glass_light(glass, black, region_mask(self.inputs.scene, "contact"))
+        light, level = self._glass_light
+        drawn = region_mask(self.inputs.scene, "contact")
+        self._light = light if drawn is None else np.where(drawn, light, np.float32(0)), level
         first = int(np.argmax(self._usable))
         first_frame, appears = self.inputs.scene.recording.first_frame, self.inputs.scene.contact.appears
         at_first = self._changed(first)
@@ -98,13 +99,14 @@ class ContactStage(Stage):
         faults = faults or plausibility.check_contrast(*changed, appears, self.largest_load())
         self.warnings.extend(fault for fault in faults if fault not in self.warnings)
         self._threshold = self._fixed_threshold(faults)
-        self._largest = self._gross_region(self.reference_frame)
+        contact = self._contact(self.reference_frame)
+        self._largest = self._gross_region(contact)
         self._second_px = view_faults.SECOND_CONTACT * float(self._largest.sum())  # least size of a second contact
         skin = self._counts(self.reference_frame)[0] - self._black
         self.skin = ridges.skin_patch(skin, self._glass, self._largest[0, 0].numpy())
         self._period_px = np.nan if self.skin is None else ridges.period_px(self.skin)
         self.warnings.extend(plausibility.check_ridges(self._period_px, self.inputs.mm_per_px))
-        self._check_view()
+        self._check_view(contact)
         if "gross_contact_region" in self.trial.requested:
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
@@ -112,22 +114,20 @@ class ContactStage(Stage):
     def step(self, batch: Batch) -> Any:
         """Measure the contact in a batch of frames, store it, and return it as `FrameContact`."""
         contact = self._measure(batch.images(self.inputs, self._view))
-        size, indices = self.inputs.mm_per_px, batch.indices
-        straight = self._straight.sizes(contact)
-        area = straight.area_gain * size**2  # mm^2 of a pixel
+        indices, sizes = batch.indices, self._on_glass.sizes(contact)
         for name, values in {
             "contact_threshold": contact.threshold,
-            "real_contact_area": contact.real_area_px.astype(np.float64) * area,
-            "gross_contact_area": contact.gross_area_px.astype(np.float64) * area,
-            "ellipse_center": straight.center * size,
-            "ellipse_semi_axes": straight.semi_axes * size,
-            "ellipse_angle": straight.angle,
+            "real_contact_area": sizes.real,
+            "gross_contact_area": sizes.gross,
+            "ellipse_center": sizes.ellipse.center,
+            "ellipse_semi_axes": sizes.ellipse.semi_axes,
+            "ellipse_angle": sizes.ellipse.angle,
         }.items():
             self.series[name][indices] = values
         if "gross_contact_region" in self.results:
             region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
-        self._leave_out_parts(contact, indices, np.broadcast_to(area, len(indices)))
+        self._leave_out_parts(contact, indices, np.broadcast_to(sizes.pixel, len(indices)))
         self._gain[indices] = contact.illumination_gain
         self._blind[indices] = np.isnan(contact.illumination_gain) & (contact.real_area_px > 0)
         return contact
@@ -200,12 +200,12 @@ class ContactStage(Stage):
         The union is returned if more than `window_px`^2 pixels of the first usable frame's region lie outside the
         other. That contact has left its first region since, and skin there has no onset to wait for.
         """
-        largest, first = self._largest, self._gross_region(int(np.argmax(self._usable)))
+        largest, first = self._largest, self._region_in(int(np.argmax(self._usable)))
         return largest | first if (first & ~largest).sum() > window_px**2 else largest
 
     def touched(self, frames: int = _LOOKS) -> NDArray[np.bool_]:
         """Return the union (h, w) of the gross contact masks in frames sampled from the whole recording."""
-        regions = [self._gross_region(int(frame)) for frame in self._sampled_frames(frames)]
+        regions = [self._region_in(int(frame)) for frame in self._sampled_frames(frames)]
         return torch.stack(regions).any(0)[0, 0].cpu().numpy()
 
     def _sampled_frames(self, frames: int = _LOOKS) -> NDArray[np.intp]:
@@ -220,21 +220,21 @@ class ContactStage(Stage):
         A contact that slides has left the first region by then. The margin gives points on both sides of the contact
         border.
         """
-        beyond = ~(self._gross_region(int(np.argmax(self._usable))) | self._largest)
+        beyond = ~(self._region_in(int(np.argmax(self._usable))) | self._largest)
         pixels = beyond[0, 0].cpu().numpy().astype(np.uint8)
         away = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         return torch.from_numpy(away <= margin_px)[None, None].to(beyond.device)
 
-    def _check_view(self) -> None:
+    def _check_view(self, contact: FrameContact) -> None:
         """Warn of faults in the contact view in the frame with most contact (torn background, unlit glass, shadow,
-        sweat), and of glass that has moved in that, the first or the last usable frame.
+        sweat), whose `contact` is given, and of glass that has moved in that, the first or the last usable frame.
         """
-        region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0].cpu().numpy()
+        region, light = self._largest[0, 0].numpy(), self._glass_light[0][0, 0]
+        away = np.asarray(cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3), np.float32)  # px
         frame = read_frames(self.inputs.recording[[self.reference_frame]])
         self.warnings.extend(plausibility.check_clipped("contact", self._view.crop(frame)))
         self.warnings.extend(view_faults.check_background_lines(light))
         if region.any():
-            contact = self._contact(frame)
             period = self._period_px
             radius_px = self.inputs.scene.contact.gross_radius_px
             self.warnings.extend(view_faults.check_unlit_glass(region, light, radius_px))
@@ -242,7 +242,7 @@ class ContactStage(Stage):
                 picture = self._counts(self.reference_frame)[0] - self._black
                 gain = float(contact.illumination_gain[0])
                 lit = np.where(light > 0, light * (gain if np.isfinite(gain) else 1), np.nan)
-                shadow = view_faults.check_shadow(picture / lit, region, period)
+                shadow = view_faults.check_shadow(picture / lit, away, period)
                 self.warnings.extend(shadow or self._check_rim(frame, contact))
                 if contact.real_contact_mask is not None:
                     self.warnings.extend(view_faults.check_sweat(contact.real_contact_mask[0, 0], period))
@@ -252,7 +252,7 @@ class ContactStage(Stage):
             (frame + first_frame, self._counts(frame)[0] - self._black)
             for frame in dict.fromkeys((int(usable[0]), self.reference_frame, int(usable[-1])))
         )
-        self.warnings.extend(view_faults.check_moved_glass(pictures, light, region))
+        self.warnings.extend(view_faults.check_moved_glass(pictures, light, away))
 
     def _check_rim(self, frame: NDArray[np.generic], contact: FrameContact) -> list[str]:
         """Measure the faint rim of the `contact` in a frame, and return a warning if there is one."""
@@ -262,8 +262,11 @@ class ContactStage(Stage):
         self._pale_rim_mm = view_faults.pale_rim_mm(gross, whole)
         region, mask = self._largest[0, 0].numpy(), contact.real_contact_mask
         thin = 0.0 if mask is None else view_faults.thin_rim_mm(mask[0, 0], region, self._period_px)
-        self.faint_rim_mm = max(self._pale_rim_mm, thin)
-        return view_faults.check_faint_rim(self.faint_rim_mm, gross, float(contact.threshold[0]))
+        rim, real = max(self._pale_rim_mm, thin), float(contact.real_area_px[0]) * size**2
+        sparse = view_faults.sparse_border_mm(real, gross)
+        self.faint_rim_mm = max(rim, sparse)
+        warnings = view_faults.check_faint_rim(rim, gross, float(contact.threshold[0]))
+        return warnings or view_faults.check_sparse_ridges(sparse, real, gross)
 
     def _leave_out_parts(
         self, contact: FrameContact, indices: NDArray[np.intp], pixel_mm2: NDArray[np.float64]
@@ -288,8 +291,10 @@ class ContactStage(Stage):
                 self._several_parts = bool(several)
                 self.warnings.extend(several)
 
-    def _gross_region(self, frame: int) -> Tensor:
-        contact = self._contact(read_frames(self.inputs.recording[[frame]]))
+    def _region_in(self, frame: int) -> Tensor:
+        return self._gross_region(self._contact(frame))
+
+    def _gross_region(self, contact: FrameContact) -> Tensor:
         if not (contact.density_margin > 0).any():
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
@@ -310,8 +315,8 @@ class ContactStage(Stage):
         count = max(share.size, 1)
         return float((share > _BRIGHTER).sum() / count), float((share < 1 / _BRIGHTER).sum() / count)
 
-    def _contact(self, frames: NDArray[np.generic]) -> FrameContact:
-        return self._measure(self._engine.images(self.inputs.counts(frames, self._view)))
+    def _contact(self, frame: int) -> FrameContact:
+        return self._measure(self._engine.images(self._counts(frame)))
 
     def _measure(self, images: Images) -> FrameContact:
         threshold = None if self._threshold is None else np.full(len(images), self._threshold, np.float32)
@@ -323,22 +328,19 @@ class ContactStage(Stage):
             if np.isfinite(force).any():
                 return int(np.nanargmax(force))
         usable, looks = np.flatnonzero(self._usable), self._sampled_frames()
-        light, black = self._glass_light
-        if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
-            light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
-        shares = [self._brightness(read_frames(self.inputs.recording[[int(i)]]), light, black) for i in looks]
+        shares = [self._brightness(self._counts(int(i))) for i in looks]
         return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
-    def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
-        """Return the mean ratio of a frame's intensity to the `light` of the empty glass, both above the `black` level,
-        corrected for a change of the illumination.
+    def _brightness(self, counts: NDArray[Any]) -> float:
+        """Return the mean ratio of the intensity of a picture (1, h, w) to the light of the empty glass, both above the
+        black level, corrected for a change of the illumination.
 
         A contact leaves about half of the intensity. NaN where hardly any is left, as in a dark frame.
         """
-        view = self.inputs.contact_view(frame)
-        picture, empty, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
-        seen = float(((picture - dark) / empty.clamp_min(1)).clamp(0, 1)[empty > 0].mean())
-        return seen / self._light_gain(self.inputs.counts(frame, self._view)) if seen > _LEAST_LIGHT else np.nan
+        picture, empty, dark = (image[..., ::_STEP, ::_STEP] for image in (counts[None], *self._light))
+        shares = ((picture - dark) / np.maximum(empty, 1)).clip(0, 1)[empty > 0]
+        seen = float(shares.sum() / max(shares.size, 1))
+        return seen / self._light_gain(counts) if seen > _LEAST_LIGHT else np.nan
 
     def _light_gain(self, counts: NDArray[Any]) -> float:
         """Return the illumination gain of a picture (1, h, w) relative to the empty glass; 1 where it is unknown."""
@@ -363,7 +365,7 @@ class ContactStage(Stage):
             path = self.inputs.recording.path
             if faults:
                 raise FingerflowError(f"{path}: no contact: {faults[0]}")
-            light, black = (image[0, 0].cpu().numpy() for image in self._glass_light)
+            light, black = (image[0, 0] for image in self._glass_light)
             seen = view_faults.described(frame[0] - black, light, self.reference_frame)
             clocks = "frame rate and trigger of [recording] and [forces], then " if self._has_forces() else ""
             raise FingerflowError(

@@ -19,7 +19,7 @@ _STRIP, _STRIP_MM = 4.0, 3.0  # ratio of the axes, and length in mm, above which
 _SOLID = 0.2  # largest share of the real contact in patches wider than a ridge; ridges that merge make up to 0.17
 _ALL_SOLID = 0.8  # share above which the contact is not one of ridges at all, and no warning is given
 # Least area of a second contact as a share of the largest gross contact area, and least share of it that touches.
-SECOND_CONTACT, DENSITY = 0.03, 0.2
+SECOND_CONTACT, DENSITY = 0.015, 0.2
 _SHADOW = 0.04  # least share of its light that the glass around the contact loses to a shadow
 # Share of the contact threshold at which a pale rim shows. The border then lies further out, by 0.024 +- 0.009 mm on
 # clean prints; light that varies over the view moves it further than the largest distance. Of a pale rim, `_UNSEEN`
@@ -28,8 +28,11 @@ FAINT, _USUAL_MM, _FURTHEST_MM, _UNSEEN = 0.4, 0.02, 0.5, 1.6
 # Ridges cover 0.78 +- 0.05 of what they cover further inside within one period of the border of clean prints, with a
 # larger scatter on small contacts, and less where they are thin there: the border then lay 0.1 to 0.4 mm further out.
 _THIN, _SCATTER, _RAMP, _THIN_MM = 0.69, 0.3, 0.06, 0.27
-_RIM_MM = 0.06  # least width of a faint rim that is reported
-_STEP = 0.3  # least |log ratio| of the light of successive lines of the background at which it is torn
+_RIM_MM = 0.1  # least width of a faint rim that is reported; of clean prints up to 0.07
+# Share of the contact that ridges cover below which its border is uncertain, over which range, and by how much: it lay
+# up to 0.18 mm too far out on presses of the skin chain.
+_SPARSE, _SPARSE_RAMP, _SPARSE_MM = 0.23, 0.06, 0.15
+_STEP = 1.35  # least ratio of the light of successive lines of the background at which it is torn
 _REACH_PX, _MOVED_PX = 12, 1.5  # px, largest shift of the glass that is searched, and least shift that is reported
 # Least relative slope of the light at edges of the glass, 1/px, and least number of edge pixels for a shift.
 _EDGE, _EDGE_PX = 0.02, 200
@@ -123,13 +126,13 @@ def check_sweat(touching: Mask, period_px: float) -> list[str]:
     ]
 
 
-def check_shadow(share: Picture, region: Mask, period_px: float) -> list[str]:
+def check_shadow(share: Picture, away: Picture, period_px: float) -> list[str]:
     """Return a warning if the glass just outside the contact region is darker in a frame than when empty, as in a
     shadow of the finger.
 
-    `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain.
+    `share` (h, w) is the intensity relative to that of the empty glass, corrected for the illumination gain; `away`
+    (h, w) px is the distance from that region.
     """
-    away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 3)
     around = share[(away > 0.4 * period_px) & (away < 1.2 * period_px) & np.isfinite(share)]
     left = float(np.median(around)) if len(around) else 1.0
     if left >= 1 - _SHADOW:
@@ -159,6 +162,23 @@ def thin_rim_mm(touching: Mask, region: Mask, period_px: float) -> float:
     return _THIN_MM * float(np.clip((usual - rim.mean() / inner.mean()) / _RAMP, 0, 1)) if inner.any() else 0.0
 
 
+def sparse_border_mm(real: float, gross: float) -> float:
+    """Return by how much, mm, the border is uncertain as ridges cover little of the contact, from its real and gross
+    areas in one unit.
+    """
+    return _SPARSE_MM * float(np.clip((_SPARSE - real / gross) / _SPARSE_RAMP, 0, 1)) if gross > 0 else 0.0
+
+
+def check_sparse_ridges(border_mm: float, real: float, gross: float) -> list[str]:
+    """Return a warning if ridges cover so little of the contact that its border is uncertain by `border_mm`."""
+    if border_mm < _RIM_MM:
+        return []
+    return [
+        f"ridges cover {real / gross:.0%} of the contact: its border may lie {border_mm:.2f} mm further in or out, and "
+        f"areas, ellipse and onsets with it. Press harder, moisten the skin, or lower [contact] threshold"
+    ]
+
+
 def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
     """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
     mm^2 is its area without that rim.
@@ -181,11 +201,11 @@ def check_background_lines(light: Picture) -> list[str]:
     if not full > 0:
         return []
     bright = np.maximum(light, 0.02 * full)
-    step = np.abs(np.diff(np.log(bright), axis=0))
-    lit = np.maximum(bright[1:], bright[:-1]) > 0.3 * full
-    count = lit.sum(1)
+    lighter = np.maximum(bright[1:], bright[:-1])
+    lit, step = lighter > 0.3 * full, lighter > _STEP * np.minimum(bright[1:], bright[:-1])
+    count = np.count_nonzero(lit, 1)
     # The median step is above _STEP if more than half of the steps are.
-    torn = (count > 0.25 * light.shape[1]) & (2 * (lit & (step > _STEP)).sum(1) > count)
+    torn = (count > 0.25 * light.shape[1]) & (2 * np.count_nonzero(lit & step, 1) > count)
     if not torn.any():
         return []
     row = int(np.argmax(torn)) + 1
@@ -195,15 +215,15 @@ def check_background_lines(light: Picture) -> list[str]:
     ]
 
 
-def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, region: Mask) -> list[str]:
+def check_moved_glass(frames: Iterable[tuple[int, Picture]], light: Picture, away: Picture) -> list[str]:
     """Return a warning if the edges of the lit area lie elsewhere in a frame than in the background `light`, as after a
     bump that moved camera or glass.
 
     `frames` are numbered and without the dark level; the first with such a shift is reported. Edges within the contact
-    region do not count.
+    region do not count; `away` (h, w) px is the distance from it.
     """
     smooth = _smooth(light)
-    y, x = _edges_of_glass(smooth, region)
+    y, x = _edges_of_glass(smooth, away)
     if len(y) < _EDGE_PX:
         return []
     for number, frame in frames:
@@ -223,7 +243,7 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     """
     for known_cause in (
         check_background_lines(light),
-        check_moved_glass([(number, frame)], light, np.zeros(light.shape, bool)),
+        check_moved_glass([(number, frame)], light, np.full(light.shape, np.inf)),
     ):
         if known_cause:
             return known_cause[0]
@@ -257,19 +277,17 @@ def described(frame: Picture, light: Picture, number: int) -> str:
     return "; ".join(causes)
 
 
-def _edges_of_glass(smooth: Picture, region: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows y and columns x of up to 2000 pixels near edges of brightness in the smoothed background, outside
+def _edges_of_glass(smooth: Picture, away: Picture) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows y and columns x of up to 1000 pixels near edges of brightness in the smoothed background, outside
     the contact region.
     """
     across, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
     steep = across * across + down * down > (8 * _EDGE * _full_light(smooth)) ** 2
-    far = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5) > 2 * _REACH_PX
-    inner = np.zeros_like(far)
-    inner[_REACH_PX:-_REACH_PX, _REACH_PX:-_REACH_PX] = True
-    near = cv2.dilate(steep.astype(np.uint8), _disc(3)).astype(bool)
-    y, x = np.nonzero(near & far & inner)
-    step = max(1, len(y) // 1000)
-    return y[::step], x[::step]
+    inner = (slice(_REACH_PX, -_REACH_PX),) * 2
+    near = cv2.dilate(steep.view(np.uint8), _disc(3))[inner].view(bool) & (away[inner] > 2 * _REACH_PX)
+    y, x = np.nonzero(near)
+    step = max(1, len(y) // 500)
+    return y[::step] + _REACH_PX, x[::step] + _REACH_PX
 
 
 def _shift_of_glass(

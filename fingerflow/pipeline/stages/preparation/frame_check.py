@@ -1,29 +1,26 @@
 """Detection of unusable frames: dark, saturated, repeated, torn, unreadable or noise."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
-from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
-from fingerflow.tracker.block_means import block_means, is_noise, noise_roughness
+from fingerflow.schema.variables import FRAME_CHECK, JUMPS, NOT_FINITE, REPEATED, UNREADABLE, USABLE
+from fingerflow.tracker.block_means import PictureCheck, block_means
 from fingerflow.tracker.frame_copies import REPEATED_SHARE, copies, frame_key
 from fingerflow.tracker.frame_distances import LONGEST, PixelSamples, squared_distances_before
 from fingerflow.tracker.frame_jumps import jumps_and_returns
 
-_USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS, _NOISE = range(len(FRAME_STATUS))
-_SAID = {
-    _UNREADABLE: "frames that the recording cannot give whole",
-    _NOT_FINITE: "frames with pixels that are NaN or infinite",
-    _DARK_FRAME: "dark frames",
-    _SATURATED_FRAME: "saturated frames",
-    _REPEATED: "frames that repeat another one",
-    _RETURNS: "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
-    _NOISE: "frames of noise, or with lines or blocks in disorder",
-}
+_MEANINGS = (  # of the indices into `FRAME_STATUS` from 1 on
+    "frames that the recording cannot give whole",
+    "frames with pixels that are NaN or infinite",
+    "dark frames",
+    "saturated frames",
+    "frames that repeat another one",
+    "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
+    "frames of noise, or with lines or blocks in disorder",
+)
 
 
 class FrameCheckStage(Stage):
@@ -53,19 +50,15 @@ class FrameCheckStage(Stage):
         self._before: list[PixelSamples | None] = [None] * len(self._views)  # samples of the last frames, for each view
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._keys: list[bytes] = []
-        self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
         contact = self._views[0]
-        empty = self.inputs.reference(contact)[0].cpu().numpy()
-        self._roughness = noise_roughness(empty[0])
-        glass = _blocks(empty)
-        dark = self.inputs.dark(contact)
-        self._black = 0.0 if dark is None else float(_blocks(dark[0].cpu().numpy()).mean())
-        self._glass = float(glass.mean()) - self._black
-        depth = self.inputs.recording.bit_depth
-        self._top = np.inf if depth is None else 2**depth - 1.5
-        self._glass_saturated = float((glass > self._top).mean())
+        dark, depth = self.inputs.dark(contact), self.inputs.recording.bit_depth
+        self._alone = PictureCheck(
+            self.inputs.reference(contact)[0, 0].cpu().numpy(),
+            None if dark is None else dark[0, 0].cpu().numpy(),
+            np.inf if depth is None else 2**depth - 1.5,
+        )
 
     def step(self, batch: Batch) -> None:
         assert batch.frames is not None
@@ -73,15 +66,11 @@ class FrameCheckStage(Stage):
         view_blocks = []
         for k, view in enumerate(self._views):
             frames = self.inputs.counts(batch.frames, view)
-            blocks = _blocks(frames)
+            blocks = np.nan_to_num(block_means(frames)[0], nan=0.0, posinf=0.0, neginf=0.0)
             if k == 0:
-                self._status[indices[is_noise(frames, self._roughness)]] = _NOISE
+                self._status[indices] = self._alone.status(frames, blocks)
             if frames.dtype.kind == "f":
-                self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = _NOT_FINITE
-                blocks = np.nan_to_num(blocks, nan=0.0, posinf=0.0, neginf=0.0)
-            if k == 0:
-                self._light[indices] = blocks.mean((1, 2)) - self._black
-                self._saturated[indices] = (blocks > self._top).mean((1, 2))
+                self._status[indices[~np.isfinite(frames).all(axis=(1, 2))]] = NOT_FINITE
             view_blocks.append(blocks)
             samples = PixelSamples.sample(frames)
             self._distances[k].append(squared_distances_before(samples, self._before[k]))
@@ -90,7 +79,7 @@ class FrameCheckStage(Stage):
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
-        self.usable = earlier["frame_status"].values == _USABLE
+        self.usable = earlier["frame_status"].values == USABLE
 
     def finish(self) -> None:
         """Set the status of each frame, and warn of unusable frames.
@@ -99,34 +88,30 @@ class FrameCheckStage(Stage):
         """
         status = self._status
         reasons = self.inputs.recording.unreadable
-        status[list(reasons)] = _UNREADABLE
-        sound = status == _USABLE
-        status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
-        if self._glass_saturated < SATURATED_SHARE:
-            status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
+        status[list(reasons)] = UNREADABLE
         distances = np.concatenate([np.concatenate(batches) for batches in self._distances], axis=2)
-        twice = copies(self._keys, distances, status == _USABLE)
+        twice = copies(self._keys, distances, status == USABLE)
         # Free the memory: these lists are larger than the results of a frame without points.
         self._distances, self._keys, self._before = [], [], []
         share = float(twice.mean())
         if share <= REPEATED_SHARE:
-            status[twice] = _REPEATED
+            status[twice] = REPEATED
         else:
             self.warnings.append(
                 f"{self.inputs.recording.path}: {share:.0%} of the frames repeat another one: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
-        status[jumps_and_returns(distances, status == _USABLE)] = _RETURNS
-        self.usable = status == _USABLE
+        status[jumps_and_returns(distances, status == USABLE)] = JUMPS
+        self.usable = status == USABLE
         self.results.put("frame_status", status)
-        for value, meaning in _SAID.items():
-            frames = np.flatnonzero(status == value)
-            if len(frames):
-                numbers = frames + self.inputs.scene.recording.first_frame
-                why = f" ({reasons[int(frames[0])]})" if value == _UNREADABLE else ""
-                self.warnings.append(
-                    f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
-                )
+        faults = [(meaning, np.flatnonzero(status == value)) for value, meaning in enumerate(_MEANINGS, 1)]
+        faults = [(meaning, frames) for meaning, frames in faults if len(frames)]
+        for meaning, frames in faults:
+            numbers = frames + self.inputs.scene.recording.first_frame
+            why = f" ({reasons[int(frames[0])]})" if status[frames[0]] == UNREADABLE else ""
+            self.warnings.append(
+                f"{meaning}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
+            )
         doubtful = self.inputs.recording.doubtful
         if doubtful:
             numbers = np.array(sorted(doubtful)) + self.inputs.scene.recording.first_frame
@@ -135,18 +120,11 @@ class FrameCheckStage(Stage):
                 f"({doubtful[min(doubtful)]}); their pixels may be wrong: copy the file again"
             )
         if not self.usable.any():
-            counts = ", ".join(
-                f"{int((status == value).sum())} {meaning}" for value, meaning in _SAID.items() if value in status
-            )
+            counts = ", ".join(f"{len(frames)} {meaning}" for meaning, frames in faults)
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "
                 f"[background] and [views.contact] in {self.inputs.scene.path}"
             )
-
-
-def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the means (n, rows, columns) of blocks of pixels in frames (n, H, W)."""
-    return block_means(frames)[0]
 
 
 def _listed(numbers: NDArray[np.integer]) -> str:

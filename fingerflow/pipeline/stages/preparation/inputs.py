@@ -16,7 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.reference import requested_frame
 from fingerflow.recordings import Recording, open_recording
-from fingerflow.recordings.lens import Lens
+from fingerflow.recordings.lens import Geometry
 from fingerflow.schema.keys import keys_of
 from fingerflow.schema.scene import Scene
 from fingerflow.schema.views import View, negative
@@ -29,7 +29,6 @@ _REFERENCE_FRAMES = 64
 _KEPT_BYTES = 512 * 2**20
 #: Keys of the scale of the contact view.
 SCALE_KEYS = ("calibration.mm_per_px", "calibration.intrinsics", "calibration.distortion")
-_GRID = 17  # positions along each side of a view, at which maps are averaged
 
 
 @dataclass
@@ -61,57 +60,10 @@ class Inputs:
         return self.scene.calibration.mm_per_px
 
     @cached_property
-    def lens(self) -> Lens | None:
-        """Return the lens by whose distortion positions and areas are corrected; None if none is stated."""
-        return Lens.of(self.scene.calibration)
-
-    @property
-    def _transform(self) -> NDArray[np.float64]:
-        return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
-
-    @cached_property
-    def topography_to_contact(self) -> NDArray[np.float64]:
-        """Return the affine map (2, 3) from recorded px of the topographic view to recorded px of the contact view;
-        with a lens, the map that is closest over the view.
-        """
-        if self.lens is None:
-            return self._transform
-        pixels, contact = self._over_topography(), self.scene.views.contact
-        assert contact is not None, "the scene has both views where it has the map"
-        return _affine(pixels, self.lens.distort(self.on_glass(pixels) / self.mm_per_px, contact))
-
-    def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert positions (..., 2) from px of the topographic view to mm on the glass."""
-        if self.lens is not None:
-            pixels = self.lens.straighten(pixels, self._topography)
-        return (pixels @ self._transform[:, :2].T + self._transform[:, 2]) * self.mm_per_px
-
-    def on_topography(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert positions (..., 2) from mm on the glass to px of the topographic view."""
-        matrix = self._transform
-        pixels = (positions / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
-        return pixels if self.lens is None else self.lens.distort(pixels, self._topography)
-
-    @cached_property
-    def topography_mm_per_px(self) -> float:
-        """Return the mean scale of the topographic view, mm per px."""
-        matrix = self._transform
-        if self.lens is not None:
-            pixels = self._over_topography()
-            matrix = _affine(pixels, self.on_glass(pixels) / self.mm_per_px)
-        return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
-
-    @property
-    def _topography(self) -> View:
-        view = self.scene.views.topography
-        assert view is not None, "points are tracked in it"
-        return view
-
-    def _over_topography(self) -> NDArray[np.float64]:
-        """Return positions (n, 2) px all over the topographic view."""
-        rows, columns = self._topography.shape
-        y, x = np.meshgrid(np.linspace(0, rows - 1, _GRID), np.linspace(0, columns - 1, _GRID))
-        return np.column_stack((x.ravel(), y.ravel()))
+    def geometry(self) -> Geometry:
+        """Return the maps between px of the views and mm on the glass."""
+        scene = self.scene
+        return Geometry(scene.calibration, scene.views.contact, scene.views.topography)
 
     def tensor(self, values: NDArray[np.floating]) -> Tensor:
         """Return an array as a float32 tensor on the device of the run."""
@@ -175,9 +127,11 @@ class Inputs:
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
             same = still[self.scene.recording.first_frame :][: len(self.recording)]
-            ends = [read_frames(frames[[0, -1]]) for frames in (same, self.recording) if len(frames) > 1]
-            if len(same) == len(self.recording) > 1 and np.array_equal(ends[0], ends[1]):
-                raise FingerflowError(f"{path}: the background is the recording itself; name one of the empty glass")
+            if len(same) == len(self.recording) > 1:
+                first, second = (read_frames(frames[[0, -1]]) for frames in (same, self.recording))
+                if np.array_equal(first, second):
+                    what = "the background is the recording itself; name one of the empty glass"
+                    raise FingerflowError(f"{path}: {what}")
             part = still[:_REFERENCE_FRAMES]
             pictures = view.crop(read_frames(part))
             whole = [index for index in range(len(part)) if index not in part.unreadable]
@@ -185,11 +139,6 @@ class Inputs:
                 raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
             mean = (pictures if len(whole) == len(part) else pictures[whole]).mean(axis=0, dtype=np.float64)
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
-
-
-def _affine(pixels: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the affine map (2, 3) that maps positions (n, 2) closest to `values`, by least squares."""
-    return np.asarray(np.linalg.lstsq(np.insert(pixels, 2, 1, axis=1), values, rcond=None)[0].T, np.float64)
 
 
 def read_frames(part: Recording) -> NDArray[Any]:
@@ -247,8 +196,7 @@ def open_inputs(scene: Scene, device: str, engine: str = "auto") -> Inputs:
         if view is not None:
             try:
                 view.crop(np.empty(selected.frame_shape, dtype=np.uint8))
-                if (lens := Lens.of(scene.calibration)) is not None:
-                    lens.check(view)
+                Geometry(scene.calibration, view, None)
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.check_scale(scene.calibration.mm_per_px, scene.views.contact.shape)

@@ -51,6 +51,7 @@ class LoadingStage(Stage):
         if settings is None:
             return
         names = _channels(settings)
+        travel = {} if settings.position is None else {"actuator_position": settings.position}
         if settings.trigger is not None and settings.trigger in names.values():
             raise FingerflowError(
                 f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
@@ -58,11 +59,12 @@ class LoadingStage(Stage):
             )
         forces = open_forces(
             settings.file,
-            channels=names,
+            channels=names | travel,
             units=None if settings.units is None else dict.fromkeys(names.values(), _UNITS[settings.units]),
             time=settings.time,
             sample_rate=settings.sample_rate,
             trigger=settings.trigger,
+            lengths=travel.values(),
         )
         if settings.trigger is not None and settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
@@ -83,6 +85,8 @@ class LoadingStage(Stage):
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
         self._check_frames(settings.file, values["normal_force"], forces.channels["normal_force"])
+        if travel:
+            self.results.put("actuator_position", 1e3 * values["actuator_position"])
         self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
         if components:
             x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))

@@ -73,15 +73,18 @@ def compare_views(
     to bottom" or "both ways", "" if it shows them as it is or neither does; and the distance, px of the contact view,
     between its ridges, mapped by the calibration, and those of the contact view, 0 if small or unknown.
     """
-    pictures = {"": topography, "left to right": topography[:, ::-1], "top to bottom": topography[::-1]}
-    pictures["both ways"] = topography[::-1, ::-1]
-    compared = {name: _correlation(skin, turned, topography_to_contact) for name, turned in pictures.items()}
-    peaks = {name: correlation.max() for name, (correlation, _) in compared.items()}
+    correlation, reach = _correlation(skin, topography, topography_to_contact)
+    peak = correlation.max()
+    peaks = {"": peak}
+    if not peak > _WEAKER:  # else no other picture, whose correlation is at most 1, is so much more alike
+        pictures = {"left to right": topography[:, ::-1], "top to bottom": topography[::-1]}
+        pictures["both ways"] = topography[::-1, ::-1]
+        for name, turned in pictures.items():
+            peaks[name] = _correlation(skin, turned, topography_to_contact)[0].max()
     name = max(peaks, key=lambda turned: peaks[turned])
-    if peaks[name] >= _LEAST_CORRELATION and peaks[""] < _WEAKER * peaks[name]:
+    if peaks[name] >= _LEAST_CORRELATION and peak < _WEAKER * peaks[name]:
         return name, 0.0
-    correlation, reach = compared[""]
-    if not peaks[""] >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * peaks[""]:
+    if not peak >= _LEAST_CORRELATION or correlation[reach, reach] > _WEAKER * peak:
         return "", 0.0
     down, across = np.unravel_index(np.argmax(correlation), correlation.shape)
     return "", float(np.hypot(down - reach, across - reach)) / skin.scale

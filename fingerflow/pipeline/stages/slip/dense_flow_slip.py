@@ -50,7 +50,7 @@ class DenseFlowSlipStage(SlipStage):
 
     name = "dense_flow_slip"
     displacement = "dense_flow"
-    reads = ("gross_contact_region",)
+    reads = ("gross_contact_region", "gross_contact_area_std")
     reads_frames = True
     settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
     # Multiple of the noise for `StuckBorder`: the flow shows 2 to 3 um at the border, with noise of 1.2 to 1.7 um.
@@ -107,8 +107,8 @@ class DenseFlowSlipStage(SlipStage):
         image = self._topography(self.inputs.recording[[0]].read())
         mask = self._pixel_mask(grid, (image.shape[-2], image.shape[-1]))
         quarter = self.inputs.scene.contact.gross_radius_px / 2 * self.inputs.mm_per_px
-        self._flow = SkinFlow(image, mask, quarter / self.inputs.topography_mm_per_px)
-        return FlowResponse(self._flow.template, image, mask, self.inputs.topography_mm_per_px)
+        self._flow = SkinFlow(image, mask, quarter / self.inputs.geometry.topography_mm_per_px)
+        return FlowResponse(self._flow.template, image, mask, self.inputs.geometry.topography_mm_per_px)
 
     def _topography(self, frames: NDArray[Any] | None) -> Tensor:
         view = self.inputs.scene.views.topography
@@ -123,7 +123,7 @@ class DenseFlowSlipStage(SlipStage):
         moved = self.results["position"][slice(frame, frame + 1)][0][self._known] - grid.points
         back = np.linalg.inv(self._of_px).T
         shape = (image.shape[-2], image.shape[-1])
-        pixels = self.inputs.on_topography(grid.points).astype(np.float32)
+        pixels = self.inputs.geometry.on_topography(grid.points).astype(np.float32)
         motion = flow.follow(
             image,
             pixels,
@@ -131,7 +131,7 @@ class DenseFlowSlipStage(SlipStage):
             lambda: self._spread((grid.displacement(moved) @ back).astype(np.float32), grid, shape),
         )
         both = np.dstack((motion.displacement, motion.variance))
-        cells = _sampled(both, self.inputs.on_topography(grid.centers).astype(np.float32))
+        cells = _sampled(both, self.inputs.geometry.on_topography(grid.centers).astype(np.float32))
         if not np.isfinite(cells[grid.known, 2]).mean() >= _LEAST:
             self._lost.append(frame)
             return
@@ -154,7 +154,7 @@ class DenseFlowSlipStage(SlipStage):
         self._median[frame], self._most[frame] = np.quantile(difference[valid], (0.5, 0.95))
         deviation = self.results["position_std_px"][slice(frame, frame + 1)][0][self._known].astype(np.float64)
         variance = flow[valid, 2] + np.square(deviation[valid])
-        length = difference[valid] / (np.sqrt(variance) * self.inputs.topography_mm_per_px)
+        length = difference[valid] / (np.sqrt(variance) * self.inputs.geometry.topography_mm_per_px)
         if frame and np.isfinite(length).any():  # except in the first frame, which is compared with itself
             self._apart[frame] = np.nanmedian(length) / _MEDIAN_LENGTH
 
@@ -193,7 +193,7 @@ class DenseFlowSlipStage(SlipStage):
         """
         y, x = np.indices(shape)
         pixels = np.stack((x, y), -1).astype(np.float64)
-        cells = (self.inputs.on_glass(pixels) - grid.centers[0, 0]) / (4 * grid.fine_mm)
+        cells = (self.inputs.geometry.on_glass(pixels) - grid.centers[0, 0]) / (4 * grid.fine_mm)
         column, row = (np.ascontiguousarray(cells[..., k], dtype=np.float32) for k in (0, 1))
         return column, row
 

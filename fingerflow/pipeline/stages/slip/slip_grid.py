@@ -1,10 +1,12 @@
 """Define two grids on the contact: cells, and a fine grid of four times the resolution."""
 
+import math
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, uniform_filter
 from scipy.spatial import cKDTree
 
 from fingerflow.pipeline.stages.slip.skin_surface import SkinSurface
@@ -13,6 +15,7 @@ Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+_NEAREST = 4  # points whose mean displacement is that of the skin at the border
 _FINE = 4  # positions per cell along each axis: areas are then known to a thousandth of the contact
 
 
@@ -81,11 +84,33 @@ class SlipGrid:
 
     def covered(self, positions: Array, region: Mask) -> Mask:
         """Return a mask (N,) that is True for positions (N, 2) mm inside a region of cells, and False for NaN."""
-        finite = np.isfinite(positions).all(-1)
-        at = np.rint((np.nan_to_num(positions) - self.centers[0, 0]) / (self.fine_mm * _FINE)).astype(int)
-        inside = finite & (at >= 0).all(-1) & (at < np.array(region.shape[::-1])).all(-1)
-        row, column = (np.clip(at[:, k], 0, region.shape[1 - k] - 1) for k in (1, 0))
-        return np.asarray(inside & region[row, column])
+        cells = (np.nan_to_num(positions, nan=-np.inf) - self.centers[0, 0]) / (self.fine_mm * _FINE)
+        return np.asarray(map_coordinates(region, cells.clip(-1e6, 1e6).T[::-1], order=0))
+
+    def growth(self, regions: tuple[Mask, Mask], earlier: Array, later: Array, pull: Array) -> Array:
+        """Return the areas (2,), mm², of skin that the contact gained between two frames, in the half that lies towards
+        `pull` and in the other: negative where skin left it; NaN where too few points are known.
+
+        A cell of the later contact gained skin as far as its skin lay outside of the earlier one.
+
+        Args:
+            regions: (rows, columns) cells in contact in the two frames.
+            earlier, later: (N, 2) mm, displacement of the points in them, NaN where lost.
+            pull: (2,) direction.
+        """
+        tracked = np.isfinite(earlier + later).all(-1)
+        if tracked.sum() < _NEAREST:
+            return np.full(2, np.nan)
+        way, size, (before, after) = (later - earlier)[tracked], _FINE * self.fine_mm, regions
+        reach = 1 + math.ceil(np.abs(way).max() / size)  # cells within which skin can have crossed the border
+        near = uniform_filter(1.0 * before + after, 2 * reach + 1)  # 0 and 2 where none and all are in contact
+        band = (near > 1e-6) & (near < 2 - 1e-6)
+        centers = self.centers[band]
+        nearest = cKDTree((self.points + later)[tracked]).query(centers, k=_NEAREST)[1]
+        at = (centers - way[nearest].mean(1) - self.centers[0, 0]) / size
+        gained = size**2 * (after[band] - map_coordinates(1.0 * before, at.T[::-1], order=1))
+        ahead = (centers - self.centers[after].mean(0)) @ pull > 0
+        return np.array([gained[ahead].sum(), gained[~ahead].sum()])
 
     def sample_points(self, fine: NDArray[Any]) -> NDArray[Any]:
         """Return the values (N,) of a field on the fine grid, at the positions of the points in the first frame."""

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.ndimage import label, uniform_filter1d
 from scipy.spatial import cKDTree
 
 from fingerflow.models.partial_slip import (
@@ -25,7 +25,7 @@ from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
 from fingerflow.pipeline.stages.preparation.loading import LoadingStage
-from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
 from fingerflow.pipeline.stages.slip.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -36,7 +36,8 @@ from fingerflow.schema.variables import SLIP
 
 LEAST_COVERAGE = 0.9  # least share of the contact in which the displacement must be known
 _MEDIAN_S = 0.07  # s, window of the running median of displacements: unbiased for skin that moves in one direction
-_SPEED_S = 0.05  # s, time over which a speed is measured
+# s, times over which a speed, a rate of area, and the noise of areas are measured
+_SPEED_S, _GROWTH_S, _JITTER_S = 0.05, 0.15, 0.5
 _FRAMES = 64  # frames in memory at a time
 _FEWEST_POINTS = 3  # least number of slipping points that define a direction
 _RATIO_NOISE = 0.006  # standard deviation of d^2 in a frame, measured on rendered trials
@@ -82,7 +83,7 @@ class SlipStage(Stage):
 
     name = "slip"
     gives = SLIP
-    reads: ClassVar[tuple[str, ...]] = ("gross_contact_region", "deformation_correction_px")
+    reads: ClassVar[tuple[str, ...]] = ("gross_contact_region", "gross_contact_area_std", "deformation_correction_px")
     needs = ("views.topography", "undistorted")
     after = (LoadingStage, ContactStage, TrackingStage)
     follows_border = True
@@ -107,19 +108,21 @@ class SlipStage(Stage):
         self._settings = self.inputs.scene.slip
         self._ratio, self._printed, self._coverage, self._direction, self._speed = np.full((5, len(trial)), np.nan)
         self._incipient = np.full((3, len(trial)), np.nan)
+        self._growth = np.full((2, len(trial)), np.nan)  # mm² a frame, of the leading and the trailing half
+        self._pull = np.zeros(2)  # mm, sum of all displacements, towards which the skin moves over the glass
         self._deviation = np.full(len(trial), np.nan)  # mm, standard deviation of a component of a displacement
         self._edge = np.zeros(len(trial), dtype=bool)  # frames whose contact reaches the edge of the view
         step = float(np.median(np.diff(self.inputs.times))) if len(trial) > 1 else 1.0
         self._beside = round(_MEDIAN_S / 2 / step)  # number of frames on either side of a running median
         self._speed_step = max(1, round(_SPEED_S / 2 / step))
         # (2, 2) matrix from px of the topographic view to mm.
-        self._of_px = self.inputs.topography_to_contact[:, :2] * self.inputs.mm_per_px
+        self._of_px = self.inputs.geometry.topography_to_contact[:, :2] * self.inputs.mm_per_px
 
     def begin(self) -> None:
         contact = self.trial.stage(ContactStage)
         self._area = contact.series["gross_contact_area"]
         shape = self.results["gross_contact_region"].shape[1:]
-        half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.topography_mm_per_px
+        half_window = self.inputs.scene.tracking.window_px / 2 * self.inputs.geometry.topography_mm_per_px
         self._first = np.asarray(self.results["position"][slice(0, 1)])[0]
         self._known = np.isfinite(self._first).all(-1)
         self._grid: SlipGrid | None = None
@@ -133,7 +136,9 @@ class SlipStage(Stage):
             self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
         self._border: StuckBorder | None = None
         if self._grid is not None:
-            self._border = StuckBorder(self._grid, half_window, self._how_seen(self._grid), self.clear)
+            seen = self._how_seen(self._grid)
+            if self._settings.criterion == "border":
+                self._border = StuckBorder(self._grid, half_window, seen, self.clear)
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
@@ -141,8 +146,8 @@ class SlipStage(Stage):
         if self._grid is None:
             return
         regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
-        border = self._border if self._settings.criterion == "border" else None
-        measured = motion if border is None else self._measured(batch.indices)
+        measured = motion if self._border is None else self._measured(batch.indices)
+        self._pull += np.nansum(motion.reshape(-1, 2), axis=0)
         for k, frame in enumerate(batch.indices):
             region = regions[k] > 0
             if not region.any() or not np.isfinite(self._area[frame]):
@@ -153,8 +158,8 @@ class SlipStage(Stage):
             if len(seen):
                 distance, _ = cKDTree(seen).query(self._grid.centers[region])
                 self._coverage[frame] = (distance <= self._reach).mean()
-            if border is not None:
-                border.gather(*self._points_and_cells(measured[k], self._grid), region)
+            if self._border is not None:
+                self._border.gather(*self._points_and_cells(measured[k], self._grid), region)
 
     def _how_seen(self, grid: SlipGrid) -> RampResponse:
         """Return the function that predicts the displacement which tracking, averaging over a window, measures at
@@ -215,12 +220,11 @@ class SlipStage(Stage):
         return bool(region.sum() > region[inner:-inner, inner:-inner].sum())
 
     def finish(self) -> None:
-        if self._grid is not None and self._border is not None:
-            criterion: StuckBorder | Length = self._border
-            if self._settings.criterion == "border":
+        if self._grid is not None:
+            if self._border is not None:
                 self._border.settle()
-            else:
-                criterion = Length(self._grid, self._settings.stuck_mm, self._settings.criterion == "relative")
+            by_length = Length(self._grid, self._settings.stuck_mm, self._settings.criterion == "relative")
+            criterion = self._border or by_length
             for first in range(0, len(self.trial), _FRAMES):
                 self._find_stuck(first, min(first + _FRAMES, len(self.trial)), self._grid, criterion)
         self._warn_of_unknown()
@@ -235,7 +239,7 @@ class SlipStage(Stage):
             parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
         judged = {name: json.dumps(json_value(part), ensure_ascii=False) for name, part in parts.items()}
         limit = {"criterion": self._settings.criterion, "stuck_mm": self._limit()}
-        fit = self._border.fit if self._border is not None and self._settings.criterion == "border" else None
+        fit = None if self._border is None else self._border.fit
         power = {} if fit is None else {"power": fit.power, "power_std": fit.power_std}
         self.results.put("stuck_area", self._ratio * self._area, limit)
         self.results.put("stuck_ratio", self._ratio, limit | power | judged)
@@ -245,9 +249,9 @@ class SlipStage(Stage):
         self.results.put("slip_annulus_area", (1 - self._ratio) * self._area, limit)
         self.results.put("slip_direction", self._direction)
         self.results.put("slip_speed", self._speed)
-        for name, values in zip(
-            ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal"), self._incipient, strict=True
-        ):
+        rigid = ("incipient_slip", "incipient_slip_irrotational", "incipient_slip_solenoidal")
+        halves = ("leading_area_rate", "trailing_area_rate", "leading_area_rate_std", "trailing_area_rate_std")
+        for name, values in zip((*rigid, *halves), (*self._incipient, *self._area_rates()), strict=True):
             self.results.put(name, values)
 
     def _limit(self) -> float:
@@ -262,10 +266,11 @@ class SlipStage(Stage):
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
         motion = self._motion(slice(start, stop))
         measured = self._measured(slice(start, stop)) if criterion is self._border else None
-        regions = self.results["gross_contact_region"][slice(first, end)] > 0
+        regions = self.results["gross_contact_region"][slice(start, stop)] > 0
         printed = Length(grid, self._settings.stuck_mm, relative=False)
-        stuck = np.zeros(regions.shape, dtype=bool)
+        stuck = np.zeros((end - first, *regions.shape[1:]), dtype=bool)
         for k, frame in enumerate(range(first, end)):
+            region = regions[frame - start]
             # Skip a contact at the edge of the view, which is only partly visible.
             if not self._coverage[frame] >= LEAST_COVERAGE or self._edge[frame]:
                 continue
@@ -278,48 +283,57 @@ class SlipStage(Stage):
             shown = (moved, displacement)
             if measured is not None:
                 shown = self._points_and_cells(_settled(measured[around]), grid)
-            fine = _largest(criterion.stuck(*shown, regions[k]))
-            self._ratio[frame] = grid.share(fine, regions[k])
-            self._printed[frame] = grid.share(_largest(printed.stuck(moved, displacement, regions[k])), regions[k])
-            stuck[k] = grid.cells(fine) & regions[k]
-            self._look_at_slip(frame, motion, start, moved, grid.sample_points(fine) > 0, regions[k], grid)
-            self._incipient[:, frame] = _incipient(displacement, regions[k] & grid.known, grid)
+            fine = _largest(criterion.stuck(*shown, region))
+            self._ratio[frame] = grid.share(fine, region)
+            self._printed[frame] = grid.share(_largest(printed.stuck(moved, displacement, region)), region)
+            stuck[k] = grid.cells(fine) & region
+            slips = (grid.sample_points(fine) == 0) & grid.covered(self._first[self._known] + moved, region)
+            self._look_at_slip(frame, start, motion, moved, slips, grid)
+            self._incipient[:, frame] = _incipient(displacement, region & grid.known, grid)
+            if frame > start:
+                earlier, later = (self._point_displacement(motion[at - start], grid) for at in (frame - 1, frame))
+                self._growth[:, frame] = grid.growth((regions[frame - 1 - start], region), earlier, later, self._pull)
         self.results["stuck_region"][slice(first, end)] = stuck
 
     def _look_at_slip(
-        self,
-        frame: int,
-        motion: NDArray[Any],
-        start: int,
-        moved: NDArray[np.float64],
-        sticks: NDArray[np.bool_],
-        region: NDArray[np.bool_],
-        grid: SlipGrid,
+        self, frame: int, start: int, motion: NDArray[Any], moved: NDArray[np.float64], slips: Mask, grid: SlipGrid
     ) -> None:
         """Store the direction, rad, of the mean displacement and the mean speed, mm/s, of slipping skin in a frame,
-        from the points in contact that the mask `sticks` does not mark as sticking.
+        from the points that the mask `slips` marks; `motion` is that of the frames from `start` on.
         """
-        slips = ~sticks & grid.covered(self._first[self._known] + moved, region)
         if slips.sum() < _FEWEST_POINTS:
             return
         x, y = np.nanmean(moved[slips], axis=0)
         self._direction[frame] = math.atan2(y, x)
         before, after = max(0, frame - self._speed_step), min(len(self.trial) - 1, frame + self._speed_step)
         if after > before:
-            ends = (self._point_displacement(motion[at - start], grid)[slips] for at in (before, after))
-            way = np.diff(np.stack(list(ends)), axis=0)[0]
-            way = way[np.isfinite(way).all(-1)]
+            ends = [self._point_displacement(motion[at - start], grid)[slips] for at in (before, after)]
+            way = (ends[1] - ends[0])[np.isfinite(ends[0] + ends[1]).all(-1)]
             if len(way) >= _FEWEST_POINTS:
                 seconds = self.inputs.times[after] - self.inputs.times[before]
                 self._speed[frame] = float(np.linalg.norm(way.mean(0))) / seconds
+
+    def _area_rates(self) -> NDArray[np.float64]:
+        """Return the rates, mm²/s, at which the leading and the trailing half of the contact gain skin over 0.15 s, and
+        their standard deviations (4, F): of noise of a frame, which the next one takes back, from the misfit within
+        half a second, and of the border, whose error is another one where a valley forms it in place of a ridge.
+        """
+        times, known, growth = self.inputs.times, np.isfinite(self._growth), np.nan_to_num(self._growth)
+        rates = rate(np.where(known, growth.cumsum(1), np.nan).T, times, _GROWTH_S).T
+        misfit = np.nan_to_num(growth - rates * np.gradient(times)) ** 2 / 2
+        frames = 1 + round(_JITTER_S * len(times) / max(float(np.ptp(times)), 1e-9))
+        total, count = uniform_filter1d(np.stack((misfit, 1.0 * np.isfinite(rates))), frames, mode="nearest")
+        jitter = np.where(known, np.sqrt(total / np.maximum(count, 1e-9)), np.nan)
+        noise = rate(jitter.T, times, _GROWTH_S, of_std=True).T
+        mm = self.inputs.scene.contact.gross_radius_px * self.inputs.mm_per_px
+        border = np.abs(rates) * self.results["gross_contact_area_std"][:] / (mm * np.sqrt(4 / np.pi * self._area))
+        return np.concatenate((rates, np.hypot(noise, border)))
 
     def _ratio_std(self) -> NDArray[np.float64]:
         """Return the standard deviation (F,) of d², the stick area over the contact area, due to the error of the stick
         border's position, the border being taken as a circle.
         """
-        position_std = (
-            self._border.position_std if self._settings.criterion == "border" and self._border is not None else math.nan
-        )
+        position_std = math.nan if self._border is None else self._border.position_std
         return np.asarray(np.sqrt(4 * np.pi * self._ratio / self._area * position_std**2 + _RATIO_NOISE**2))
 
     def _judged(self, forces: NDArray[np.float64] | None, deviation: NDArray[np.float64]) -> TrialVerdict:
@@ -350,11 +364,9 @@ class SlipStage(Stage):
 
     def _warn_of_noise(self) -> None:
         """Warn if displacement noise reaches the slip limit, so that resting skin would be classified as slipped."""
-        limit = self._limit()
-        if self._border is not None and self._settings.criterion == "border":
-            limit = FOLLOWED_MM * _CLEAR_OF_NOISE
+        limit = self._limit() if self._border is None else FOLLOWED_MM * _CLEAR_OF_NOISE
         deviation = float(np.nanmedian(self._deviation)) if np.isfinite(self._deviation).any() else math.nan
-        noise = math.sqrt(2) * deviation * self.inputs.topography_mm_per_px
+        noise = math.sqrt(2) * deviation * self.inputs.geometry.topography_mm_per_px
         if limit < _LEAST_LIMIT * noise:
             self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
@@ -365,7 +377,7 @@ class SlipStage(Stage):
             )
 
     def _warn_of_unknown(self) -> None:
-        if self._border is not None and self._border.reason and self._settings.criterion == "border":
+        if self._border is not None and self._border.reason:
             self.warnings.append(
                 f"{self._border.reason}: skin that has moved by less than {1000 * FOLLOWED_MM:.0f} µm is taken for "
                 f"stuck"

@@ -5,10 +5,11 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved, select_frames
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage, select_frames
 from fingerflow.pipeline.stages.tracking.new_skin import LEFT
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Store, Values
+from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.entry import LEAST_AREA
 
 Points = NDArray[np.float64]
@@ -30,13 +31,13 @@ class CountedSkin:
         reference: (P, 2) mm, position then; NaN for points that are in no triangle by their own reference, as advected
             ones.
         positions_px: (P, 2) the same, px of the topographic view.
-        noise: (P,) mm^2, as `DisplacementStage.noise`.
+        noise: (P,) mm^2, as `DeformationStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
         shape: (P, 2, 2) of the ellipse of a position's errors: its covariance over its mean variance.
         by_onsets: as there.
     """
 
-    def __init__(self, stage: DisplacementStage, results: Store, frames: int) -> None:
+    def __init__(self, stage: DeformationStage, results: Store, frames: int) -> None:
         self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, reference_px = stage.reference.copy(), stage.reference_px.copy()
@@ -108,7 +109,9 @@ class CountedSkin:
         result[touched[regular]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
         return result
 
-    def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
+    def moved(
+        self, moved: Displacement, frames: NDArray[np.intp]
+    ) -> tuple[Points, NDArray[np.float32], NDArray[np.float32]]:
         """Return displacements (n, P, 2) mm, and variances (n, P) mm^2 by image noise and by curvature, in n frames of
         the tracked points, followed by copies of points that are corners of triangles with another reference frame.
         """

@@ -6,7 +6,7 @@ import torch
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation.series import nanmedian
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
 from fingerflow.pipeline.stages.strain.counted_skin import triangulate
@@ -24,7 +24,7 @@ class PrintedStrainStage(Stage):
     name = "printed_strain"
     gives = PRINTED_STRAIN
     needs = ("views.topography",)
-    after = (ContactStage, DisplacementStage)
+    after = (ContactStage, DeformationStage)
     settings = ("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm")
 
     def __init__(self, trial: RunContext) -> None:
@@ -32,7 +32,7 @@ class PrintedStrainStage(Stage):
         self._median, self._energy = np.full((len(trial), 3), np.nan), np.full(len(trial), np.nan)
 
     def begin(self) -> None:
-        self._moved = self.trial.stage(DisplacementStage)
+        self._moved = self.trial.stage(DeformationStage)
         touches = np.nan_to_num(self.trial.stage(ContactStage).series["gross_contact_area"]) > 0
         reference = self._moved.steady_position(np.flatnonzero(touches)[:1]).reshape(-1, len(self._moved.onset), 2)
         reference = np.where(self._moved.onset[:, None] >= 0, reference[:1].sum(0), np.nan)

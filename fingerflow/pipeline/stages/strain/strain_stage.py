@@ -13,7 +13,7 @@ from fingerflow.ops.fields.strain import principal_strains, strain_energy_densit
 from fingerflow.ops.fields.triangle_strain import TriangleStrain, triangle_strain
 from fingerflow.ops.fields.triangles import triangle_areas
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.displacement_stage import DisplacementStage, Moved
+from fingerflow.pipeline.stages.deformation.deformation_stage import DeformationStage
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.series import rate
 from fingerflow.pipeline.stages.stage import Batch, RunContext, Stage
@@ -23,6 +23,7 @@ from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 from fingerflow.pipeline.stages.strain.steady_border import steady_border
 from fingerflow.schema.variables import STRAIN
 from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.deformation import Displacement
 from fingerflow.tracker.deviations.onset_time import displacement_covariance
 from fingerflow.tracker.deviations.overlap import OverlapErrors
 
@@ -58,7 +59,7 @@ class StrainStage(Stage):
     name = "strain"
     gives = STRAIN
     needs = ("views.topography",)
-    same_pass = (DisplacementStage,)
+    same_pass = (DeformationStage,)
     after = (ContactStage,)
     settings = (
         *("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm"),
@@ -73,10 +74,10 @@ class StrainStage(Stage):
 
     def begin(self) -> None:
         self.warnings.extend(plausibility.check_young_modulus(self._settings.young_modulus_mpa))
-        moved, device = self.trial.stage(DisplacementStage), self.inputs.device
+        moved, device = self.trial.stage(DeformationStage), self.inputs.device
         skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
-        self._since = moved.since.attributes(self.inputs.scene.recording.first_frame)
+        self._since = moved.reference_of.attributes(self.inputs.scene.recording.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
         for name, attributes in {
@@ -119,11 +120,11 @@ class StrainStage(Stage):
         begins = skin.since[: len(moved.onset)]
         here = np.pad(begins == begins[begins >= 0].min(initial=len(self.trial)), (0, len(skin.since) - len(begins)))
         self._from_start = self.inputs.tensor(np.where(here[:, None], skin.reference, np.nan))[None]
-        scale = self.inputs.topography_mm_per_px
+        scale = self.inputs.geometry.topography_mm_per_px
         self._smoothed_mm = _SMOOTHED * self.inputs.scene.tracking.window_px * scale
 
     def step(self, batch: Batch) -> None:
-        moved, noise, curvature = self._skin.moved(batch.result(DisplacementStage), batch.indices)
+        moved, noise, curvature = self._skin.moved(batch.result(DeformationStage), batch.indices)
         touching = self._sum_corners(self.results["in_contact"][batch.indices]) >= 2
         touching &= (batch.indices[:, None] >= self._skin.begins) & (batch.indices[:, None] < self._skin.ends)
         # The energy is corrected for that of image noise. Curvature makes strains too small rather than noisy: it only
@@ -190,8 +191,8 @@ class StrainStage(Stage):
         triangles between points, and that of all skin in contact.
         """
         frames, border = batch.indices, self._border.select(batch.indices)
-        steady = self.trial.stage(DisplacementStage).steady_position
-        position, moved = steady(frames), batch.result(DisplacementStage)
+        steady = self.trial.stage(DeformationStage).steady_position
+        position, moved = steady(frames), batch.result(DeformationStage)
         # Skin that was in contact when its points were seeded has no strain, and that of the rest is not its own.
         seen = self.results["in_contact"][frames] & np.isfinite(position[..., 0])
         counted = (seen & np.isfinite(moved.displacement[..., 0])).sum(1)
@@ -233,14 +234,14 @@ class StrainStage(Stage):
         self._between_std[frames[fitted]] = np.hypot(deviation[fitted], share * lacking)
 
     def _onset_field(
-        self, moved: Moved, frames: NDArray[np.intp]
+        self, moved: Displacement, frames: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.floating], NDArray[np.bool_]]:
         """Return the displacements (n, N, 2) mm, variances (n, N) mm^2 and mask (n, N) of usable points in n frames, as
         arguments for `ContactEnergy.estimate`.
 
         The mask is False for all points if displacements are not relative to the onset of contact.
         """
-        stage = self.trial.stage(DisplacementStage)
+        stage = self.trial.stage(DeformationStage)
         counts = self.results["in_contact"][frames] & (stage.onset >= 0) & (frames[:, None] >= stage.onset)
         counts[:, stage.entered] = False
         counts &= stage.by_onsets and self._begins_free

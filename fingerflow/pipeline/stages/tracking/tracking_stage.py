@@ -70,7 +70,8 @@ class TrackingStage(Stage):
         self._view = view
         self._settings = inputs.scene.tracking
         self._engine = inputs.engine
-        self._matrix = inputs.topography_to_contact.astype(np.float32)
+        self._to_contact = inputs.geometry.topography_to_contact
+        self._matrix = self._to_contact.astype(np.float32)
         self._seeded: list[Points] = []
         # For each set of points: indices (A,) of earlier points that guide it.
         self._around: list[NDArray[np.intp]] = []
@@ -108,7 +109,7 @@ class TrackingStage(Stage):
         frame = self._view.crop(read_frames(self.inputs.recording[[contact.reference_frame]]))[0]
         self.warnings.extend(plausibility.check_clipped("topography", frame))
         if contact.skin is not None:
-            mirrored, offset_px = ridges.compare_views(contact.skin, frame, self.inputs.topography_to_contact)
+            mirrored, offset_px = ridges.compare_views(contact.skin, frame, self._to_contact)
             views = plausibility.check_mirrored(mirrored) or plausibility.check_views(offset_px, self.inputs.mm_per_px)
             self.warnings.extend(views)
 
@@ -164,7 +165,7 @@ class TrackingStage(Stage):
         covered = covers(margin, tracked_points.estimate, self._matrix, self._engine.cell_px)
         seen = (status == TrackStatus.TRACKED) | (status == TrackStatus.WINDOW_DIFFERS)
         for name, values in {
-            "position": self.inputs.on_glass(pixels.astype(np.float64)),
+            "position": self.inputs.geometry.on_glass(pixels),
             "position_px": pixels,
             "position_std_px": np.sqrt(tracked_points.variance + np.concatenate(curved, axis=1)),
             "position_noise_px": np.sqrt(tracked_points.variance),
@@ -241,7 +242,7 @@ class TrackingStage(Stage):
         self.warnings.extend(plausibility.check_impulses(self._impulses(image)))
         self._create(len(points), noise_of(self._engine, image))
         self._density = len(points) / float(where.sum())
-        self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
+        self._new_skin = NewSkin(self._to_contact, self._engine.cell_px, self._settings.window_px)
         self._new_skin.searched.append(where)
         self._new_skin.begin(margin[0, 0], points)
         return self._start_tracking(image, points, np.zeros(0, np.intp))
@@ -373,7 +374,7 @@ class TrackingStage(Stage):
     def _on_topography(self, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (h, w) of the contact view as a mask of the topographic view."""
         size, flags = self._view.shape[::-1], cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        return cv2.warpAffine(region.astype(np.uint8), self.inputs.topography_to_contact, size, flags=flags) > 0
+        return cv2.warpAffine(region.astype(np.uint8), self._to_contact, size, flags=flags) > 0
 
     def _touching(self, margin: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return the mask (h, w) of the topographic view of the cells that are positive in `margin`."""

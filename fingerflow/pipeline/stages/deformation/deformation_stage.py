@@ -1,4 +1,6 @@
-"""Displacement of each point, counted from the point's onset of contact or from one frame common to all points."""
+"""Displacement of each point, counted from the point's onset of contact or from one frame common to all points; its
+fields by local fits, and medians over the gross contact.
+"""
 
 from typing import ClassVar, NamedTuple
 
@@ -6,46 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fingerflow.kernels.result_records import FrameEllipse
+from fingerflow.engines.engine import EnteredPoints, FrameEllipse
+from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact_stage import ContactStage
-from fingerflow.pipeline.stages.displacement.common_frame import common_frame
-from fingerflow.pipeline.stages.displacement.vibration import vibration
+from fingerflow.pipeline.stages.deformation.common_frame import common_frame
+from fingerflow.pipeline.stages.deformation.vibration import vibration
 from fingerflow.pipeline.stages.preparation import plausibility
 from fingerflow.pipeline.stages.preparation.frame_check import FrameCheckStage
 from fingerflow.pipeline.stages.preparation.reference import Reference, resolve_reference
-from fingerflow.pipeline.stages.preparation.series import nanmedian
+from fingerflow.pipeline.stages.preparation.series import nanmedian, rate
 from fingerflow.pipeline.stages.stage import FRAMES_READ, Batch, RunContext, Stage
 from fingerflow.pipeline.stages.tracking.tracking_stage import TrackingStage
 from fingerflow.results.store import Values
-from fingerflow.schema.variables import DISPLACEMENT, ENTRY
+from fingerflow.schema.variables import DISPLACEMENT, ENTRY, FIELDS
 from fingerflow.tracker.contact_border import BORDER_MM
+from fingerflow.tracker.deformation import Deformation, Displacement, SkinFrames
 from fingerflow.tracker.deviations.image_noise import noise_variance
 from fingerflow.tracker.deviations.onset_time import ELLIPSE_MM, onset_errors
-from fingerflow.tracker.displacement_medians import displacement_length, displacement_medians
-from fingerflow.tracker.entry import advected
+from fingerflow.tracker.deviations.overlap import OverlapErrors
+from fingerflow.tracker.displacement_medians import displacement_length
+from fingerflow.tracker.entry import EntryGradients, advected
 from fingerflow.tracker.onset import Touches, Touching
 
 Points = NDArray[np.float64]
 
 
-class Moved(NamedTuple):
-    """Displacement of N points in n frames from the reference position; NaN before contact.
-
-    Attributes:
-        position: (n, N, 2) mm.
-        displacement: (n, N, 2) mm; with onsets as reference, a touch that does not last counts from its own beginning.
-        variance: (n, N) mm^2, of a component, by image noise.
-        curvature: (n, N) mm^2, of a component, by displacement that is curved within windows.
-    """
-
-    position: Points
-    displacement: Points
-    variance: NDArray[np.float32]
-    curvature: NDArray[np.float32]
-
-
-class DisplacementStage(Stage):
-    """Stage that measures the displacement of each point from a reference position, and the uncertainty of both.
+class DeformationStage(Stage):
+    """Stage that measures the displacement of each point from a reference position, and the displacement gradient at
+    every point, in reference coordinates. It knows the onsets of the whole recording (`tracker.deformation.Onsets`).
 
     `fields.reference` selects the reference: each point's own onset of contact, which is uncertain, or one frame for
     all.
@@ -57,7 +47,7 @@ class DisplacementStage(Stage):
     different frames, and as large a change comes from using as many points more or fewer.
 
     Attributes:
-        since: the reference.
+        reference_of: the reference of displacement.
         border: of the contact in all frames, mm, without the vibration of the image.
         entered: (E,) indices of the points that were advected into the contact (`tracker.entry`); empty for a frame.
         by_onsets: True if points count from their own onsets.
@@ -72,23 +62,24 @@ class DisplacementStage(Stage):
         reference: (N, 2) mm, position at the reference. By onsets, a point whose touches all ended has the position of
             its first touch. NaN for points that are never in contact.
         reference_px: (N, 2) the same, px of the topographic view.
-        noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
+        noise: (N,) mean of `Displacement.variance` over the frames in which it is known, mm^2.
         onset_variance: (N,) frame^2, of the time of onset; 0 for none, NaN if the reference is a frame.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 if the
             reference is a frame.
     """
 
-    name = "displacement"
-    gives = DISPLACEMENT
+    name = "deformation"
+    gives = (*DISPLACEMENT, *FIELDS)
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
-        *("kind", "fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
+        *("kind", "fields.gauge_length_mm", "fields.reference", "fields.strain", "fields.rate_window_s"),
+        *("tracking.template", "tracking.direction", "tracking.window_px"),
         *("recording.times", "recording.first_frame", "contact.gross_radius_px"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
-    since: Reference
+    reference_of: Reference
     entered: NDArray[np.intp]
     by_onsets: bool
     common_position: Points
@@ -105,18 +96,22 @@ class DisplacementStage(Stage):
 
     def __init__(self, trial: RunContext) -> None:
         super().__init__(trial)
-        self.mm_per_px = self.inputs.topography_mm_per_px  # scale of the topographic view
+        self.mm_per_px = self.inputs.geometry.topography_mm_per_px  # scale of the topographic view
         self._template = self.inputs.scene.tracking.template
         self._vector, self._vector_std = np.full((2, len(trial), 2), np.nan)
         self._printed = np.full(len(trial), np.nan)
         self._fixed: _Fixed | None = None  # positions in the reference frame; None if displacement counts from onsets
-        self._attributes: dict[str, str | int] = {}
+        self._settings, self._engine = self.inputs.scene.fields, self.inputs.engine
+        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self._settings.gauge_length_mm}
+        self._median, self._variance = np.full((2, len(trial), 5), np.nan)
+        self._residual, self._known = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
         self._usable = self.trial.stage(FrameCheckStage).usable
         inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
-        self.since = resolve_reference(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
-        self._attributes = self.since.attributes(first_frame)
+        status = self.results["frame_status"][:]
+        self.reference_of = resolve_reference(inputs.scene, inputs.times, status, self.warnings)
+        self._attributes = self.reference_of.attributes(first_frame)
         points = self.results["position"].shape[1]
         # The first points are known in the first frame that is tracked, in which they are seeded.
         usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
@@ -133,8 +128,8 @@ class DisplacementStage(Stage):
                 f"the whole image vibrates, by {shaken_px:.2g} px RMS: displacement and strain are those without this "
                 f"motion, positions those with it. Check what shakes the camera: a fan, a motor, a loose mount"
             )
-        if self.since.frame is not None:
-            then = self.since.frame
+        if self.reference_of.frame is not None:
+            then = self.reference_of.frame
             noise = self.results["position_noise_px"][then : then + 1][0]
             self._fixed = _Fixed(
                 self.steady_position(np.array([then]))[0], self.results["position_px"][then : then + 1][0], noise
@@ -152,8 +147,9 @@ class DisplacementStage(Stage):
         self._seen = self.results["in_contact"][begin : begin + 1][0][self._doubtful]
         self._depth, self._place = depth[self._doubtful], here[0, self._doubtful]
         self._curvature_then = np.zeros(points, np.float32)
-        if self.since.frame is not None:
-            self._curvature_then = self._curvature(np.array([self.since.frame]))[0]
+        if self.reference_of.frame is not None:
+            then_px2 = self._skin(np.array([self.reference_of.frame])).curvature[0]
+            self._curvature_then = then_px2 * np.float32(self.mm_per_px**2)
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
@@ -183,29 +179,86 @@ class DisplacementStage(Stage):
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)
         self._touch = Touches(points)
-        # (N,) mm^2, mean variance of a component of the position at onset
-        self._of_onset = np.trace(self.of_onset, axis1=1, axis2=2).astype(np.float32) / 2
+        self._begin_fields()
 
-    def step(self, batch: Batch) -> Moved:
-        moved = self._since_touch(self._touch, batch.indices)
-        moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
-        self.results["displacement"][batch.indices] = moved.displacement
-        # Root mean square error of a component.
-        square = moved.variance + moved.curvature + self._of_onset
-        square[:, self._doubtful] += self._entered_unseen(moved, batch.indices)
-        self.results["displacement_std"][batch.indices] = np.sqrt(square)
-        border, reach = self.border.select(batch.indices), self.inputs.scene.fields.gauge_length_mm / 2
-        self._vector[batch.indices], self._vector_std[batch.indices] = displacement_medians(
-            moved.position, moved.displacement, square.astype(np.float64), border, reach
-        )
+    def _begin_fields(self) -> None:
+        """Create the results of fields, and what computes them."""
+        self._gauge |= self._attributes
+        self._stated = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.requested)]
+        for name in self._stated:
+            self.results.create(name, self._gauge)
+        if "rigid_residual" in self.trial.requested:
+            self.results.create("rigid_residual")
+        minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
+        widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
+        self.warnings.extend(plausibility.check_gauge(self._settings.gauge_length_mm, self.reference, widest))
+        # Neighbours by where points were seeded: positions of entry lie on a line.
+        positions = self.common_position if self.by_onsets else self.reference
+        self._deformation = Deformation(self._engine, positions)
+        positions_px = self.inputs.geometry.on_topography(positions)
+        window_px = self.inputs.scene.tracking.window_px
+        errors = OverlapErrors(self.begins, positions_px, self.noise, self.of_onset, self.by_onsets, window_px)
+        self._gain = errors.variance_gain(self._settings.gauge_length_mm / self.mm_per_px)
+        self._entry = None
+        if len(self.entered):
+            self._entry = EntryGradients(
+                *(self._engine, self.entered, self.common_position, self.onset, self._settings.gauge_length_mm),
+                self.onset_variance,
+            )
+
+    def step(self, batch: Batch) -> Displacement:
+        """Compute the results of a batch of frames, and return the displacement without touches that do not last."""
+        frames = batch.indices
+        now = self._deformation.step(self._skin(frames), self)
+        self.results["displacement"][frames] = now.since.displacement
+        self.results["displacement_std"][frames] = np.sqrt(now.square)  # root mean square error of a component
+        self._vector[frames], self._vector_std[frames] = now.vector, now.vector_std
         if "printed_global_displacement" in self.trial.requested:
             # Component by component (the lab's script takes the x median twice).
-            self._printed[batch.indices] = np.linalg.norm(nanmedian(moved.displacement), axis=1)
-        if self.by_onsets:
-            # A touch in passing counts from itself: beside neighbours that have been dragged along, it is no strain.
-            passing = (self.onset < 0) | (batch.indices[:, None] < self.onset)
-            moved.displacement[passing] = moved.variance[passing] = np.nan
-        return moved
+            self._printed[frames] = np.linalg.norm(nanmedian(now.since.displacement), axis=1)
+        for name in self._stated:
+            self.results[name][frames] = getattr(now.fields, name)
+        lasting = now.since.lasting()
+        reference, moved = (self.inputs.tensor(values) for values in (self.reference[None], lasting.displacement))
+        residual = rigid_residual(reference, moved).cpu().numpy()
+        if "rigid_residual" in self.results:
+            self.results["rigid_residual"][frames] = residual
+        across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
+        self._residual[frames] = nanmedian(np.sqrt(across * across + down * down))
+        self._known[frames], self._median[frames] = now.fields.known_share, now.fields.median
+        self._variance[frames] = now.variance
+        return lasting
+
+    def since(self, skin: SkinFrames) -> Displacement:
+        """Return the displacement in the next frames, with what the whole recording tells (`Onsets`)."""
+        frames = skin.numbers
+        moved, noise = self._since_touch(self._touch, skin)
+        moved[:, self._inside] = noise[:, self._inside] = np.nan
+        unseen = np.zeros(noise.shape)
+        unseen[:, self._doubtful] = self._entered_unseen(skin.position, moved, frames)
+        # A touch in passing counts from itself.
+        passing = (self.onset < 0) | (frames[:, None] < self.onset) if self.by_onsets else None
+        curvature = abs(skin.curvature * np.float32(self.mm_per_px**2) - self._curvature_then)
+        entered, late = None, np.zeros((2, len(self.reference)))
+        if self._entry is not None:
+            entered = self._gradients_since_entry(self._entry, frames)  # sets `late` of points that enter
+            (xx, xy), (yx, yy) = np.moveaxis(self._entry.late, 0, -1)
+            late[:, self.entered] = np.square((xx + yy, yx - xy))
+        more = self.of_onset, self._gain, entered, late, unseen, passing
+        return Displacement(self.reference, moved, noise, curvature, *more)
+
+    def _gradients_since_entry(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
+        """Return the displacement gradients (n, N, 2, 2) of points that were advected into the contact, each relative
+        to its position on entry, with covariances; NaN for all other points.
+        """
+        among = np.zeros((len(frames), len(self.onset)), dtype=bool)
+        among[:, self.entered] = True
+        gradient = np.full((*among.shape, 2, 2), np.nan, np.float32)
+        covariance = np.full((*among.shape, 2, 2, 2, 2), np.nan, np.float32)
+        gradient[:, self.entered], covariance[:, self.entered] = entry.update(
+            frames, self.results["position"][frames], self.tracked_variance(frames)
+        )
+        return EnteredPoints(among, gradient, covariance)
 
     def finish(self) -> None:
         length, length_std = displacement_length(self._vector, self._vector_std)
@@ -215,6 +268,39 @@ class DisplacementStage(Stage):
         self.results.put("global_displacement_std", length_std)
         if "printed_global_displacement" in self.trial.requested:
             self.results.put("printed_global_displacement", self._printed, self._attributes)
+        self.results.put("rigid_residual_median", self._residual)
+        self.results.put("field_coverage", self._known)
+        median_std = np.sqrt(self._variance + self._bias())
+        times, window = self.inputs.times, self._settings.rate_window_s
+        gross = self.trial.stage(ContactStage).series["gross_contact_area"]
+        gauge, first_frame = self._settings.gauge_length_mm, self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.check_fields(self._median[:, 0], self._known, gross, gauge, first_frame))
+        self.results.put("median_divergence", self._median[:, 0], self._gauge)
+        self.results.put("median_divergence_std", median_std[:, 0])
+        self.results.put("median_curl", self._median[:, 1], self._gauge)
+        self.results.put("median_curl_std", median_std[:, 1])
+        self.results.put("median_strain", self._median[:, 2:], self._gauge | {"measure": self._settings.strain})
+        self.results.put("median_strain_std", median_std[:, 2:])
+        rates, rates_std = rate(self._median, times, window), rate(median_std, times, window, of_std=True)
+        self.results.put("median_divergence_rate", rates[:, 0])
+        self.results.put("median_divergence_rate_std", rates_std[:, 0])
+        self.results.put("median_strain_rate", rates[:, 2:])
+        self.results.put("median_strain_rate_std", rates_std[:, 2:])
+
+    def _bias(self) -> NDArray[np.float64]:
+        """Return the variance (frames, 5) of the medians by gauge length and border, interpolated between the evaluated
+        frames, as skin and contact change slowly.
+
+        Where a contact is too small for twice the gauge length, the nearest frame in which it is large enough is used;
+        NaN if there is none.
+        """
+        result, frames = np.full(self._variance.shape, np.nan), np.arange(len(self._variance))
+        for column, values in enumerate(result.T):
+            evaluated = [(frame, bias[column]) for frame, bias in self._deformation.bias if np.isfinite(bias[column])]
+            if evaluated:
+                number, variance = np.array(evaluated).T
+                values[:] = np.interp(frames, number, variance)
+        return result
 
     def tracked_variance(self, indices: NDArray[np.intp], name: str = "position_std_px") -> NDArray[np.float32]:
         """Return the variance (n, N) mm^2 of each coordinate of the tracked positions of N points in n frames; `name`
@@ -222,18 +308,18 @@ class DisplacementStage(Stage):
         """
         return (self.results[name][indices] * np.float32(self.mm_per_px)) ** 2
 
-    def _curvature(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the variance (n, N) mm^2 of a displacement component by displacement that is curved within windows: 0
-        in the reference frame of all points, if there is one.
-        """
-        whole, noise = (self.tracked_variance(indices, f"position_{of}_px") for of in ("std", "noise"))
-        return abs(np.maximum(whole - noise, 0) - self._curvature_then)
+    def _skin(self, frames: NDArray[np.intp]) -> SkinFrames:
+        """Return the tracked points in n frames."""
+        whole, noise = (self.results[f"position_{of}_px"][frames] ** 2 for of in ("std", "noise"))
+        position, covered = self.steady_position(frames), self.results["in_contact"][frames]
+        border = self.border.select(frames)
+        return SkinFrames(frames, covered, position, noise, np.maximum(whole - noise, 0), border)
 
     def _find_onsets(self) -> None:
         touch = Touches(self.results["position"].shape[1])
         count, total = np.zeros((2, touch.points))
         for indices in _runs(len(self.trial)):
-            variance = self._since_touch(touch, indices).variance
+            _, variance = self._since_touch(touch, self._skin(indices))
             finite = np.isfinite(variance)
             count += finite.sum(0)
             total += np.where(finite, variance, 0).sum(0, dtype=np.float64)
@@ -248,12 +334,12 @@ class DisplacementStage(Stage):
         self.reference = np.where(stays[:, None], touch.position, touch.first_position)
         self.reference[self._inside] = np.nan
         self.reference[~touched] = np.nan
-        self.reference_px = self.inputs.on_topography(self.reference)
+        self.reference_px = self.inputs.geometry.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
         if self._fixed is not None:
             self.onset = np.where(stays, touch.start, -1).astype(np.int32)
-            self.begins = np.full_like(self.onset, self.since.frame)
+            self.begins = np.full_like(self.onset, self.reference_of.frame)
             self.reference = np.where(touched[:, None], self._fixed.position, np.nan)
             self.reference_px = np.where(touched[:, None], self._fixed.position_px, np.nan)
 
@@ -267,15 +353,14 @@ class DisplacementStage(Stage):
                 f"from it is NaN (field_coverage says in how much of the contact something is known)"
             )
 
-    def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
-        """Return the displacement of each of N points since the point came into contact, in the n frames `indices`;
-        `touch` holds the onset of each point and is updated.
+    def _since_touch(self, touch: Touches, skin: SkinFrames) -> tuple[Points, NDArray[np.float32]]:
+        """Return the displacements (n, N, 2) mm of N points since each came into contact, and their variances (n, N)
+        mm^2 by image noise, in n frames; `touch` holds the onset of each point and is updated.
         """
-        position, covered = self.steady_position(indices), self.results["in_contact"][indices]
+        indices, position, covered, variance = skin.numbers, skin.position, skin.covered, skin.noise
         border = self._onset_border.select(indices)
         if self._dilated:
             covered = covered | (border.inside(position) > 0)
-        variance = self.results["position_noise_px"][indices] ** 2
         usable = np.flatnonzero(self._usable[indices])  # an unusable frame does not end a touch
         if len(usable) == len(indices):
             touching = touch.add_frames(indices, covered, position, variance, border)
@@ -292,15 +377,15 @@ class DisplacementStage(Stage):
         if self._fixed is not None:
             reference = np.where(touching.touching[..., None], self._fixed.position, np.nan)
             exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
-            begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
+            begins = np.broadcast_to((indices == self.reference_of.frame)[:, None], variance.shape)
             touching = Touching(reference, np.ones_like(variance), exact, exact, touching.touching, begins)
         moved = np.subtract(position, touching.position, out=touching.position)
         noise = noise_variance(variance, touching, adds_up=self._template == "previous")
         noise *= np.float32(self.mm_per_px**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
-        return Moved(position, moved, noise, self._curvature(indices))
+        return moved, noise
 
-    def _entered_unseen(self, moved: Moved, indices: NDArray[np.intp]) -> Points:
+    def _entered_unseen(self, position: Points, displacement: Points, indices: NDArray[np.intp]) -> Points:
         """Return the variance (n, D) mm^2 of a displacement component of the D points on the border in the first frame,
         which may have touched earlier or later than was seen.
 
@@ -309,7 +394,7 @@ class DisplacementStage(Stage):
         inwards by c, the share min(1, b/c) is from before. A point that was not seen in contact in the first frame, at
         a depth d, touched with the probability Phi(d/b): then it has also moved as far as from there to its onset.
         """
-        position, displacement = moved.position[:, self._doubtful], moved.displacement[:, self._doubtful]
+        position, displacement = position[:, self._doubtful], displacement[:, self._doubtful]
         then = np.where(self._seen, self._depth, 0)
         depth = self._onset_border.select(indices).inside(position)
         inwards = np.maximum(np.nan_to_num(depth - then), 0) + ELLIPSE_MM
