@@ -118,14 +118,9 @@ class ContactEnergy:
 
     def _energies(self, points: "_Points", since_growth: Array, depth: Array) -> FrameEnergies:
         """Return the energies of the field that explains the displacements better: one that vanishes at the border, or
-<<<<<<< HEAD
-        one that moves there. Where the border advances, only the first is possible. Where frames are too few to tell,
-        half of their difference is part of the deviation, and the energy is their mean if the second is likelier.
-=======
         one that moves there. Where the border advances, only the first is possible. Where that cannot be told, as
         frames are few, half of their difference is part of the deviation, and the energy is their mean if the second is
         likelier.
->>>>>>> main
         """
         field = self._functions.fit(*points.on_disc())
         result = FrameEnergies(

@@ -1,9 +1,9 @@
 """Border of the contact, smoothed over frames in which it has moved by less than a ridge period.
 
 The measured border runs between ridges, so that its error changes with the ridges that it reaches. On growing presses
-the error of the mean radius has a standard deviation of 20 um, and 5 um when smoothed, about a mean of 12 um. No
-parabola follows a border that stops within few frames, where its radius, smoothed, would be up to 80 um off: there it
-is as measured.
+the error of the mean radius has a standard deviation of 20 um, and 5 um when smoothed, about a mean of 12 um. Where a
+border stops within few frames no parabola follows it, and it is as measured: smoothed, its radius would be up to 80 um
+off.
 """
 
 import numpy as np
