@@ -36,7 +36,7 @@ _REPORTS = threading.Lock()  # FFmpeg has a single log for all decoders
 CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}
 
 # PyAV 19 takes names and titles in any encoding, and no such argument.
-_LENIENT = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
+_LENIENT: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
 
 
 def open_frames(path: Path) -> VideoRecording:
