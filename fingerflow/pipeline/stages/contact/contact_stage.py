@@ -33,17 +33,17 @@ _STEADY = 0.01  # change of the illumination gain below which areas do not chang
 class ContactStage(Stage):
     """Stage that measures real area, gross area, gross region and fitted ellipse of the contact in every frame.
 
-        The stage stores measured quantities, no images.
+    The stage stores measured quantities, no images.
 
-        Attributes:
-            series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
-                NaN in unusable frames.
-            reference_frame: the frame with most contact.
-            cell_px: side of the cells of the gross region, px of the contact view.
-            skin: that touches in the reference frame; None if too little does.
-                faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or by which it
-                is uncertain, as ridges cover little of it; else 0.
-        """
+    Attributes:
+        series: results by name, (frames,) or (frames, 2); ellipses are NaN where there is no contact, and everything is
+            NaN in unusable frames.
+        reference_frame: the frame with most contact.
+        cell_px: side of the cells of the gross region, px of the contact view.
+        skin: that touches in the reference frame; None if too little does.
+        faint_rim_mm: by which the border may lie further out, as the rim of the contact is pale or thin, or by which
+            it is uncertain, as ridges cover little of it; else 0.
+    """
 
     name = "contact"
     gives = CONTACT
