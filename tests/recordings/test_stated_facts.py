@@ -96,6 +96,7 @@ def test_what_is_no_text_ends_in_a_sentence(case: str, tmp_path: Path) -> None:
         (["t=0.05", "t=0.5", "t=1", "t=1.5"], "decimal"),
         (["t_0.1", "t_0.25", "t_0.3"], "decimal"),
         (["t_5e-2", "t_1e-1", "t_2e-1"], "decimal"),
+        (["t0,05", "t0,1", "t0,5", "t1,0"], "decimal"),
         (["cam1.8", "cam1.9", "cam1.10"], ""),
         (["a1_-1", "a1_2", "a2_-5"], ""),
     ],
@@ -108,6 +109,24 @@ def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, 
     assert [recording[index][0, 0] for index in whole] == list(range(len(names)))
     assert warns in " ".join(recording.warnings)
     assert bool(warns) == bool(recording.warnings)
+
+
+@pytest.mark.parametrize(
+    ("names", "earlier"),
+    [
+        (["s_254", "s_255", "s_000", "s_001"], "s_254"),
+        (["30-1-2024", "31-1-2024", "1-2-2024", "2-2-2024"], "30-1-2024"),
+        ([f"{number:x}" for number in range(8, 20)], "a"),
+        (["1", "10", "11", "12", "2", "3", "4", "5"], ""),  # copied in the order of characters
+        ([str(number ^ 1) for number in range(12)], ""),  # parallel writers
+    ],
+)
+def test_images_whose_names_and_times_have_another_order(names: list[str], earlier: str, tmp_path: Path) -> None:
+    for second, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((16, 24), np.uint8))
+        os.utime(tmp_path / f"{name}.png", (second, second))
+    said = f"{earlier}.png was written before"
+    assert [said in text for text in open_recording(tmp_path).warnings].count(True) == bool(earlier)
 
 
 @pytest.mark.parametrize("dtype", [*COMPUTED_TYPES, ">f4", ">f8", ">u2"])
