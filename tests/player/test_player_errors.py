@@ -134,9 +134,11 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     files = json.loads((stream.bundle / "bundle.json").read_text())["files"]
     _rewritten(stream.bundle, files=files | {"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert ".onnx: onnxruntime cannot load it" in said("--engine", "onnx")
-    _rewritten(stream.bundle, files={})
+    _rewritten(stream.bundle, files={"track.onnx": hashlib.sha256(whole[:-3]).hexdigest()})
     assert "without the graphs contact, threshold, noise," in said("--engine", "onnx")
-    assert load_bundle(stream.bundle).files == {}  # the compiled library plays it
+    assert set(load_bundle(stream.bundle).files) == {"track"}  # the compiled library plays it
+    _rewritten(stream.bundle, files={})
+    assert "bundle.json: lists no file" in said()
     for name in ("../bundle/track.onnx", "/etc/passwd", "C:/x", "a\\b", "", "a/../b", "./track.onnx", "a\0b"):
         _rewritten(stream.bundle, files={name: "0"})
         assert "is no name of a file in its folder" in said()
@@ -152,6 +154,19 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     assert "its format is '1', this player reads 10; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
+
+
+@pytest.mark.parametrize(
+    "name", ["fingerflow/player.py", "fingerflow/a/b.so", "numpy.py", "json/__init__.py", "onnxruntime.pyd", "re.pyc"]
+)
+def test_code_that_a_bundle_does_not_list_is_refused(name: str, stream: Stream) -> None:
+    (stream.bundle / "my_camera.py").write_text("raise SystemExit")
+    (stream.bundle / "json").mkdir()
+    assert load_bundle(stream.bundle).files
+    (stream.bundle / name).parent.mkdir(parents=True, exist_ok=True)
+    (stream.bundle / name).write_text("raise SystemExit")
+    with pytest.raises(FingerflowError, match=f"{name}: is code that bundle.json does not list"):
+        load_bundle(stream.bundle)
 
 
 def test_hostile_bundles_end_in_a_sentence(stream: Stream) -> None:
