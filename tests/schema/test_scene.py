@@ -1,5 +1,6 @@
 """Tests of scene files: valid files are read, errors are named with their line."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -114,6 +115,19 @@ def test_a_profile_takes_the_place_of_defaults_and_of_nothing_else(folder: Path)
     path = write(folder, "[recording]", profile)
     path.write_text(path.read_text("utf-8").replace('"green_lagrange"', '"infinitesimal"', 1), "utf-8")
     assert "fields.strain is 'infinitesimal': the profile willemet_2021 has 'as_printed'" in message_of(path)
+
+
+def test_settings_of_results_of_other_versions(folder: Path) -> None:
+    scene = load_scene(write(folder))
+    stored = json.loads(scene.as_json())
+    older = {name: table for name, table in stored.items() if name != "format"}
+    assert scene_of_settings(json.dumps(older)) == scene_of_settings(scene.as_json())
+    for changed, said in (
+        (stored | {"format": 2}, "have format 2, this version reads 1; update fingerflow"),
+        (older | {"fields": {"gauge_mm": 1.6}}, "fields.gauge_mm"),
+    ):
+        with pytest.raises(FingerflowError, match=said):
+            scene_of_settings(json.dumps(changed))
 
 
 def test_a_scene_has_a_kind(folder: Path) -> None:
