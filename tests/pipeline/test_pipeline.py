@@ -113,6 +113,7 @@ def test_what_cannot_be_computed_is_named(scene: Scene, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], str, str]] = [
         ({"background": itself}, "real_contact_area", "the recording itself"),
         ({"background": itself, "recording": later}, "real_contact_area", "the recording itself"),
+        ({"background": replace(scene.background, dark=scene.background.frames)}, "gross_contact_area", "as bright as"),
         ({}, "real_contact_aera", "did you mean 'real_contact_area'"),
         ({"views": alone}, "divergence", "topography"),
         ({"forces": None}, "normal_force", "forces"),

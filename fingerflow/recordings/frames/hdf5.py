@@ -12,7 +12,13 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import SAME_RATE, TO_SECONDS
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_hdf5, read_whole
+from fingerflow.recordings.guard.checked_hdf5 import (
+    check_stored_size,
+    number_attribute,
+    open_hdf5,
+    read_whole,
+    refuse_result,
+)
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often holds several frames and should be unpacked only once
@@ -50,6 +56,8 @@ def _frame(frames: h5py.Dataset, index: int) -> Frames:
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
+    if not dataset:
+        refuse_result(file, path)
     frames = _chosen(path, file, dataset)
     check_stored_size(frames, path)
     stated, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")

@@ -14,6 +14,7 @@ from fingerflow.recordings.guard.file_checks import plausible_size, reading
 from fingerflow.schema.text_file import check_file
 
 KIND = "HDF5"
+MARK = "fingerflow_version"  # attribute that identifies a file of results
 
 
 def open_hdf5(path: Path, **options: Any) -> h5py.File:
@@ -26,6 +27,12 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
     check_in_child_process(path, "hdf5")
     with reading(path, KIND):
         return h5py.File(path, "r", **options)
+
+
+def refuse_result(file: h5py.File, path: Path) -> None:
+    """Raise FingerflowError if a file that should be an input is a result."""
+    if MARK in file.attrs:
+        raise FingerflowError(f"{path}: is a result of fingerflow; name a recording or a force file, not a result")
 
 
 def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:

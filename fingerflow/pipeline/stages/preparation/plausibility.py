@@ -15,7 +15,7 @@ _JUMP = 0.25
 _FEW_FOUND, _FEW_TRACKED = 0.9, 0.5
 _UNSEEDED = 0.05  # share of the contact far from the region of seeding, above which a warning is given
 _POINTS_IN_GAUGE = 3.0  # least gauge length in mean point spacings: with less, a fit has hardly a neighbour
-# Most gauge length in widths of the contact: medians on a real print were wrong by 3 to 4 deviations at 0.41, by 1 at 0.2.
+# Most gauge length in widths of the contact: medians on a print were wrong by 3 to 4 deviations at 0.41, by 1 at 0.2.
 _MOST_GAUGE = 1 / 3
 # Plausible values for fingertips, with a margin for every hand and laboratory.
 _RIDGE_MM = (0.3, 0.7)  # mm, ridge period: 0.46 mm on average in adults, from a child's to a broad thumb's
