@@ -43,6 +43,7 @@ REFUSED = {
     "either": ("time (ms)\tFz (mN)\n0\t1,234\n1\t1,236\n", "'1,234' may be decimal or have a thousands mark"),
     "either, with points": ("time (ms);Fz (mN)\n0;1.234\n1;12.365\n", "'1.234' may be decimal"),
     "quoted thousands": ('time (s),Fz (mN)\n0.001,"1,234"\n0.002,"1,235"\n', "thousands"),
+    "two decimal marks": ("t (s);Fz (N)\n0,001;0.01\n0,002;0.02\n", "'0,001' beside '0.01'.*with one decimal mark"),
     "millions": ("time (ms)\tFz (mN)\n0\t1,234,567\n1\t1,234,568\n", "thousands"),
     "time of day": (HEADING + "12:00:00.001,1\n12:00:00.002,1\n", "'12:00:00.001', a date or time of day"),
     "date": (HEADING + "2024-05-01,1\n2024-05-02,1\n", "a date or time of day.*sample_rate"),

@@ -179,17 +179,22 @@ def check_sparse_ridges(border_mm: float, real: float, gross: float) -> list[str
     ]
 
 
-def check_faint_rim(width_mm: float, gross: float, threshold: float) -> list[str]:
+def check_faint_rim(width_mm: float, gross: float, threshold: float, radius_px: int, period_px: float) -> list[str]:
     """Return a warning if the rim of the contact is faint, so that its border may lie `width_mm` further out; `gross`
-    mm^2 is its area without that rim.
+    mm^2 is its area without that rim, which has gaps where `radius_px` is below half the distance between ridges.
     """
     if width_mm < _RIM_MM:
         return []
     more = (1 + width_mm / np.sqrt(gross / np.pi)) ** 2 - 1
+    half = (
+        f" or set [contact] gross_radius_px, now {radius_px}, to {np.ceil(period_px / 2):g}, half the ridge distance,"
+    )
+    narrow = half if radius_px < period_px / 2 else ""
     return [
         f"the contact is faint at its rim: its border may lie {width_mm:.2f} mm further out. Areas, ellipse, onsets "
         f"and what counts from them are those of the part inside; the gross area may be {more:.0%} larger. Set "
-        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there, clean the glass, or press harder"
+        f"[contact] threshold to {FAINT * threshold:.2f} if ridges are pale there,{narrow} clean the glass, or press "
+        f"harder"
     ]
 
 
