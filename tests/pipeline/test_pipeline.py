@@ -55,10 +55,20 @@ def test_the_printed_displacement_is_the_median_over_the_points(scene: Scene, re
 def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
     assert result["real_contact_area"].values[0] == 0
     assert result["gross_contact_area"].values[0] == 0
+    assert result["gross_contact_area_std"].values[0] == result["real_contact_area_std"].values[0] == 0.01
     for name in ("ellipse_angle", "median_divergence", "global_displacement"):
         assert np.isnan(result[name].values[0]), name
     never = result["onset_frame"].values < 0
     assert np.isnan(result["displacement"].values[:, never]).all()
+
+
+def test_the_rigid_residual_of_too_little_is_unknown(scene: Scene, result: xr.Dataset) -> None:
+    """Where coverage is below 0.85; and everywhere with three points, of which a rigid motion leaves nothing."""
+    residual = result["rigid_residual_median"].values
+    assert (np.isfinite(residual) <= (result["field_coverage"].values >= 0.85)).all()
+    assert residual[-1] > 0
+    few = process(replace(scene, tracking=replace(scene.tracking, points=3)), ["rigid_residual_median"])
+    assert np.isnan(few["rigid_residual_median"]).all()
 
 
 def test_displacement_counts_from_the_way_to_the_onset(result: xr.Dataset) -> None:
