@@ -113,9 +113,9 @@ def calibrate(
         ring, target, background, views, hole_radius_mm, output, overwrite, chessboard, corners
     )
     scale = calibration.mm_per_px, calibration.mm_per_px_std
-    stated = dict(zip(("mm_per_px", "mm_per_px_std"), scale, strict=True))
     facts: dict[str, Any] = {
-        **(stated if as_json else {"mm_per_px": format_uncertainty(*scale)}),
+        "mm_per_px": scale[0] if as_json else format_uncertainty(*scale),
+        "mm_per_px_std": scale[1],
         "hole_radius_px": calibration.hole.radius_px,
         "affine": None if calibration.affine is None else calibration.affine.matrix.tolist(),
         "similarity_rms_px": None if calibration.similarity is None else calibration.similarity.rms_px,

@@ -66,10 +66,7 @@ def scene_of_settings(settings: str) -> Scene:
     stored = json.loads(settings)
     path = Path(stored.pop("path"))
     if (version := stored.pop("format", 0)) > SETTINGS_FORMAT:
-        raise FingerflowError(
-            f"{path}: the settings in its result have format {version}, this version reads {SETTINGS_FORMAT}; update "
-            "fingerflow, or name the scene file"
-        )
+        raise FingerflowError(f"{path}: the settings in its result have format {version}; update fingerflow")
     scene_kind = stored.setdefault("kind", default_kind(stored))
     shown = KINDS[scene_kind].all_views if scene_kind in KINDS else ()
     stored["views"] = {

@@ -151,7 +151,8 @@ CONTACT = (
         "standard deviation of the gross contact area, by the ridge spacing",
         equation="σ² = (b p)² + c² + d²/(1 + (π a₁ a₂ / 1.5 mm²)⁴), p = π √(2 (a₁² + a₂²)) the perimeter of the "
         "ellipse, b = 0.015 mm of the border as a whole, c = 0.15 mm², about the square of a ridge spacing, d = 0.3 "
-        "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus 4 π gross faint_rim_mm²",
+        "mm² of contacts of less than three ridges; 0.25 mm² without an ellipse, 0.01 mm² where nothing touches; plus "
+        "4 π gross faint_rim_mm²",
         formula=_gross_area_std, of=("ellipse_semi_axes", "real_contact_area"),
         label="standard deviation of the gross contact area"),
     Variable("contact_area_ratio", FRAME, "1", "real over gross contact area",

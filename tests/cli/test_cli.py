@@ -51,13 +51,11 @@ def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed)
         file["Fz"], file["frames"] = np.array([1.0, 5.0, 3.0]), np.zeros((5, 8, 10), np.uint8)
     assert command("info", tmp_path / "both.h5", "--json") == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 5
-    for frames in ("frames", "other"):  # with views or without
-        with h5py.File(tmp_path / f"{frames}.h5", "w") as file:
-            file["Fz"], file[frames] = np.array([1.0, 5.0, 3.0]), np.zeros((5, 8, 10)[frames == "other" :], np.uint8)
+    for name in ("forces.h5", "both.h5"):
+        with h5py.File(tmp_path / name, "a") as file:
             file.attrs["fingerflow_version"] = "0.1.0"
-        for command_line in (("info",), ("calibrate", "--ring")):
-            assert command(*command_line, tmp_path / f"{frames}.h5") == 2
-            assert f"{frames}.h5: is a result of fingerflow" in capsys.readouterr().err
+        assert command("info", tmp_path / name) == 2
+        assert f"{name}: is a result of fingerflow" in capsys.readouterr().err
     (tmp_path / "forces.csv").write_text("nothing")
     assert command("info", tmp_path / "forces.csv") == 2
     assert "forces.csv" in capsys.readouterr().err
@@ -221,9 +219,7 @@ def test_what_cannot_be_written_is_said(command: Command, trial: Path, tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_calibration_of_one_view(
-    command: Command, trial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_calibration_of_one_view(command: Command, trial: Path, tmp_path: Path, capsys: Printed) -> None:
     output = tmp_path / "calibration.toml"
     arguments = ("calibrate", "--ring", str(trial / "ring.png"), "--output", str(output), "--hole-radius-mm", "2.0")
     assert command(*arguments, "--contact", "10", "200", "5", "220") == 0

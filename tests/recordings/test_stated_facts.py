@@ -112,22 +112,14 @@ def test_images_are_in_the_order_of_their_numbers(names: list[str], warns: str, 
     assert bool(warns) == bool(recording.warnings)
 
 
-@pytest.mark.parametrize(
-    ("names", "earlier"),
-    [
-        (["s_254", "s_255", "s_000", "s_001"], "s_254"),
-        (["30-1-2024", "31-1-2024", "1-2-2024", "2-2-2024"], "30-1-2024"),
-        ([f"{number:x}" for number in range(8, 20)], "a"),
-        (["1", "10", "11", "12", "2", "3", "4", "5"], ""),  # copied in the order of characters
-        ([str(number ^ 1) for number in range(12)], ""),  # parallel writers
-    ],
-)
-def test_images_whose_names_and_times_have_another_order(names: list[str], earlier: str, tmp_path: Path) -> None:
-    for second, name in enumerate(names):
+# A counter that starts again, a date, hexadecimal numbers; copies in the order of characters, and parallel writers.
+@pytest.mark.parametrize("names", ["s254 s255 s000 s001", "30-1 31-1 1-2 2-2", "8 9 a b 10 11 12 13"])
+@pytest.mark.parametrize("copied", ["", "1 10 11 12 2 3 4 5", "2 1 4 3 6 5 8 7 10 9 12 11"])
+def test_images_whose_names_and_times_have_another_order(names: str, copied: str, tmp_path: Path) -> None:
+    for second, name in enumerate((copied or names).split()):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((16, 24), np.uint8))
         os.utime(tmp_path / f"{name}.png", (second, second))
-    said = f"{earlier}.png was written before"
-    assert [said in text for text in open_recording(tmp_path).warnings].count(True) == bool(earlier)
+    assert ("was written before" in " ".join(open_recording(tmp_path).warnings)) == (not copied)
 
 
 @pytest.mark.parametrize("dtype", [*COMPUTED_TYPES, ">f4", ">f8", ">u2"])

@@ -12,13 +12,7 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.open_forces import SAME_RATE, TO_SECONDS
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype
-from fingerflow.recordings.guard.checked_hdf5 import (
-    check_stored_size,
-    number_attribute,
-    open_hdf5,
-    read_whole,
-    refuse_result,
-)
+from fingerflow.recordings.guard.checked_hdf5 import check_stored_size, number_attribute, open_input, read_whole
 from fingerflow.recordings.guard.file_checks import reading
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often holds several frames and should be unpacked only once
@@ -36,7 +30,7 @@ def open_frames(path: Path, dataset: str = "") -> FileRecording:
     that are missing, or cannot be in this one by its size.
     """
     with ExitStack() as opened, reading(path, "HDF5"):
-        file = opened.enter_context(open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
+        file = opened.enter_context(open_input(path, rdcc_nbytes=CHUNK_CACHE_BYTES))
         description, frames = _describe(path, file, dataset)
         opened.pop_all()
     return FileRecording(description, partial(_frame, frames), file.close)
@@ -56,8 +50,6 @@ def _frame(frames: h5py.Dataset, index: int) -> Frames:
 
 
 def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
-    if not dataset:
-        refuse_result(file, path)
     frames = _chosen(path, file, dataset)
     check_stored_size(frames, path)
     stated, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")

@@ -29,10 +29,13 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
         return h5py.File(path, "r", **options)
 
 
-def refuse_result(file: h5py.File, path: Path) -> None:
-    """Raise FingerflowError if a file that should be an input is a result."""
+def open_input(path: Path, **options: Any) -> h5py.File:
+    """Open an HDF5 file as `open_hdf5` does; raise FingerflowError also if it is a result."""
+    file = open_hdf5(path, **options)
     if MARK in file.attrs:
+        file.close()
         raise FingerflowError(f"{path}: is a result of fingerflow; name a recording or a force file, not a result")
+    return file
 
 
 def number_attribute(item: h5py.Group | h5py.Dataset, name: str, path: Path) -> float | None:
