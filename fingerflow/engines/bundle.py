@@ -24,7 +24,7 @@ from fingerflow.schema.text_file import check_file, read_text
 _AGAIN = "export the bundle again, or copy its folder again"
 _MOST_FACTS = 1 << 26  # bytes of bundle.json, which has some 100 kB for 700 points
 _FILE_NAME = re.compile(r"(?!.*\.\.)\w[\w.+-]*(/\w[\w.+-]*)*")  # relative, below the folder on every system
-_CODE = (".py", ".pyc", ".pyw", ".so", ".pyd", ".dll", ".dylib")
+_COMPILED = (".pyc", ".so", ".pyd", ".dll", ".dylib")
 
 
 @dataclass(frozen=True)
@@ -104,20 +104,21 @@ def load_bundle(folder: Path) -> Bundle:
 
 
 def _check_code(folder: Path, listed: Container[str]) -> None:
-    """Raise FingerflowError if Python that runs in the bundle's folder would load code that is not `listed`: any in its
-    package, and what is called like an installed package beside it. A camera's module of the user is none of these.
+    """Raise FingerflowError if there is code that is not `listed`: compiled code, a module in the package, or a module
+    beside it that hides an installed one of its name. A camera's module of the user is none of these.
     """
     elsewhere = [entry for entry in sys.path if Path(entry).resolve() != folder.resolve()]
     package = [path for path in folder.glob("fingerflow/**/*") if path.parent.name != "__pycache__"]
     for path in (*package, *folder.iterdir(), *folder.glob("*/__init__.py")):
         name = path.relative_to(folder).as_posix()
-        if name in listed or not (path.suffix in _CODE or (path.is_symlink() and path.is_dir())):
-            continue
         module = name.split("/")[0].split(".")[0]
-        if module in ("fingerflow", *sys.stdlib_module_names) or PathFinder.find_spec(module, elsewhere):
-            raise FingerflowError(
-                f"{path}: is code that bundle.json does not list; remove it, or rename it if it is yours"
+        foreign = path.suffix in _COMPILED
+        if path.suffix == ".py" or (path.is_symlink() and path.is_dir()):
+            foreign = module in ("fingerflow", *sys.stdlib_module_names) or bool(
+                PathFinder.find_spec(module, elsewhere)
             )
+        if foreign and name not in listed:
+            raise FingerflowError(f"{path}: is code that bundle.json does not list; remove it, or rename your module")
 
 
 def _check_hash(folder: Path, name: str, digest: str) -> None:

@@ -147,7 +147,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
     for package in ("json", "fingerflow"):
         (stream.bundle / package).mkdir()
     assert load_bundle(stream.bundle).files
-    for name in ("numpy.pyd", "json/__init__.py", "fingerflow/player.so"):
+    for name in ("any.so", "numpy.py", "json/__init__.py", "fingerflow/player.so"):
         (stream.bundle / name).write_text("raise SystemExit")
         assert f"{name}: is code that bundle.json does not list" in said()
         (stream.bundle / name).unlink()

@@ -177,8 +177,7 @@ def _check_order(files: list[Path]) -> tuple[str, ...]:
     by_characters = times[sorted(range(len(files)), key=lambda index: files[index])]
     if not disorder or len(np.unique(times)) < len(files) or (np.diff(by_characters) > 0).all():
         return ()
-    earlier, later = files[falls[0] + 1].name, files[falls[0]].name
-    return (f"by the times of the files, {earlier} was written before {later}: check the order of the images",)
+    return (f"{files[falls[0] + 1].name} was written before {files[falls[0]].name}, by their times: check the order",)
 
 
 def _numbered(files: list[Path]) -> tuple[list[Path], list[Decimal]]:
