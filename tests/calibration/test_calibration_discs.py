@@ -37,10 +37,6 @@ def test_noise_free_discs_are_exact() -> None:
         assert same.edge_rms_px < 0.02
 
 
-def test_camera_noise_leaves_a_twentieth_of_a_pixel() -> None:
-    check_found(camera(draw(TARGET), noise=2), 0.05)
-
-
 def test_center_sigma_is_the_scatter() -> None:
     """The stated deviations of centres and radii are those of their errors within a factor of two: 8 pictures x 3 discs
     x 2 coordinates tell the ratio to about 10 %.

@@ -29,13 +29,6 @@ Printed = pytest.CaptureFixture[str]
 Patch = pytest.MonkeyPatch
 
 
-def test_info_as_json(command: Command, tmp_path: Path, capsys: Printed) -> None:
-    np.save(tmp_path / "frames.npy", np.zeros((5, 8, 10), dtype=np.uint8))
-    assert command("info", tmp_path / "frames.npy", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
-
-
 def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed) -> None:
     (tmp_path / "forces.csv").write_text("time (ms),Fz (mN)\n0,1\n2,5\n4,3\n")
     assert command("info", tmp_path / "forces.csv", "--json") == 0
@@ -49,7 +42,8 @@ def test_info_of_a_force_file(command: Command, tmp_path: Path, capsys: Printed)
     with h5py.File(tmp_path / "both.h5", "w") as file:
         file["Fz"], file["frames"] = np.array([1.0, 5.0, 3.0]), np.zeros((5, 8, 10), np.uint8)
     assert command("info", tmp_path / "both.h5", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["frames"] == 5
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
     for name in ("forces.h5", "both.h5"):
         with h5py.File(tmp_path / name, "a") as file:
             file.attrs["fingerflow_version"] = "0.1.0"
